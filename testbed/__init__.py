@@ -1,0 +1,1 @@
+"""A virtual force plate under a robot."""

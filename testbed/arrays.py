@@ -1,0 +1,51 @@
+"""Arrays as values: read-only, of a checked shape; and the two matrices every room needs.
+
+Trailing axes are the vector's or matrix's own, leading axes are samples, so that every
+function here serves one sample, many samples, and arrays of symbols alike.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+AnyArray: TypeAlias = NDArray[Any]  # numbers or symbols
+
+
+def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
+    """A read-only copy of `value` as float64, checked to have `shape`.
+
+    Args:
+        value: Anything NumPy turns into an array.
+        shape: Required shape; None leaves an axis free.
+        name: What the array is called in the error.
+
+    Raises:
+        ValueError: The shape differs.
+    """
+    array = np.array(value, dtype=np.float64)
+    fits = array.ndim == len(shape) and all(
+        want is None or want == have for want, have in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if want is None else str(want) for want in shape)
+        raise ValueError(f"{name} has shape {array.shape}, expected ({wanted})")
+    array.flags.writeable = False
+    return array
+
+
+def skew(v: AnyArray) -> AnyArray:
+    """The matrix v~ with v~ u = v x u.  v: (..., 3); returns (..., 3, 3)."""
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def apply(matrix: AnyArray, vector: AnyArray) -> AnyArray:
+    """Matrix times vector.  (..., 3, 3) and (..., 3) give (..., 3)."""
+    product: AnyArray = (matrix @ vector[..., None])[..., 0]
+    return product

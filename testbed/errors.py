@@ -1,0 +1,77 @@
+"""Errors for the person: what was asked, what was found, what to do.
+
+Every error that a user can cause derives from `TestbedError`; the data ride along as
+attributes. The command line prints the message as one line and exits with code 2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+
+class TestbedError(Exception):
+    """Base of all errors that speak to the user."""
+
+    __test__ = False  # not a test class, whatever its name
+
+
+class ModelError(TestbedError):
+    """A model file cannot be read, or holds something this project does not support."""
+
+
+class InertiaError(ModelError):
+    """Links whose inertial parameters no rigid body can have; `flaws` holds one line each."""
+
+    def __init__(self, source: str, flaws: Sequence[str]) -> None:
+        self.flaws = tuple(flaws)
+        super().__init__(
+            f"{source}: {'; '.join(flaws)}. Correct the file, or pass --accept-inertia "
+            "(accept_inertia=True) if only the kinematics matter"
+        )
+
+
+class FreeRootError(ModelError):
+    """The robot's root floats freely; `joint` names the free joint."""
+
+    def __init__(self, source: str, joint: str) -> None:
+        self.joint = joint
+        super().__init__(
+            f"{source}: joint '{joint}' leaves the root free to float, and a bedplate carries a "
+            "fixed root; pass --weld-root (weld_root=True) to weld it to the bedplate"
+        )
+
+
+class UnknownName(TestbedError):
+    """A name that is not one of those known; `name` and `known` are kept."""
+
+    def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
+        self.name = name
+        self.known = tuple(known)
+        near = get_close_matches(name, self.known, n=1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        super().__init__(f"unknown {what} '{name}'{hint} (known: {', '.join(self.known)})")
+
+
+class RecordingError(TestbedError):
+    """A recording that is damaged, incomplete, or of another robot."""
+
+
+class ExperimentError(TestbedError):
+    """An experiment file that cannot be carried out as written."""
+
+
+class InfeasibleMotion(TestbedError):
+    """No motion within the robot's limits could be found."""
+
+
+class UnseenParameters(TestbedError):
+    """The data cannot tell some minimal parameters apart; `names` lists them."""
+
+    def __init__(self, names: Sequence[str], rank: int, count: int, samples: int) -> None:
+        self.names = tuple(names)
+        self.rank = rank
+        super().__init__(
+            f"{samples} samples determine only {rank} of {count} unknowns and cannot tell apart "
+            f"{', '.join(names)}: record a longer or richer motion of the joints concerned"
+        )

@@ -1,0 +1,100 @@
+"""Barycentric parameters: what a body and all it carries look like from its joint.
+
+Everything a body carries counts as a point mass at the joint that carries it; the ten
+numbers are constant in the body frame and the equations of motion are linear in them.
+
+Order     (mbar, mbx, mby, mbz, Kxx, Kxy, Kxz, Kyy, Kyz, Kzz), body by body
+Signs     K holds tensor components: Kyz = -integral y z dm
+Source    [FRS96] eqs. (3)-(5)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.arrays import AnyArray, Array, readonly, skew
+from testbed.tree.tree import Tree
+
+COMPONENTS = ("mbar", "mbx", "mby", "mbz", "Kxx", "Kxy", "Kxz", "Kyy", "Kyz", "Kzz")
+"""Order of a body's barycentric parameters."""
+
+STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+"""Order of a body's standard parameters, about and along its frame (Pinocchio's order)."""
+
+UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+"""Units of either."""
+
+TENSOR_INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
+"""Where the component (a, b) of a tensor stands among its six numbers, barycentric order."""
+
+TENSOR: Array = np.eye(6)[np.array(TENSOR_INDEX)]
+"""The tensor of six numbers, (3, 3, 6): K[a, b] = sum over k of TENSOR[a, b, k] K6[k]."""
+
+_TO_STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)  # swaps Kxz and Kyy; its own inverse
+
+
+def standard(tree: Tree) -> Array:
+    """Standard parameters of every body, (n, 10) in the order STANDARD [kg, kg m, kg m^2]."""
+    rows = [
+        (inertia.mass, *inertia.first_moment, *inertia.tensor[np.triu_indices(3)])
+        for inertia in tree.inertias
+    ]
+    return readonly(np.array(rows)[:, _TO_STANDARD_ORDER], (tree.n, 10), "standard")
+
+
+def barycentric(tree: Tree) -> Array:
+    """Barycentric parameters theta of every body, (n, 10) [kg, kg m, kg m^2].
+
+    [FRS96] eqs. (3)-(5). Row j is in body j's frame, in the order COMPONENTS.
+    """
+    return readonly(to_barycentric(tree, standard(tree)), (tree.n, 10), "theta")
+
+
+def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
+    """Augment every body by what it carries, set as point masses at the joints.
+
+    [FRS96] eqs. (3)-(5), as a recursion over children; linear in the argument.
+
+    Args:
+        tree: Gives parents and offsets.
+        standard: (n, 10) in the order STANDARD, numbers or symbols.
+
+    Returns:
+        theta, (n, 10) in the order COMPONENTS.
+    """
+    theta = standard[:, _TO_STANDARD_ORDER].copy()
+    for j in reversed(range(tree.n)):
+        if tree.parents[j] >= 0:
+            theta[tree.parents[j]] += _point_mass(tree.joints[j].offset) * theta[j, 0]
+    return theta
+
+
+def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
+    """The inverse of `to_barycentric`: (n, 10) COMPONENTS -> (n, 10) STANDARD."""
+    own = theta.copy()
+    for j in range(tree.n):
+        if tree.parents[j] >= 0:
+            own[tree.parents[j]] -= _point_mass(tree.joints[j].offset) * theta[j, 0]
+    standard: AnyArray = own[:, _TO_STANDARD_ORDER]
+    return standard
+
+
+def parameter_names(tree: Tree) -> tuple[str, ...]:
+    """Names of the 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2, ..."""
+    return tuple(
+        parameter_name(component, body + 1) for body in range(tree.n) for component in COMPONENTS
+    )
+
+
+def parameter_name(component: str, body: int, star: str = "") -> str:
+    """Name of one component of body number `body` (from 1): ("mbz", 2) gives mb2z."""
+    if component == "mbar":
+        return f"mbar{star}{body}"
+    head = "mb" if component.startswith("mb") else component[0]
+    return f"{head}{star}{body}{component[len(head) :]}"
+
+
+def _point_mass(offset: Array) -> Array:
+    """Ten barycentric parameters of a unit point mass at `offset`, (10,)."""
+    tensor = -skew(offset) @ skew(offset)
+    return np.concatenate([[1.0], offset, tensor[np.triu_indices(3)]])

@@ -1,0 +1,97 @@
+"""Leaf to base: parameters that nobody can see apart are added into the carrying body.
+
+Body j's redefined ("starred") parameters are its own plus what its children pass on; a
+`Row` of the rules says which of them stay. What is passed on is affine in the offset
+l^ij, and the coefficient of each component is kept apart, so that formulas can be printed
+with the model's own lengths.
+
+Source    [FRS96] eqs. (23), (38) and the redefinitions of Tables 2-5
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.parameters.barycentric import TENSOR
+from testbed.parameters.mobility import mobilities
+from testbed.parameters.rules import Model, Row, rule
+from testbed.tree.tree import Joint, Tree
+
+_UPPER = tuple(zip(*np.triu_indices(3), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """One body after regrouping.
+
+    Attributes:
+        row: What stays with it.
+        passing: What it passes to its carrier, per unit and per component of the offset:
+            (4, 10, 10), carrier's ten from own ten, for (1, lx, ly, lz).
+        redefined: Its ten redefined parameters on the 10 n barycentric ones, (10, 10 n).
+    """
+
+    row: Row
+    passing: Array
+    redefined: Array
+
+
+def regroup(tree: Tree, model: Model, gravity: Array) -> tuple[tuple[Body, ...], Array]:
+    """Apply the rules from the tips to the base.
+
+    Args:
+        tree: The robot.
+        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        gravity: In the bedplate frame, (3,) [m/s^2].
+
+    Returns:
+        The bodies, and what has migrated into the bedplate (its ten parameters on the
+        10 n barycentric ones), (10, 10 n).
+    """
+    ahead = mobilities(tree, gravity)
+    redefined = np.zeros((tree.n + 1, 10, 10 * tree.n))  # the last one is the bedplate
+    bodies: dict[int, Body] = {}
+    for j in reversed(range(tree.n)):
+        joint = tree.joints[j]
+        redefined[j, range(10), range(10 * j, 10 * j + 10)] += 1.0
+        row = rule(joint, ahead[j], model)
+        passing = migration(joint, row)
+        weights = np.concatenate([[1.0], joint.offset])
+        redefined[joint.parent] += np.tensordot(weights, passing, 1) @ redefined[j]
+        bodies[j] = Body(row, passing, redefined[j])
+    return tuple(bodies[j] for j in range(tree.n)), redefined[-1]
+
+
+def migration(joint: Joint, row: Row) -> Array:
+    """What body i gains from the ten redefined parameters of body j, (4, 10, 10).
+
+    With b the migrating part of mb^j in frame i: mb*^i = mb^i + b and
+    K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
+    l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
+    """
+    turn = joint.rotation
+    b = turn @ row.passed  # (3, 3): b = this times mb^j
+    gains = np.zeros((4, 10, 10))
+    gains[0, 1:4, 1:4] = b
+    if row.tensor == "all":
+        tensor = np.einsum("ac,cdk,bd->abk", turn, TENSOR, turn)
+    else:
+        e = joint.carried_axis
+        mean = (
+            np.einsum("aak->k", TENSOR) - np.einsum("a,abk,b->k", joint.axis, TENSOR, joint.axis)
+        ) / 2
+        tensor = np.multiply.outer(np.eye(3) - np.outer(e, e), mean)
+    gains[0, 4:, 4:] = [tensor[a, c] for a, c in _UPPER]
+    for x in range(3):  # offset along axis x
+        l = np.eye(3)[x]
+        moved = (
+            2 * np.multiply.outer(np.eye(3), b[x])
+            - np.einsum("ak,b->abk", b, l)
+            - np.einsum("a,bk->abk", l, b)
+        )
+        gains[1 + x, 4:, 1:4] = [moved[a, c] for a, c in _UPPER]
+    gains[np.abs(gains) < 1e-15] = 0.0
+    return gains

@@ -1,0 +1,190 @@
+"""The rules: which parameters of a body stay, and which move on to the body that carries it.
+
+One function a table. Each answers with a `Row`: the parameters kept for joint j, the part
+of mb^j and the part of K^j that migrate to body i.
+
+Source    [FRS96] Tables 2-4; Table 5 and the row of Table 4 for weightlessness are derived
+          here (docs/minimal-sets.md)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.parameters.barycentric import TENSOR_INDEX
+from testbed.parameters.mobility import ALIGNED, Mobility
+from testbed.tree.tree import Joint
+
+Model = Literal["dynamic", "reaction"]
+
+
+@dataclass(frozen=True, eq=False)
+class Kept:
+    """One parameter kept: a linear form of body j's ten redefined parameters.
+
+    Attributes:
+        head: "mbar", "mb", "K" or "2*K".
+        tail: Its component, as in mb2`y` or K3`yz`; "d" for half a difference.
+        form: Coefficients on the ten parameters, (10,).
+        direction: Ten parameters for which this form is 1, every other form kept for the
+            joint 0, and nothing migrates, (10,).
+    """
+
+    head: str
+    tail: str
+    form: Array
+    direction: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One row of a table.
+
+    Attributes:
+        kept: The parameters kept for the joint, in printing order.
+        passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
+        tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
+            the axis, K_s of eq. (37).
+    """
+
+    kept: tuple[Kept, ...]
+    passed: Array
+    tensor: Literal["all", "mean"]
+
+
+def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
+    """The row that applies to a joint."""
+    if joint.revolute:
+        kept = (_table4 if model == "dynamic" else _table5)(joint, mobility)
+        return Row(kept, np.outer(joint.axis, joint.axis), "mean")
+    return (_table2 if model == "dynamic" else _table3)(joint, mobility)
+
+
+def _table2(joint: Joint, mobility: Mobility) -> Row:
+    """Prismatic, joint torques."""
+    mass = _mass()
+    if mobility.rotation == "free":
+        return Row((mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
+    if mobility.rotation == "across":
+        assert mobility.direction is not None
+        w = joint.rotation.T @ mobility.direction
+        u, v, names = _across(w)
+        return Row((mass, *_moments(np.array([u, v]), names)), np.outer(w, w), "all")
+    return Row((mass,), np.eye(3), "all")
+
+
+def _table3(joint: Joint, mobility: Mobility) -> Row:
+    """Prismatic, bedplate reaction."""
+    mass = _mass()
+    if mobility.rotation in ("free", "across"):
+        return Row((mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
+    u, v, names = _across(joint.axis)
+    passed = np.outer(joint.axis, joint.axis)
+    return Row((mass, *_moments(np.array([u, v]), names)), passed, "all")
+
+
+def _table4(joint: Joint, mobility: Mobility) -> tuple[Kept, ...]:
+    """Revolute, joint torques."""
+    moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    if mobility.rotation in ("none", "along"):
+        return (axial,) if mobility.at_rest else (*moments, axial)
+    if mobility.pivot is None:
+        return (*moments, axial, difference, *oblique, product)
+    about_pivot = tuple(
+        _sum(k, mobility.pivot, mb) for k, mb in zip(oblique, reversed(moments), strict=True)
+    )
+    return (axial, difference, *about_pivot, product)
+
+
+def _table5(joint: Joint, mobility: Mobility) -> tuple[Kept, ...]:
+    """Revolute, bedplate reaction."""
+    moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    if mobility.rotation in ("none", "along"):
+        return (*moments, axial, *oblique)
+    return (*moments, axial, difference, *oblique, product)
+
+
+def _mass() -> Kept:
+    unit = np.eye(10)[0]
+    return Kept("mbar", "", unit, unit)
+
+
+def _moments(directions: Array, names: str) -> tuple[Kept, ...]:
+    """Components of mb^j along orthonormal directions, (k, 3)."""
+    forms = np.pad(directions, ((0, 0), (1, 6)))
+    return tuple(Kept("mb", name, form, form) for name, form in zip(names, forms, strict=True))
+
+
+def _about_axis(
+    axis: Array,
+) -> tuple[tuple[Kept, ...], Kept, Kept, tuple[Kept, Kept], Kept]:
+    """What a revolute joint with axis e can keep, in the triad (u, v, e).
+
+    Returns:
+        (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
+    """
+    u, v, letters = _across(axis)
+    p, q = letters[0], letters[1]
+    e = _letter(axis)
+    between = {
+        frozenset((p, q)): (u, v),
+        frozenset((p, e)): (u, axis),
+        frozenset((q, e)): (v, axis),
+    }
+    uv, ue, ve = (_product(*pair, "".join(sorted(key))) for key, pair in between.items())
+    spread = _tensor_form(u, u) - _tensor_form(v, v)
+    difference = Kept("2*K", "d", spread, (_tensor_part(u, u) - _tensor_part(v, v)) / 2)
+    axial = Kept("K", e + e, _tensor_form(axis, axis), _tensor_part(axis, axis))
+    return _moments(np.array([u, v]), p + q), axial, difference, (ve, ue), uv
+
+
+def _product(a: Array, b: Array, tail: str) -> Kept:
+    return Kept("K", tail, _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a))
+
+
+def _sum(k: Kept, s: float, mb: Kept) -> Kept:
+    """K_ae + s mb_a: a product of inertia about the pivot."""
+    if abs(s) <= ALIGNED:
+        return k
+    return Kept(k.head, f"{k.tail}{s:+.6g}*mb_{mb.tail}", k.form + s * mb.form, k.direction)
+
+
+def _across(axis: Array) -> tuple[Array, Array, str]:
+    """Two unit vectors that complete `axis` to a triad, and their letters.
+
+    Body axes where `axis` is one, so that the parameters are the body's own components.
+    """
+    letter = _letter(axis)
+    if letter in "xyz":
+        p, q = (name for name in "xyz" if name != letter)
+        return np.eye(3)["xyz".index(p)], np.eye(3)["xyz".index(q)], p + q
+    helper = np.eye(3)[np.argmin(np.abs(axis))]
+    u = np.cross(helper, axis)
+    u /= np.linalg.norm(u)
+    return u, np.cross(axis, u), "uv"
+
+
+def _letter(axis: Array) -> str:
+    """x, y or z if the unit vector is plus or minus that body axis, else w."""
+    strongest = int(np.argmax(np.abs(axis)))
+    rest = np.delete(axis, strongest)
+    return "xyz"[strongest] if np.linalg.norm(rest) <= ALIGNED else "w"
+
+
+def _tensor_form(a: Array, b: Array) -> Array:
+    """The form a . K b on the ten parameters, (10,)."""
+    form = np.zeros(10)
+    for r in range(3):
+        for c in range(3):
+            form[4 + TENSOR_INDEX[r][c]] += a[r] * b[c]
+    return form
+
+
+def _tensor_part(a: Array, b: Array) -> Array:
+    """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
+    tensor = (np.outer(a, b) + np.outer(b, a)) / 2
+    return np.concatenate([np.zeros(4), tensor[np.triu_indices(3)]])

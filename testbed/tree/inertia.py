@@ -1,0 +1,114 @@
+"""The ten inertial parameters of one rigid body, and whether a rigid body can have them.
+
+Kept about the body frame's origin, where every wrench is linear in them; files speak of
+the mass centre, so the passage from there is here too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array, readonly, skew
+
+TRIANGLE_TOLERANCE = 1e-9
+"""Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Mass, first moment and inertia of one rigid body, about and along its body frame.
+
+    Attributes:
+        mass: [kg].
+        first_moment: Mass times the mass centre, (3,) [kg m].
+        tensor: Inertia about the frame's origin, (3, 3), symmetric [kg m^2]; products of
+            inertia carry their minus sign, I_yz = -integral y z dm.
+    """
+
+    mass: float
+    first_moment: Array
+    tensor: Array
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "mass", float(self.mass))
+        object.__setattr__(self, "first_moment", readonly(self.first_moment, (3,), "first_moment"))
+        object.__setattr__(self, "tensor", readonly(self.tensor, (3, 3), "tensor"))
+
+    @staticmethod
+    def about_centre(mass: float, com: ArrayLike, central: ArrayLike) -> Inertia:
+        """From mass [kg], mass centre (3,) [m] and inertia about it (3, 3) [kg m^2]."""
+        c = np.asarray(com, dtype=np.float64)
+        return Inertia(mass, mass * c, np.asarray(central) - mass * skew(c) @ skew(c))
+
+    @property
+    def com(self) -> Array:
+        """Mass centre in the body frame, (3,) [m]; zero for a massless body."""
+        centre: Array = self.first_moment / self.mass if self.mass else np.zeros(3)
+        return centre
+
+    @property
+    def central(self) -> Array:
+        """Inertia about the mass centre, (3, 3) [kg m^2]."""
+        tensor: Array = self.tensor + self.mass * skew(self.com) @ skew(self.com)
+        return tensor
+
+    def moved(self, rotation: Array, position: Array) -> Inertia:
+        """The same body seen from another frame.
+
+        Args:
+            rotation: From the body frame to the new one, (3, 3).
+            position: Origin of the body frame in the new one, (3,) [m].
+        """
+        h = rotation @ self.first_moment
+        lever, offset = skew(h), skew(position)
+        turned = rotation @ self.tensor @ rotation.T
+        shift = offset @ lever + lever @ offset + self.mass * offset @ offset
+        return Inertia(self.mass, h + self.mass * position, turned - shift)
+
+    def __add__(self, other: Inertia) -> Inertia:
+        """Two bodies welded together, both about the same frame."""
+        return Inertia(
+            self.mass + other.mass,
+            self.first_moment + other.first_moment,
+            self.tensor + other.tensor,
+        )
+
+
+NOTHING = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
+"""A body without matter."""
+
+
+def flaw(link: str, mass: float, central: ArrayLike) -> str | None:
+    """What keeps a link from being a rigid body, in one line; None if nothing does.
+
+    A link without any matter (all ten parameters zero) is no flaw: files use such links
+    as frames.
+
+    Args:
+        link: The link's name, for the message.
+        mass: [kg].
+        central: Inertia about the mass centre, (3, 3) [kg m^2].
+    """
+    tensor = np.asarray(central, dtype=np.float64)
+    if not (np.isfinite(mass) and np.isfinite(tensor).all()):
+        return f"link '{link}' has a mass or inertia that is not a number"
+    if mass < 0:
+        return f"link '{link}' has negative mass {mass:g} kg"
+    if mass == 0 and not tensor.any():
+        return None
+    moments = np.linalg.eigvalsh(tensor)
+    listed = ", ".join(f"{m:.6g}" for m in moments)
+    if mass == 0 or moments[0] <= 0:
+        return (
+            f"link '{link}' has mass {mass:g} kg and principal moments of inertia ({listed}) "
+            "kg m^2, which are not all positive"
+        )
+    if moments[0] + moments[1] < moments[2] * (1 - TRIANGLE_TOLERANCE):
+        return (
+            f"link '{link}' has principal moments of inertia ({listed}) kg m^2, where the largest "
+            "exceeds the sum of the others"
+        )
+    return None
