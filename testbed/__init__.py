@@ -1,1 +1,71 @@
-"""A virtual force plate under a robot."""
+"""A virtual force plate under a robot: minimal dynamic parameters, two ways.
+
+What is named here is promised; it is imported when first used, so that the command line
+answers at once.
+
+Source    [FRS96], see REFERENCES.bib
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from testbed.campaign.carry_out import carry_out as carry_out
+    from testbed.campaign.carry_out import simulate as simulate
+    from testbed.campaign.experiment import Experiment as Experiment
+    from testbed.dynamics.dynamics import base_wrench as base_wrench
+    from testbed.dynamics.dynamics import joint_forces as joint_forces
+    from testbed.dynamics.dynamics import pedestal_wrench as pedestal_wrench
+    from testbed.dynamics.dynamics import regressor as regressor
+    from testbed.dynamics.motion import Motion as Motion
+    from testbed.errors import TestbedError as TestbedError
+    from testbed.identification.identify import Estimate as Estimate
+    from testbed.identification.identify import identify as identify
+    from testbed.identification.prepare import Pipeline as Pipeline
+    from testbed.measurement.recording import Recording as Recording
+    from testbed.parameters.barycentric import barycentric as barycentric
+    from testbed.parameters.barycentric import standard as standard
+    from testbed.parameters.minimal_set import MinimalSet as MinimalSet
+    from testbed.parameters.minimal_set import minimal_set as minimal_set
+    from testbed.parameters.minimal_set import selection as selection
+    from testbed.tree.inertia import Inertia as Inertia
+    from testbed.tree.load import load_tree as load_tree
+    from testbed.tree.tree import Joint as Joint
+    from testbed.tree.tree import Tree as Tree
+
+_HOMES = {
+    "testbed.campaign.carry_out": ("carry_out", "simulate"),
+    "testbed.campaign.experiment": ("Experiment",),
+    "testbed.dynamics.dynamics": (
+        "base_wrench",
+        "joint_forces",
+        "pedestal_wrench",
+        "regressor",
+    ),
+    "testbed.dynamics.motion": ("Motion",),
+    "testbed.errors": ("TestbedError",),
+    "testbed.identification.identify": ("Estimate", "identify"),
+    "testbed.identification.prepare": ("Pipeline",),
+    "testbed.measurement.recording": ("Recording",),
+    "testbed.parameters.barycentric": ("barycentric", "standard"),
+    "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),
+    "testbed.tree.inertia": ("Inertia",),
+    "testbed.tree.load": ("load_tree",),
+    "testbed.tree.tree": ("Joint", "Tree"),
+}
+
+_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+
+__all__ = sorted(_HOME_OF)  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'testbed' has no attribute '{name}'")
+    return getattr(import_module(_HOME_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted((*globals(), *_HOME_OF))

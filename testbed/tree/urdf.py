@@ -36,10 +36,7 @@ def read_urdf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
         FreeRootError: The root floats and `weld_root` is not set.
         InertiaError: A link cannot be a rigid body and `accept_inertia` is not set.
     """
-    root = _parse(path)
-    for joint in root.findall("joint"):
-        _check_joint(joint, root, path, weld_root)
-    _check_loops(root, path)
+    root = supported_xml(path, weld_root=weld_root)
     flaws = [found for link in root.findall("link") if (found := _link_flaw(link, path))]
     if flaws and not accept_inertia:
         raise InertiaError(path.name, flaws)
@@ -51,7 +48,13 @@ def read_urdf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
     return _tree_of(model, root.get("name", path.stem), tuple(flaws))
 
 
-def _parse(path: Path) -> ET.Element:
+def supported_xml(path: Path, *, weld_root: bool = False) -> ET.Element:
+    """The file's XML without shapes, checked for what is supported.
+
+    Raises:
+        ModelError: The file is not XML, or holds what is not supported.
+        FreeRootError: The root floats and `weld_root` is not set.
+    """
     try:
         root = ET.parse(path).getroot()
     except ET.ParseError as error:
@@ -59,6 +62,9 @@ def _parse(path: Path) -> ET.Element:
     for link in root.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
+    for joint in root.findall("joint"):
+        _check_joint(joint, root, path, weld_root)
+    _check_loops(root, path)
     return root
 
 

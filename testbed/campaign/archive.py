@@ -1,0 +1,84 @@
+"""A run folder: everything needed to repeat a run and to read its result.
+
+experiment.toml   the experiment, every default written out
+recording.parquet what was measured (and, apart, what happened)
+result.json       estimates, truth, metrics, verdicts, versions
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from testbed.campaign.carry_out import Outcome, versions
+from testbed.campaign.compare import Errors
+from testbed.campaign.experiment import Experiment
+from testbed.files import fingerprint, replacing
+from testbed.identification.identify import Estimate
+
+
+def run_folder(experiment: Experiment) -> Path:
+    """runs/NAME-HASH, the hash over the experiment and the model file's content."""
+    model = fingerprint(Path(experiment.model))
+    content = experiment.model_dump_json(exclude={"model"}) + model
+    return Path("runs") / f"{experiment.name}-{hashlib.sha256(content.encode()).hexdigest()[:8]}"
+
+
+def write_run(outcome: Outcome, folder: Path) -> None:
+    """Write the run folder, whole or not at all; an older one is replaced."""
+    with replacing(folder) as fresh:
+        fresh.mkdir()
+        (fresh / "experiment.toml").write_text(outcome.experiment.as_toml(), encoding="utf-8")
+        outcome.recording.save(fresh / "recording.parquet")
+        text = json.dumps(result(outcome), indent=1, sort_keys=True)
+        (fresh / "result.json").write_text(text + "\n", encoding="utf-8")
+
+
+def result(outcome: Outcome) -> dict[str, Any]:
+    """The outcome without its recording, as JSON takes it."""
+    comparison = outcome.comparison
+    return {
+        "name": outcome.experiment.name,
+        "claim": outcome.experiment.claim,
+        "external": estimate_as_json(outcome.external) | _errors(comparison.external),
+        "internal": estimate_as_json(outcome.internal) | _errors(comparison.internal),
+        "metrics": dict(comparison.metrics),
+        "expect": {
+            k: b.model_dump(exclude_none=True) for k, b in outcome.experiment.expect.items()
+        },
+        "verdicts": dict(outcome.verdicts),
+        "as_expected": outcome.as_expected,
+        "doubts": list(outcome.doubts),
+        "model_sha256": outcome.recording.facts["model_sha256"],
+        "versions": versions(),
+    }
+
+
+def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as JSON takes it."""
+    return {
+        "method": estimate.method,
+        "names": list(estimate.names),
+        "units": list(estimate.units),
+        "values": estimate.values.tolist(),
+        "sigma": estimate.sigma.tolist(),
+        "covariance": estimate.covariance.tolist(),
+        "count": estimate.count,
+        "channels": list(estimate.channels),
+        "residual": estimate.residual.tolist(),
+        "relative_residual": estimate.relative_residual.tolist(),
+        "samples": list(estimate.samples),
+        "condition": estimate.condition,
+        "rank": estimate.rank,
+        "doubts": list(estimate.doubts),
+    }
+
+
+def _errors(errors: Errors) -> dict[str, Any]:
+    return {
+        "truth": errors.truth.tolist(),
+        "relative_error": errors.relative.tolist(),
+        "z": errors.z.tolist(),
+    }

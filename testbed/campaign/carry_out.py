@@ -1,0 +1,191 @@
+"""Carry out an experiment: excite, simulate, measure, identify, compare with the truth."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.campaign.compare import Comparison, compare
+from testbed.campaign.experiment import Experiment, joint_tables
+from testbed.errors import ExperimentError
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import limits_of
+from testbed.excitation.random_motion import best_motion
+from testbed.files import fingerprint
+from testbed.identification.identify import Estimate, identify
+from testbed.identification.prepare import Pipeline
+from testbed.measurement.instrument import Instrument, measure
+from testbed.measurement.recording import Recording, geometry
+from testbed.parameters.minimal_set import minimal_set
+from testbed.simulation.drive import tuned_drive
+from testbed.simulation.run import Sampling, simulate_motion
+from testbed.simulation.scene import build_scene
+from testbed.tree.load import load_tree
+from testbed.tree.tree import Tree
+
+Progress = Callable[[int, int], None]
+
+_QUIET_PLATE = np.repeat([0.5, 0.1], 3)
+"""Noise assumed for choosing a motion when the plate has none [N, N m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of an experiment.
+
+    Attributes:
+        experiment: What was carried out.
+        tree: The robot.
+        recording: What the instrument measured.
+        external: Estimate from the plate.
+        internal: Estimate from the motor torques.
+        comparison: Both against the truth.
+        doubts: What a careful reader should know, one line each.
+    """
+
+    experiment: Experiment
+    tree: Tree
+    recording: Recording
+    external: Estimate
+    internal: Estimate
+    comparison: Comparison
+    doubts: tuple[str, ...]
+
+    @property
+    def verdicts(self) -> Mapping[str, bool]:
+        """For each metric in [expect], whether the claim holds."""
+        metrics = self.comparison.metrics
+        return {k: bound.holds(metrics[k]) for k, bound in self.experiment.expect.items()}
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether every claim holds."""
+        return all(self.verdicts.values())
+
+
+def carry_out(experiment: Experiment, progress: Progress = lambda done, total: None) -> Outcome:
+    """Simulate, identify by both methods, compare.
+
+    Args:
+        experiment: What to do.
+        progress: Called with samples done and samples in all.
+    """
+    tree = _tree_of(experiment)
+    recording = _simulated(experiment, tree, progress)
+    table = experiment.identification
+    pipeline = Pipeline(
+        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
+        cutoff=None if table.cutoff == "off" else table.cutoff,
+        deadband=table.deadband,
+    )
+    external = identify(tree, recording, "external", zeros=table.zeros, pipeline=pipeline)
+    internal = identify(tree, recording, "internal", zeros=table.zeros, pipeline=pipeline)
+    return Outcome(
+        experiment=experiment,
+        tree=tree,
+        recording=recording,
+        external=external,
+        internal=internal,
+        comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
+        doubts=(*tree.doubts, *recording.facts["doubts"], *external.doubts, *internal.doubts),
+    )
+
+
+def simulate(experiment: Experiment, progress: Progress = lambda done, total: None) -> Recording:
+    """Simulate an experiment's robot on its bedplate and measure it.
+
+    Args:
+        experiment: What to do.
+        progress: Called with samples done and samples in all.
+    """
+    return _simulated(experiment, _tree_of(experiment), progress)
+
+
+def _tree_of(experiment: Experiment) -> Tree:
+    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
+    for table, entries in joint_tables(experiment).items():
+        for name in entries:
+            if name not in tree.names:
+                raise ExperimentError(
+                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
+                )
+    gravity = experiment.gravity
+    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
+
+
+def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Recording:
+    plant, table = experiment.simulation, experiment.measurement
+    instrument = Instrument(**table.model_dump(exclude={"rate", "averaged"}))
+    steps = round(1 / (table.rate * plant.step))
+    if steps < 1 or abs(steps * table.rate * plant.step - 1) > 1e-9:
+        raise ExperimentError(
+            f"simulation.step = {plant.step:g} s does not divide the sampling time "
+            f"1 / measurement.rate = {1 / table.rate:g} s"
+        )
+    motion = _motion(experiment, tree, instrument)
+    scene = build_scene(
+        Path(experiment.model),
+        tree,
+        plant.step,
+        weld_root=experiment.weld_root,
+        friction=plant.friction,
+    )
+    postures = motion.at(np.linspace(0, motion.period, 50)).q
+    run = simulate_motion(
+        scene,
+        tree,
+        motion,
+        experiment.motion.duration,
+        tuned_drive(tree, postures, plant.bandwidth),
+        Sampling(table.rate, steps, table.averaged, plant.warm_up),
+        progress,
+    )
+    saturated = [
+        f"the motor of joint '{name}' was at its limit in {share:.1%} of the samples"
+        for name, share in zip(tree.names, run.saturated, strict=True)
+        if share
+    ]
+    facts = {
+        "robot": tree.name,
+        "geometry": geometry(tree),
+        "model_sha256": fingerprint(Path(experiment.model)),
+        "seed": experiment.seed,
+        "versions": versions(),
+        "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
+        "doubts": saturated,
+    }
+    return measure(instrument, tree.names, run.time, run.truth, scene.tare, facts, experiment.seed)
+
+
+def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fourier:
+    table = experiment.motion
+    noise = instrument.plate_noise
+    minimal = minimal_set(tree, "reaction", zeros=experiment.identification.zeros)
+    motion, _ = best_motion(
+        tree,
+        limits_of(tree, table.max_velocity, table.max_acceleration),
+        minimal,
+        noise if noise.all() else _QUIET_PLATE,
+        table.fundamental,
+        table.harmonics,
+        table.candidates,
+        np.random.default_rng(experiment.seed),
+    )
+    return motion
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, testbed and the packages that make the numbers."""
+    found: dict[str, Any] = {"python": platform.python_version()}
+    for package in ("testbed", "mujoco", "numpy", "scipy", "pin"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

@@ -1,0 +1,257 @@
+"""The command line: parses, calls, prints.
+
+Exit codes: 0 done and as expected; 1 done, but a claim of [expect] failed; 2 the input is
+at fault, with one message on standard error.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from testbed.errors import TestbedError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from testbed.identification.identify import Estimate
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="A virtual force plate under a robot: minimal dynamic parameters from joint torques "
+    "and from the bedplate's reaction.",
+)
+
+_Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+_Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as motion.duration=20."),
+]
+_Weld = Annotated[bool, typer.Option("--weld-root", help="Weld a floating root to the bedplate.")]
+_Accept = Annotated[
+    bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
+]
+_Zeros = Annotated[
+    bool, typer.Option("--zeros", help="Parameters that are zero in the model file are known.")
+]
+_Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
+
+
+@app.command()
+def run(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
+    settings: _Set = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")] = None,
+    as_json: _Json = False,
+) -> None:
+    """Carry out an experiment: simulate, identify, compare with the model file.
+
+    Example: testbed run experiments/table6.toml --set motion.duration=20
+    """
+    from testbed.campaign.archive import result, run_folder, write_run
+    from testbed.campaign.carry_out import carry_out
+    from testbed.campaign.experiment import Experiment
+
+    experiment = Experiment.load(file, settings or ())
+    with _Progress("simulating") as progress:
+        outcome = carry_out(experiment, progress)
+    folder = out or run_folder(experiment)
+    write_run(outcome, folder)
+    if as_json:
+        _print_json(result(outcome) | {"folder": str(folder)})
+    else:
+        _print_outcome(outcome, folder)
+    raise typer.Exit(0 if outcome.as_expected else 1)
+
+
+@app.command()
+def simulate(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
+    out: Annotated[Path, typer.Option(help="Recording to write (Parquet).")],
+    settings: _Set = None,
+) -> None:
+    """Simulate an experiment and write only its recording.
+
+    Example: testbed simulate experiments/table6.toml --out recording.parquet
+    """
+    from testbed.campaign.carry_out import simulate as simulated
+    from testbed.campaign.experiment import Experiment
+
+    experiment = Experiment.load(file, settings or ())
+    with _Progress("simulating") as progress:
+        recording = simulated(experiment, progress)
+    recording.save(out)
+    _console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
+
+
+@app.command()
+def identify(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
+    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    zeros: _Zeros = False,
+    weld_root: _Weld = False,
+    accept_inertia: _Accept = False,
+    position_cutoff: Annotated[float, typer.Option(help="Low-pass on encoders [Hz].")] = 40.0,
+    cutoff: Annotated[float, typer.Option(help="Parallel low-pass [Hz].")] = 5.0,
+    as_json: _Json = False,
+) -> None:
+    """Identify the minimal parameters from a recording, by bedplate and by torques.
+
+    Example: testbed identify recording.parquet --model models/puma562.xml --zeros
+    """
+    from testbed.campaign.archive import estimate_as_json
+    from testbed.identification.identify import identify as identified
+    from testbed.identification.prepare import Pipeline
+    from testbed.measurement.recording import Recording
+    from testbed.tree.load import load_tree
+
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    data = Recording.load(recording)
+    pipeline = Pipeline(position_cutoff, cutoff)
+    estimates = [
+        identified(tree, data, "external", zeros=zeros, pipeline=pipeline),
+        identified(tree, data, "internal", zeros=zeros, pipeline=pipeline),
+    ]
+    if as_json:
+        _print_json({e.method: estimate_as_json(e) for e in estimates})
+    else:
+        _print_estimates(estimates, tree.doubts)
+
+
+@app.command()
+def minimal(
+    model: _Model,
+    zeros: _Zeros = False,
+    gravity: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="Gravity vector [m/s^2]; default the model file's."),
+    ] = None,
+    weld_root: _Weld = False,
+    accept_inertia: _Accept = False,
+    as_json: _Json = False,
+) -> None:
+    """Print what joint torques and what the bedplate can tell about a robot.
+
+    Example: testbed minimal models/puma562.urdf --zeros
+    """
+    from testbed.parameters.minimal_set import minimal_set, selection
+    from testbed.report.tables import minimal_table
+    from testbed.tree.load import load_tree
+
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    dynamic, reaction = (minimal_set(tree, m, gravity, zeros) for m in ("dynamic", "reaction"))
+    if as_json:
+        sets = {
+            each.model: {
+                "names": each.names,
+                "formulas": each.formulas,
+                "auxiliary": each.auxiliary,
+                "units": each.units,
+                "matrix": each.matrix.tolist(),
+            }
+            for each in (dynamic, reaction)
+        }
+        _print_json(sets | {"S": selection(dynamic, reaction).tolist(), "joints": tree.names})
+        return
+    console = _console()
+    _print_doubts(console, tree.doubts)
+    console.print(minimal_table(tree, dynamic, reaction))
+    for line in dict.fromkeys((*dynamic.auxiliary, *reaction.auxiliary)):
+        console.print(f"with {line}", highlight=False)
+    console.print(
+        f"{tree.name}: {10 * tree.n} parameters, of which joint torques tell {dynamic.count} "
+        f"combinations and the bedplate {reaction.count}"
+    )
+
+
+def main() -> None:
+    """Run a command; what the user got wrong is one line and exit code 2."""
+    try:
+        app()
+    except TestbedError as error:
+        sys.stderr.write(f"testbed: {' '.join(str(error).split())}\n")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        sys.stderr.write("testbed: interrupted\n")
+        sys.exit(130)
+
+
+class _Progress:
+    """A progress bar on standard error, if that is a terminal."""
+
+    def __init__(self, label: str) -> None:
+        from rich.console import Console
+        from rich.progress import Progress
+
+        self._bar = Progress(console=Console(stderr=True), transient=True)
+        self._bar.disable = not sys.stderr.isatty()
+        self._task = self._bar.add_task(label)
+
+    def __enter__(self) -> _Progress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: int, total: int) -> None:
+        self._bar.update(self._task, completed=done, total=total)
+
+
+def _console() -> Console:
+    from rich.console import Console
+
+    console = Console()
+    return console if console.is_terminal else Console(width=120)
+
+
+def _print_json(value: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def _print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None:
+    from testbed.report.tables import estimate_table, quality_lines
+
+    console = _console()
+    console.print(estimate_table(estimates))
+    for line in quality_lines(estimates):
+        console.print(line, highlight=False)
+    _print_doubts(console, (*doubts, *(d for e in estimates for d in e.doubts)))
+
+
+def _print_outcome(outcome: Any, folder: Path) -> None:
+    from testbed.report.tables import quality_lines, result_table, truths_by_name
+
+    console = _console()
+    external, internal, compared = outcome.external, outcome.internal, outcome.comparison
+    truths = truths_by_name(external, compared.external.truth) | truths_by_name(
+        internal, compared.internal.truth
+    )
+    console.print(result_table(external, internal, truths, f"{outcome.experiment.name}"))
+    for line in quality_lines((external, internal)):
+        console.print(line, highlight=False)
+    _print_doubts(console, outcome.doubts)
+    verdicts = outcome.verdicts
+    for name, value in compared.metrics.items():
+        claim = ""
+        if name in verdicts:
+            bound = outcome.experiment.expect[name].model_dump(exclude_none=True)
+            wanted = ", ".join(f"{k.replace('_', ' ')} {v:g}" for k, v in bound.items())
+            claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
+        console.print(f"{name:30s} {value:9.3g}{claim}", highlight=False)
+    console.print(f"run folder: {folder}", highlight=False)
+
+
+def _print_doubts(console: Console, doubts: tuple[str, ...]) -> None:
+    for doubt in doubts:
+        console.print(f"[yellow]note[/yellow] {doubt}", highlight=False)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,104 @@
+"""What a motion may ask of the robot, and whether it does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.dynamics.dynamics import joint_forces
+from testbed.dynamics.motion import Motion
+from testbed.tree.tree import Joint, Tree
+
+CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
+"""Half range, velocity and acceleration where neither file nor user gives a limit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Bounds on positions, velocities, accelerations and efforts, joint by joint.
+
+    Attributes:
+        low: Least position, (n,) [rad or m].
+        high: Greatest position, (n,) [rad or m].
+        velocity: Greatest speed, (n,) [rad/s or m/s].
+        acceleration: Greatest acceleration, (n,) [rad/s^2 or m/s^2].
+        effort: Greatest motor effort, (n,) [N m or N].
+    """
+
+    low: Array
+    high: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.low)
+        for name in ("low", "high", "velocity", "acceleration", "effort"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
+
+
+def limits_of(
+    tree: Tree,
+    velocity: Mapping[str, float] | None = None,
+    acceleration: Mapping[str, float] | None = None,
+) -> Limits:
+    """The model file's limits, narrowed by the user's, completed by calm defaults.
+
+    Args:
+        tree: The robot.
+        velocity: Greatest speed by joint name [rad/s or m/s].
+        acceleration: Greatest acceleration by joint name [rad/s^2 or m/s^2].
+
+    Raises:
+        UnknownName: A limit is given for a joint that the robot lacks.
+    """
+    velocity, acceleration = velocity or {}, acceleration or {}
+    for name in (*velocity, *acceleration):
+        tree.index(name)
+
+    def speed(joint: Joint) -> float:
+        known = min(joint.max_velocity, velocity.get(joint.name, np.inf))
+        return known if np.isfinite(known) else CALM[joint.kind][1]
+
+    ranges = np.array([_range(joint) for joint in tree.joints])
+    return Limits(
+        low=ranges[:, 0],
+        high=ranges[:, 1],
+        velocity=np.array([speed(joint) for joint in tree.joints]),
+        acceleration=np.array([acceleration.get(j.name, CALM[j.kind][2]) for j in tree.joints]),
+        effort=np.array([joint.max_effort for joint in tree.joints]),
+    )
+
+
+def motor_efforts(tree: Tree, motion: Motion) -> Array:
+    """What the motors must deliver, friction and rotor inertia included, (M, n) [N m or N]."""
+    coulomb, viscous, rotor = (
+        np.array([getattr(joint, name) for joint in tree.joints])
+        for name in ("coulomb", "viscous", "rotor_inertia")
+    )
+    friction = coulomb * np.sign(motion.qd) + viscous * motion.qd
+    return joint_forces(tree, motion) + friction + rotor * motion.qdd
+
+
+def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:
+    """Share of each limit that a motion uses, (n,) each; above 1 it is exceeded."""
+    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
+    return {
+        "position": np.abs(motion.q - middle).max(axis=0) / half,
+        "velocity": np.abs(motion.qd).max(axis=0) / limits.velocity,
+        "acceleration": np.abs(motion.qdd).max(axis=0) / limits.acceleration,
+        "effort": np.abs(motor_efforts(tree, motion)).max(axis=0) / limits.effort,
+    }
+
+
+def _range(joint: Joint) -> tuple[float, float]:
+    low, high = joint.position_range
+    if np.isfinite(low) and np.isfinite(high):
+        return low, high
+    half = CALM[joint.kind][0]
+    return (
+        (low, low + 2 * half) if np.isfinite(low) else (min(high, half) - 2 * half, min(high, half))
+    )

@@ -1,0 +1,119 @@
+"""Feasible random motions, and the best of a few.
+
+The score is the predicted relative standard deviation of the reaction parameters: the
+covariance that plate noise alone would give, weighed by the values of an a-priori model.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.dynamics import regressor
+from testbed.errors import InfeasibleMotion
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import Limits, usage
+from testbed.parameters.barycentric import barycentric
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.tree.tree import Tree
+
+MARGIN = 0.95
+"""Share of every limit that a motion may use: the rest is for the controller."""
+
+_CHECK = 500  # samples of a period on which limits are checked
+_SCORE = 100  # samples of a period on which a motion is scored
+_SMALL = 0.05  # parameters below this share of the largest of their unit count as that large
+
+
+def random_motion(
+    tree: Tree, limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
+) -> Fourier:
+    """One random Fourier motion, each joint scaled until its nearest limit.
+
+    Args:
+        tree: The robot, its inertias an a-priori model for the efforts.
+        limits: What may be asked of it.
+        fundamental: Frequency at which the motion repeats [Hz].
+        harmonics: Number of harmonics.
+        rng: Source of randomness.
+
+    Raises:
+        InfeasibleMotion: Even slow motions exceed the efforts.
+    """
+    decay = 1 / np.arange(1, harmonics + 1)
+    sine, cosine = (rng.normal(size=(tree.n, harmonics)) * decay for _ in range(2))
+    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
+    wish = middle + rng.uniform(-0.5, 0.5, tree.n) * half
+    times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
+    shape = Fourier(fundamental, np.zeros(tree.n), sine, cosine).at(times)
+    swing = np.abs(shape.q).max(axis=0)
+    size = np.min(
+        [
+            limits.velocity / np.abs(shape.qd).max(axis=0),
+            limits.acceleration / np.abs(shape.qdd).max(axis=0),
+            half / swing,
+        ],
+        axis=0,
+    )
+    for shrink in 0.9 ** np.arange(30):
+        scale = MARGIN * shrink * size
+        room = MARGIN * half - scale * swing  # how far the offset may stray from the middle
+        offset = np.clip(wish, middle - room, middle + room)
+        motion = Fourier(fundamental, offset, scale[:, None] * sine, scale[:, None] * cosine)
+        effort = usage(tree, motion.at(times), limits)["effort"]
+        if (effort <= MARGIN).all():
+            return motion
+    tight = [f"{name} {share:.0%}" for name, share in zip(tree.names, effort, strict=True)]
+    raise InfeasibleMotion(
+        f"no random motion keeps the motor efforts within their limits (slowest try: "
+        f"{', '.join(tight)} of the limit); check the effort limits and masses in the model"
+    )
+
+
+def best_motion(
+    tree: Tree,
+    limits: Limits,
+    minimal: MinimalSet,
+    noise: Array,
+    fundamental: float,
+    harmonics: int,
+    candidates: int,
+    rng: np.random.Generator,
+) -> tuple[Fourier, float]:
+    """The candidate with the smallest predicted relative standard deviation.
+
+    Args:
+        tree: The robot, its inertias an a-priori model.
+        limits: What may be asked of it.
+        minimal: The reaction set to be identified.
+        noise: Standard deviation of the plate's channels, (6,) [N, N m].
+        fundamental: Frequency at which the motions repeat [Hz].
+        harmonics: Number of harmonics.
+        candidates: How many random motions to draw.
+        rng: Source of randomness.
+
+    Returns:
+        The motion, and its score (`relative_sigma`).
+    """
+    drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(candidates)]
+    scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
+    best = int(np.argmin(scores))
+    return drawn[best], scores[best]
+
+
+def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:
+    """Predicted rms of sigma_i / |delta_i| for one sample per 1/100 of a period.
+
+    Infinite if the motion leaves a parameter unseen.
+    """
+    times = np.linspace(0, motion.period, _SCORE, endpoint=False)
+    phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
+    delta = np.abs(minimal.values(barycentric(tree)))
+    for unit in set(minimal.units):
+        same = np.array([u == unit for u in minimal.units])
+        delta[same] = np.maximum(delta[same], _SMALL * delta[same].max())
+    scaled = phi.reshape(-1, minimal.count) * delta
+    spread = np.linalg.svd(scaled, compute_uv=False)
+    if spread[-1] <= 1e-12 * spread[0]:
+        return float("inf")
+    return float(np.sqrt(np.mean(1 / spread**2)))

@@ -1,0 +1,223 @@
+"""A recording: what the instrument measured, and, walled off, what really happened.
+
+Stored as Parquet: one column a channel, its unit in the schema; what is known about the
+run (robot, seed, versions) in the file's metadata.
+
+Wrench    of the bedplate on the robot, force first, bedplate axes, moment about O^0
+Times     of the first instant of each sample
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.errors import RecordingError
+from testbed.files import replacing
+from testbed.tree.tree import Tree
+
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+"""The plate's channels."""
+
+GEOMETRY_TOLERANCE = 1e-9
+"""Greatest difference of axes, offsets and rotations within one robot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What really happened, sampled as the measurements are. For comparison only.
+
+    Attributes:
+        position: (M, n) [rad or m].
+        velocity: (M, n) [rad/s or m/s].
+        acceleration: (M, n) [rad/s^2 or m/s^2].
+        torque: What the motors delivered, (M, n) [N m or N].
+        friction: What friction took from it, (M, n) [N m or N].
+        wrench: (M, 6) [N, N m].
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    friction: Array
+    wrench: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """M samples of encoders, motor torques and the plate, at a constant rate.
+
+    Attributes:
+        names: Joint names; the order of all joint columns.
+        time: (M,) [s].
+        position: Encoders, (M, n) [rad or m].
+        torque: Motor torques as the drives report them, (M, n) [N m or N].
+        wrench: The plate, (M, 6) [N, N m]; contains `tare`.
+        velocity: Where the instrument senses it, (M, n) [rad/s or m/s].
+        acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
+        tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m].
+        truth: What really happened, where a simulation made the recording.
+        facts: What is known about the run: robot, model hash, seed, versions.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    position: Array
+    torque: Array
+    wrench: Array
+    velocity: Array | None = None
+    acceleration: Array | None = None
+    tare: Array = field(default_factory=lambda: np.zeros(6))
+    truth: Truth | None = None
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        samples, n = len(self.time), len(self.names)
+        shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,)}
+        for name in ("time", "position", "torque", "wrench", "velocity", "acceleration", "tare"):
+            value = getattr(self, name)
+            if value is not None:
+                value = readonly(value, shapes.get(name, (samples, n)), name)
+                object.__setattr__(self, name, value)
+
+    @property
+    def samples(self) -> int:
+        """Number M of samples."""
+        return len(self.time)
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+        return (self.samples - 1) / float(self.time[-1] - self.time[0])
+
+    def blind(self) -> Recording:
+        """The same recording without the truth: what an estimator is given."""
+        return replace(self, truth=None)
+
+    def ordered(self, tree: Tree) -> Recording:
+        """Joint columns by name in the order of `tree.names`.
+
+        Raises:
+            RecordingError: The recording is of another robot.
+        """
+        check_robot(self, tree)
+        order = [self.names.index(name) for name in tree.names]
+
+        def pick(columns: Array | None) -> Array | None:
+            return None if columns is None else columns[:, order]
+
+        return replace(
+            self,
+            names=tree.names,
+            position=self.position[:, order],
+            torque=self.torque[:, order],
+            velocity=pick(self.velocity),
+            acceleration=pick(self.acceleration),
+        )
+
+    def save(self, path: str | Path) -> None:
+        """Write to a Parquet file, whole or not at all."""
+        from testbed.measurement.parquet import write
+
+        with replacing(Path(path)) as fresh:
+            write(self, fresh)
+
+    @staticmethod
+    def load(path: str | Path) -> Recording:
+        """Read a Parquet file written by `save`, or one with the same columns.
+
+        Raises:
+            RecordingError: The file is missing, damaged or incomplete, or holds values
+                that are not numbers, or its sampling is not uniform.
+        """
+        from testbed.measurement.parquet import read
+
+        recording = read(Path(path))
+        check(recording, str(path))
+        return recording
+
+
+def geometry(tree: Tree) -> dict[str, Any]:
+    """What a recording keeps of its robot: joints by name, with kind, axis and place."""
+    parents = ["bedplate" if p < 0 else tree.names[p] for p in tree.parents]
+    return {
+        joint.name: {
+            "kind": joint.kind,
+            "parent": parent,
+            "axis": joint.axis.tolist(),
+            "offset": joint.offset.tolist(),
+            "rotation": joint.rotation.tolist(),
+        }
+        for joint, parent in zip(tree.joints, parents, strict=True)
+    }
+
+
+def check_robot(recording: Recording, tree: Tree) -> None:
+    """Whether the recording is of this robot: joints by name, and their geometry if known.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    if set(recording.names) != set(tree.names):
+        raise RecordingError(
+            f"the recording is of another robot: it has the joints {', '.join(recording.names)}, "
+            f"the model has {', '.join(tree.names)}"
+        )
+    known = recording.facts.get("geometry", {})
+    for name, here in geometry(tree).items():
+        for what, value in here.items():
+            there = known.get(name, {}).get(what, value)
+            same = (
+                there == value
+                if isinstance(value, str)
+                else np.shape(there) == np.shape(value)
+                and np.abs(np.subtract(there, value)).max() <= GEOMETRY_TOLERANCE
+            )
+            if not same:
+                raise RecordingError(
+                    f"the recording is of another robot: its joint '{name}' has {what} "
+                    f"{json.dumps(there)}, the model has {json.dumps(value)}"
+                )
+
+
+def check(recording: Recording, source: str) -> None:
+    """Whether every value is a number and the sampling is uniform.
+
+    Raises:
+        RecordingError: Names the first bad channel, sample and time.
+    """
+    if recording.samples < 2:
+        raise RecordingError(f"{source}: {recording.samples} samples are no recording")
+    for label, values in channels(recording).items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise RecordingError(
+                f"{source}: channel '{label}' is {values[bad[0]]} at sample {bad[0]} "
+                f"(t = {recording.time[bad[0]]:.6g} s), {bad.size} such samples in all; "
+                "cut them out or repair the recording"
+            )
+    steps = np.diff(recording.time)
+    typical = float(np.median(steps))
+    worst = int(np.argmax(np.abs(steps - typical)))
+    if typical <= 0 or abs(steps[worst] - typical) > 0.01 * typical:
+        raise RecordingError(
+            f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample {worst}, "
+            f"{typical:.6g} s elsewhere; resample the recording to a constant rate"
+        )
+
+
+def channels(recording: Recording) -> dict[str, Array]:
+    """Measured channels by column name, (M,) each."""
+    columns: dict[str, Array] = {"time": recording.time}
+    for group in ("position", "velocity", "acceleration", "torque"):
+        values = getattr(recording, group)
+        if values is not None:
+            columns |= {f"{group}/{n}": values[:, k] for k, n in enumerate(recording.names)}
+    return columns | {f"wrench/{axis}": recording.wrench[:, k] for k, axis in enumerate(AXES)}

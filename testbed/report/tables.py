@@ -1,0 +1,114 @@
+"""Results as tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from rich.table import Table
+
+from testbed.arrays import Array
+from testbed.identification.identify import Estimate
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.tree.tree import Tree
+
+
+def result_table(
+    external: Estimate, internal: Estimate, truths: Mapping[str, float], title: str
+) -> Table:
+    """Truth, both estimates and their errors in sigmas: Table 6, with the truth beside it.
+
+    First the parameters that both methods know, then what only the plate tells, then
+    friction, which only the torques tell.
+
+    Args:
+        external: Estimate from the plate.
+        internal: Estimate from the motor torques.
+        truths: True values by name.
+        title: Of the table.
+    """
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column("parameter")
+    table.add_column("unit", style="dim")
+    for column in ("truth", "external", "error/sigma", "internal", "error/sigma"):
+        table.add_column(column, justify="right")
+    names = dict.fromkeys((*internal.names[: internal.count], *external.names, *internal.names))
+    sections = {internal.count - 1, len(names) - 1 - (len(internal.names) - internal.count)}
+    units = dict(zip(internal.names, internal.units, strict=True)) | dict(
+        zip(external.names, external.units, strict=True)
+    )
+    for k, name in enumerate(names):
+        cells = [*_cells(external, name, truths[name]), *_cells(internal, name, truths[name])]
+        truth = f"{truths[name]:.6g}"
+        table.add_row(name, units[name], truth, *cells, end_section=k in sections)
+    return table
+
+
+def estimate_table(estimates: Sequence[Estimate]) -> Table:
+    """Estimates without truth: value and sigma by method."""
+    table = Table(header_style="bold")
+    table.add_column("parameter")
+    table.add_column("unit", style="dim")
+    for estimate in estimates:
+        table.add_column(estimate.method, justify="right")
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
+    for name, unit in units.items():
+        table.add_row(name, unit, *(_with_sigma(estimate, name) for estimate in estimates))
+    return table
+
+
+def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
+    """One line an estimate: condition, rank, residual of each channel."""
+    lines = []
+    for e in estimates:
+        fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
+        lines.append(
+            f"{e.method}: rank {e.rank} of {len(e.names)}, condition {e.condition:.1f}, "
+            f"residual rms {fits}"
+        )
+    return lines
+
+
+def minimal_table(tree: Tree, dynamic: MinimalSet, reaction: MinimalSet) -> Table:
+    """Both minimal sets side by side, each parameter with its formula."""
+    table = Table(header_style="bold")
+    for column in ("body", "parameter", "unit", "torques", "bedplate", "formula"):
+        table.add_column(column)
+    entries: dict[str, tuple[str, str, int]] = {}
+    for each in (dynamic, reaction):
+        for row in zip(each.names, each.formulas, each.units, each.bodies, strict=True):
+            entries.setdefault(row[0], row[1:])
+    for name, (formula, unit, body) in entries.items():
+        owner = "bedplate" if body < 0 else tree.joints[body].body
+        seen = ["yes" if name in each.names else "-" for each in (dynamic, reaction)]
+        right = formula.split(" = ", 1)[1]
+        table.add_row(owner, name, unit, *seen, "" if right == name else right)
+    return table
+
+
+def _cells(estimate: Estimate, name: str, truth: float) -> tuple[str, str]:
+    if name not in estimate.names:
+        return "-", ""
+    k = estimate.names.index(name)
+    sigma = estimate.sigma[k]
+    z = (estimate.values[k] - truth) / sigma if sigma > 0 else 0.0
+    return _with_sigma(estimate, name), f"{z:+.1f}"
+
+
+def _with_sigma(estimate: Estimate, name: str) -> str:
+    if name not in estimate.names:
+        return "-"
+    k = estimate.names.index(name)
+    value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
+    return f"{value:.{_digits(sigma)}f} +- {sigma:.{_digits(sigma)}f}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals that show two digits of sigma."""
+    if not 0 < sigma < 1:
+        return 1 if sigma else 6
+    return min(len(f"{1 / sigma:.0f}") + 1, 12)
+
+
+def truths_by_name(estimate: Estimate, truth: Array) -> dict[str, float]:
+    """True values by parameter name."""
+    return dict(zip(estimate.names, truth.tolist(), strict=True))

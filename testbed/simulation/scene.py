@@ -1,0 +1,204 @@
+"""The robot on its sensing bedplate, as MuJoCo simulates it.
+
+MuJoCo reads the model file itself, so that simulation and `Tree` meet only in the file.
+Actuators of the file are replaced by one torque motor a joint. A force and a torque
+sensor at a site that is welded to the world are taken as the plate; where the file has
+none, the whole robot is put on a plate of its own.
+
+Integration is explicit (Euler, damping not treated implicitly): only then is the sensed
+acceleration exactly the derivative of the motion, and the wrench exactly its consequence.
+"""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.tree.load import model_format
+from testbed.tree.mjcf import compile_spec, open_spec
+from testbed.tree.quiet import silenced
+from testbed.tree.tree import Tree
+from testbed.tree.urdf import supported_xml
+
+_PLATE = "testbed/bedplate"
+_TINY = 1e-12  # mass given to bodies without matter, which MuJoCo refuses [kg]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A compiled model with what is needed to drive it and to read its plate.
+
+    Attributes:
+        model: The MuJoCo model.
+        order: For each joint of the tree, its index among MuJoCo's velocities, (n,).
+        positions: Where its position stands among the sensor data, (n,).
+        velocities: Likewise its velocity, (n,).
+        plate: Where the plate's force and moment stand among the sensor data, (6,).
+        plate_turn: Rotation from the sensor's axes to the bedplate's, (3, 3).
+        plate_origin: The sensor's origin in the bedplate frame, (3,) [m].
+        tare: Static wrench of what stands on the plate without moving, (6,) [N, N m],
+            bedplate axes, about O^0.
+    """
+
+    model: mujoco.MjModel
+    order: Array
+    positions: Array
+    velocities: Array
+    plate: Array
+    plate_turn: Array
+    plate_origin: Array
+    tare: Array
+
+    def bedplate_wrench(self, sensed: Array) -> Array:
+        """From the sensor's axes and origin to the bedplate's, (..., 6) [N, N m]."""
+        force = sensed[..., :3] @ self.plate_turn.T
+        moment = sensed[..., 3:] @ self.plate_turn.T + np.cross(self.plate_origin, force)
+        return np.concatenate([force, moment], axis=-1)
+
+
+def build_scene(
+    path: Path,
+    tree: Tree,
+    step: float,
+    *,
+    weld_root: bool = False,
+    friction: bool = True,
+) -> Scene:
+    """Put the robot of a model file on its sensing bedplate.
+
+    Args:
+        path: The model file, MJCF or URDF.
+        tree: The tree read from it; gives joint names, their order and gravity.
+        step: Simulation step [s].
+        weld_root: Weld a floating root to the bedplate.
+        friction: Keep the file's joint friction.
+
+    Raises:
+        ModelError: MuJoCo refuses the model.
+    """
+    spec = _robot(path, weld_root)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for key in list(spec.keys):
+        spec.delete(key)
+    with warnings.catch_warnings(), silenced():
+        warnings.simplefilter("ignore", UserWarning)  # attaching overrides timestep and camera
+        if _plate_of(compile_spec(spec, path)) is None:
+            spec = _on_plate(spec)
+        _equip(spec, tree, step, friction)
+        model = compile_spec(spec, path)
+    return _scene_of(model, tree, path)
+
+
+def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
+    if model_format(path) == "mjcf":
+        spec = open_spec(path, weld_root=weld_root)
+    else:
+        root = supported_xml(path, weld_root=weld_root)
+        for extension in root.findall("mujoco"):
+            root.remove(extension)
+        options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
+        ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
+        with silenced():
+            try:
+                spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+            except ValueError as error:
+                raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+    spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
+    return spec
+
+
+def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
+    """A world with one plate at its origin, and the robot on it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
+    site = spec.worldbody.add_body(name=_PLATE).add_site(name=_PLATE)
+    spec.attach(robot, site=site, prefix="")
+    for name, kind in (
+        ("force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": _PLATE}
+        spec.add_sensor(name=f"{_PLATE}/{name}", type=kind, **at)
+    return spec
+
+
+def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool) -> None:
+    """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
+    option = spec.option
+    option.timestep, option.gravity = step, tree.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    option.tolerance, option.iterations = 1e-14, 50
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    for k, joint in enumerate(spec.joints):
+        joint.name = joint.name or tree.names[k]
+        joint.solref_friction = [2 * step, 1]
+        joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2]
+        if not friction:
+            joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
+    for name in tree.names:
+        motor = spec.add_actuator(name=f"testbed/{name}", target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+            label = f"testbed/{kind.name}/{name}"
+            spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
+
+
+def _scene_of(model: mujoco.MjModel, tree: Tree, path: Path) -> Scene:
+    plate = _plate_of(model)
+    if plate is None:
+        raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled the model")
+    force, torque = plate
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    site = int(model.sensor_objid[force])
+
+    def sensors(kind: mujoco.mjtSensor) -> Array:
+        found = [model.sensor(f"testbed/{kind.name}/{name}").adr[0] for name in tree.names]
+        return np.array(found)
+
+    return Scene(
+        model=model,
+        order=np.array([model.joint(name).dofadr[0] for name in tree.names]),
+        positions=sensors(mujoco.mjtSensor.mjSENS_JOINTPOS),
+        velocities=sensors(mujoco.mjtSensor.mjSENS_JOINTVEL),
+        plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in (force, torque)]),
+        plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
+        plate_origin=data.site_xpos[site].copy(),
+        tare=_tare(model, data, int(model.site_bodyid[site]), tree.gravity),
+    )
+
+
+def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
+    """A force and a torque sensor at one site that is welded to the world."""
+    found: dict[tuple[int, int], int] = {}
+    for s in range(model.nsensor):
+        found[(int(model.sensor_type[s]), int(model.sensor_objid[s]))] = s
+    for site in range(model.nsite):
+        force = found.get((int(mujoco.mjtSensor.mjSENS_FORCE), site))
+        torque = found.get((int(mujoco.mjtSensor.mjSENS_TORQUE), site))
+        welded = model.body_weldid[model.site_bodyid[site]] == 0
+        if force is not None and torque is not None and welded:
+            return force, torque
+    return None
+
+
+def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int, gravity: Array) -> Array:
+    """Static wrench of the bodies above the sensor that do not move."""
+    mass, moment = 0.0, np.zeros(3)
+    for b in range(body, model.nbody):
+        chain = b
+        while chain > body:
+            chain = model.body_parentid[chain]
+        if chain == body and model.body_weldid[b] == 0:
+            mass += model.body_mass[b]
+            moment += model.body_mass[b] * data.xipos[b]
+    return np.concatenate([-mass * gravity, -np.cross(moment, gravity)])
