@@ -5,13 +5,14 @@ Source    [FRS96] eq. (14), by QR instead of the normal equations
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import UnseenParameters
-from testbed.identification.prepare import Channel, Equations
+from testbed.identification.prepare import Equations
 
 REWEIGHTINGS = 3
 """Passes in which the channels' noise levels are estimated from the residuals."""
@@ -20,7 +21,7 @@ RANK_TOLERANCE = 1e-6
 """Singular values of the scaled equations below this share of the largest count as zero."""
 
 _PART = 0.1  # an unknown with a larger part in a direction that the data miss is named
-_FLOOR = 1e-14  # least noise level of a channel, relative to the channel's rms
+_FLOOR = 1e-15  # least noise level of a channel, relative to the largest measurement
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,12 +54,7 @@ def solve(equations: Equations) -> Solution:
     noise = np.ones(len(equations.channels))
     solution = _weighted(equations, noise)
     for _ in range(REWEIGHTINGS):
-        noise = np.array(
-            [
-                _level(channel, residual, len(equations.unknowns) / len(equations.channels))
-                for channel, residual in zip(equations.channels, solution.residuals, strict=True)
-            ]
-        )
+        noise = _levels(equations, solution.residuals)
         solution = _weighted(equations, noise)
     return solution
 
@@ -98,9 +94,12 @@ def _check_rank(equations: Equations, spread: Array, directions: Array, rows: in
         raise UnseenParameters(unseen, rank, p, rows)
 
 
-def _level(channel: Channel, residual: Array, unknowns: float) -> float:
-    """Noise level of a channel; never below rounding."""
-    used = residual[channel.used]
-    size = float(np.sqrt(np.mean(channel.measured[channel.used] ** 2))) if used.size else 1.0
-    free = max(used.size - unknowns, 1.0)
-    return max(float(np.sqrt(np.sum(used**2) / free)), _FLOOR * size, np.finfo(float).tiny)
+def _levels(equations: Equations, residuals: Sequence[Array]) -> Array:
+    """Noise level of every channel, (channels,); never below rounding."""
+    share = len(equations.unknowns) / len(equations.channels)
+    pairs = list(zip(equations.channels, residuals, strict=True))
+    free = np.array([max(c.used.sum() - share, 1.0) for c, _ in pairs])
+    spread = np.sqrt([np.sum(r[c.used] ** 2) for c, r in pairs] / free)
+    largest = max(float(np.abs(c.measured).max()) for c, _ in pairs)
+    levels: Array = np.maximum(spread, _FLOOR * largest or 1.0)
+    return levels

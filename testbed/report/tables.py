@@ -12,6 +12,10 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.tree.tree import Tree
 
 
+_EXACT = 1e-7
+"""Relative sigma below which decimals would hide how small it is."""
+
+
 def result_table(
     external: Estimate, internal: Estimate, truths: Mapping[str, float], title: str
 ) -> Table:
@@ -99,14 +103,14 @@ def _with_sigma(estimate: Estimate, name: str) -> str:
         return "-"
     k = estimate.names.index(name)
     value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
+    if sigma < _EXACT * abs(value):
+        return f"{value:.9g} +- {sigma:.0e}"
     return f"{value:.{_digits(sigma)}f} +- {sigma:.{_digits(sigma)}f}"
 
 
 def _digits(sigma: float) -> int:
     """Decimals that show two digits of sigma."""
-    if not 0 < sigma < 1:
-        return 1 if sigma else 6
-    return min(len(f"{1 / sigma:.0f}") + 1, 12)
+    return 1 if sigma >= 1 else len(f"{1 / sigma:.0f}") + 1
 
 
 def truths_by_name(estimate: Estimate, truth: Array) -> dict[str, float]:

@@ -19,9 +19,8 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
     if not path.is_file():
         raise ModelError(f"there is no model file '{path}'")
     try:
-        with path.open("rb") as stream:
-            _, root = next(ET.iterparse(stream, events=("start",)))
-    except (ET.ParseError, StopIteration) as error:
+        root = ET.parse(path).getroot()
+    except ET.ParseError as error:
         raise ModelError(f"{path}: not well-formed XML ({error})") from None
     if root.tag == "mujoco":
         return "mjcf"

@@ -1,0 +1,31 @@
+"""What many tests need: the PUMA, the golden data, a short recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import testbed as tb
+
+ROOT = Path(__file__).parent.parent
+GOLDEN = Path(__file__).parent / "golden"
+
+
+@pytest.fixture(scope="session")
+def puma() -> tb.Tree:
+    return tb.load_tree(ROOT / "models/puma562.xml")
+
+
+@pytest.fixture(scope="session")
+def golden() -> Any:
+    return json.loads((GOLDEN / "puma562.json").read_text())
+
+
+@pytest.fixture(scope="session")
+def puma_recording() -> tb.Recording:
+    """Ten seconds of the PUMA through the instrument of table6."""
+    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
+    return tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))

@@ -1,0 +1,202 @@
+"""Estimates: exact without noise, within their sigma with it, and blind to the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from tests.conftest import ROOT
+from tests.robots import random_robot
+from testbed.arrays import Array
+from testbed.dynamics.dynamics import joint_forces
+from testbed.errors import RecordingError, UnseenParameters
+from testbed.excitation.fourier import Fourier
+from testbed.identification.filters import derivatives, low_pass
+from testbed.identification.identify import Method
+from testbed.measurement.recording import Recording, Truth
+
+EXACT = tb.Pipeline(position_cutoff=None, cutoff=None)
+METHODS: tuple[Method, ...] = ("external", "internal")
+
+
+def ideal(tree: tb.Tree, duration: float = 10.0, rate: float = 200.0, seed: int = 0) -> Recording:
+    """What a perfect instrument with sensed kinematics records, no physics engine involved."""
+    rng = np.random.default_rng(seed)
+    size = rng.normal(size=(2, tree.n, 5)) * 0.5 / np.arange(1, 6)
+    motion = Fourier(0.2, rng.uniform(-0.5, 0.5, tree.n), *size)
+    states = motion.at(np.arange(0, duration, 1 / rate))
+    torque = joint_forces(tree, states)
+    wrench = tb.base_wrench(tree, states)
+    losses = [np.array([getattr(j, k) for j in tree.joints]) for k in ("coulomb", "viscous")]
+    friction = losses[0] * np.sign(states.qd) + losses[1] * states.qd
+    truth = Truth(states.q, states.qd, states.qdd, torque + friction, friction, wrench)
+    return Recording(
+        tree.names,
+        states.t,
+        states.q,
+        torque + friction,
+        wrench,
+        states.qd,
+        states.qdd,
+        truth=truth,
+    )
+
+
+def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
+    model = "reaction" if method == "external" else "dynamic"
+    delta = tb.minimal_set(tree, model, zeros=zeros).values(tb.barycentric(tree))
+    if method == "external":
+        return delta
+    return np.concatenate(
+        [delta, [j.coulomb for j in tree.joints], [j.viscous for j in tree.joints]]
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(12))
+def test_without_noise_the_model_file_comes_back(seed: int, method: Method) -> None:
+    """Random trees, prismatic joints and branches included."""
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 1 + seed % 5).tree()
+    joints = tuple(replace(j, coulomb=rng.uniform(1, 5), viscous=2.0) for j in tree.joints)
+    tree = replace(tree, joints=joints)
+    estimate = tb.identify(tree, ideal(tree, seed=seed), method, pipeline=EXACT)
+    expected = true_values(tree, method)
+    error = np.abs(estimate.values - expected).max() / np.abs(expected).max()
+    assert error <= 1e-11
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_estimator_cannot_see_the_truth(
+    method: Method, puma: tb.Tree, puma_recording: Recording
+) -> None:
+    """Other masses, other friction, a falsified truth: the estimate is the same to the bit."""
+    assert puma_recording.truth is not None
+    honest = tb.identify(puma, puma_recording, method)
+    heavy = replace(
+        puma,
+        inertias=tuple(tb.Inertia.about_centre(9, [1, 2, 3], np.eye(3)) for _ in puma.inertias),
+        joints=tuple(replace(j, coulomb=99.0, viscous=99.0) for j in puma.joints),
+    )
+    lie = replace(puma_recording.truth, position=np.full_like(puma_recording.position, 7.0))
+    for tree, recording in (
+        (heavy, puma_recording),
+        (puma, replace(puma_recording, truth=lie)),
+        (puma, replace(puma_recording, truth=None)),
+    ):
+        other = tb.identify(tree, recording, method)
+        np.testing.assert_array_equal(other.values, honest.values)
+        np.testing.assert_array_equal(other.covariance, honest.covariance)
+
+
+def test_ten_seconds_of_table6_are_within_their_sigma(
+    puma: tb.Tree, puma_recording: Recording
+) -> None:
+    """Encoders of 1e-4 rad, plate of 0.5 N and 0.1 Nm, friction on; fixed seed."""
+    estimate = tb.identify(puma, puma_recording, "external", zeros=True)
+    truth = true_values(puma, "external", zeros=True)
+    z = (estimate.values - truth) / estimate.sigma
+    assert np.abs(z).max() < 3.5
+    relative = (estimate.values - truth) / truth
+    assert np.sqrt(np.mean(relative[:9] ** 2)) < 1.5e-3
+
+
+def test_torques_are_far_worse_than_the_plate(puma: tb.Tree, puma_recording: Recording) -> None:
+    """Friction estimated, torque constants a few percent off: the paper's point."""
+    errors = []
+    for method in METHODS:
+        estimate = tb.identify(puma, puma_recording, method, zeros=True)
+        truth = true_values(puma, method, zeros=True)
+        errors.append(np.sqrt(np.mean((estimate.values[:9] / truth[:9] - 1) ** 2)))
+    assert errors[1] > 50 * errors[0]
+
+
+def test_with_exact_torque_constants_friction_is_found(puma: tb.Tree) -> None:
+    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
+    settings += [f"measurement.torque_constant_error.{j}=0.0" for j in puma.names]
+    recording = tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
+    estimate = tb.identify(puma, recording, "internal", zeros=True)
+    truth = true_values(puma, "internal", zeros=True)
+    np.testing.assert_allclose(estimate.values[9:], truth[9:], rtol=0.05)
+
+
+def coverage(draws: int, correlation: float) -> Array:
+    """Share of draws in which 95 % intervals hold the truth, per parameter."""
+    tree = random_robot(np.random.default_rng(4), 2).tree()
+    clean = ideal(tree, duration=20.0, rate=100.0)
+    truth, inside = true_values(tree, "external"), []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        noise = rng.normal(size=clean.wrench.shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
+        for k in range(1, len(noise)):
+            noise[k] += correlation * noise[k - 1]
+        noisy = replace(clean, wrench=clean.wrench + noise)
+        estimate = tb.identify(tree, noisy, "external", pipeline=tb.Pipeline(cutoff=5.0))
+        inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.sigma)
+    return np.mean(inside, axis=0)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.7])
+def test_sigma_is_honest(correlation: float) -> None:
+    """White and coloured plate noise: 95 % intervals hold the truth about 95 % of the time."""
+    found = coverage(120, correlation)
+    assert 0.92 <= found.mean() <= 0.985
+    assert found.min() >= 0.86
+
+
+def test_a_joint_that_does_not_move_leaves_its_parameters_unseen(puma: tb.Tree) -> None:
+    clean = ideal(puma)
+    frozen = np.array([1.0, 1.0, 0.0])
+    states = tb.Motion(
+        clean.time,
+        clean.position * frozen,
+        *(part * frozen for part in (clean.truth.velocity, clean.truth.acceleration)),  # type: ignore[union-attr]
+    )
+    still = replace(
+        clean,
+        position=states.q,
+        velocity=states.qd,
+        acceleration=states.qdd,
+        torque=joint_forces(puma, states),
+        wrench=tb.base_wrench(puma, states),
+    )
+    with pytest.raises(UnseenParameters, match="cannot tell apart") as caught:
+        tb.identify(puma, still, "external", zeros=True, pipeline=EXACT)
+    assert "K3yy" in caught.value.names
+    assert "mbar1" not in caught.value.names
+
+
+def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
+    with pytest.raises(RecordingError, match="too short"):
+        tb.identify(puma, ideal(puma, duration=0.5), "external")
+
+
+def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
+    with pytest.raises(RecordingError, match="too few for a filter at 150 Hz"):
+        tb.identify(puma, ideal(puma), "external", pipeline=tb.Pipeline(cutoff=150.0))
+
+
+def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:
+    clean = ideal(puma, duration=3.0)
+    noise = np.random.default_rng(0).normal(size=clean.wrench.shape) * 20
+    estimate = tb.identify(puma, replace(clean, wrench=clean.wrench + noise), "external")
+    assert any("poorly determined" in doubt for doubt in estimate.doubts)
+
+
+def test_derivatives_are_exact_on_cubics() -> None:
+    t = np.arange(50) / 100
+    first, second = derivatives((t**3 - t**2)[:, None], 100.0)
+    np.testing.assert_allclose(first[2:-2, 0], (3 * t**2 - 2 * t)[2:-2], atol=1e-12)
+    np.testing.assert_allclose(second[2:-2, 0], (6 * t - 2)[2:-2], atol=1e-9)
+
+
+def test_the_filter_has_no_phase_and_unit_gain_below_its_cutoff() -> None:
+    t = np.arange(4000) / 1000
+    slow = np.sin(2 * np.pi * 0.5 * t)
+    fast = np.sin(2 * np.pi * 50 * t)
+    np.testing.assert_allclose(
+        low_pass(slow + fast, 1000.0, 5.0)[1000:-1000], slow[1000:-1000], atol=1e-4
+    )
