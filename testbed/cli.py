@@ -163,7 +163,7 @@ def minimal(
     _print_doubts(console, tree.doubts)
     console.print(minimal_table(tree, dynamic, reaction))
     for line in dict.fromkeys((*dynamic.auxiliary, *reaction.auxiliary)):
-        console.print(f"with {line}", highlight=False)
+        console.print(f"with {line}", highlight=False, soft_wrap=True)
     console.print(
         f"{tree.name}: {10 * tree.n} parameters, of which joint torques tell {dynamic.count} "
         f"combinations and the bedplate {reaction.count}"
@@ -221,7 +221,7 @@ def _print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None
     console = _console()
     console.print(estimate_table(estimates))
     for line in quality_lines(estimates):
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
     _print_doubts(console, (*doubts, *(d for e in estimates for d in e.doubts)))
 
 
@@ -235,7 +235,7 @@ def _print_outcome(outcome: Any, folder: Path) -> None:
     )
     console.print(result_table(external, internal, truths, f"{outcome.experiment.name}"))
     for line in quality_lines((external, internal)):
-        console.print(line, highlight=False)
+        console.print(line, highlight=False, soft_wrap=True)
     _print_doubts(console, outcome.doubts)
     verdicts = outcome.verdicts
     for name, value in compared.metrics.items():
@@ -245,12 +245,12 @@ def _print_outcome(outcome: Any, folder: Path) -> None:
             wanted = ", ".join(f"{k.replace('_', ' ')} {v:g}" for k, v in bound.items())
             claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
         console.print(f"{name:30s} {value:9.3g}{claim}", highlight=False)
-    console.print(f"run folder: {folder}", highlight=False)
+    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
 
 
 def _print_doubts(console: Console, doubts: tuple[str, ...]) -> None:
     for doubt in doubts:
-        console.print(f"[yellow]note[/yellow] {doubt}", highlight=False)
+        console.print(f"[yellow]note[/yellow] {doubt}", highlight=False, soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -87,7 +87,8 @@ class Robot:
 
     def _bodies(self, parent: int) -> str:
         return "".join(
-            f'<body name="{link.name}_body" pos="{_text(link.xyz)}" quat="{_text(link.quaternion)}">'
+            f'<body name="{link.name}_body" pos="{_text(link.xyz)}" '
+            f'quat="{_text(link.quaternion)}">'
             f'<joint name="{link.name}" type="{"hinge" if link.kind == "revolute" else "slide"}" '
             f'axis="{_text(link.axis)}" range="-3 3" actuatorfrcrange="-500 500"/>'
             f"{_mjcf_inertial(link)}{self._bodies(k)}</body>"
@@ -97,7 +98,7 @@ class Robot:
 
 
 def random_robot(
-    rng: np.random.Generator, n: int, *, gravity: Sequence[float] = (0.0, 0.0, -9.81)
+    rng: np.random.Generator, n: int, *, gravity: Sequence[float] | Array = (0.0, 0.0, -9.81)
 ) -> Robot:
     """A random tree of n joints, with the special directions that rules are about."""
     links: list[Link] = []
@@ -110,7 +111,7 @@ def random_robot(
 
 def random_states(rng: np.random.Generator, samples: int, n: int) -> tuple[Array, Array, Array]:
     """Positions, velocities, accelerations of order one, (samples, n) each."""
-    q, qd, qdd = rng.uniform(-1.5, 1.5, (3, samples, n))
+    q, qd, qdd = (rng.uniform(-1.5, 1.5, (samples, n)) for _ in range(3))
     return q, qd, qdd
 
 

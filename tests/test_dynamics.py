@@ -9,18 +9,18 @@ import pinocchio as pin
 import pytest
 
 import testbed as tb
-from tests.robots import Robot, random_robot, random_states
 from testbed.arrays import Array, skew
 from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.equations import transmitted
 from testbed.dynamics.kinematics import kinematics
+from tests.robots import Robot, random_robot, random_states
 
 WITNESS = 1e-12  # relative to the largest entry
 GOLDEN_TOLERANCE = 1e-10
 
 
 def motion(rng: np.random.Generator, samples: int, n: int) -> tb.Motion:
-    return tb.Motion(np.arange(samples) * 0.1, *random_states(rng, samples, n))
+    return tb.Motion(np.arange(samples, dtype=float), *random_states(rng, samples, n))
 
 
 def by_pinocchio(robot: Robot, tree: tb.Tree, states: tb.Motion) -> tuple[Array, Array]:
@@ -138,7 +138,7 @@ def test_motor_power_is_the_change_of_energy(seed: int) -> None:
 def _energy(tree: tb.Tree, q: Array, qd: Array) -> float:
     """Kinetic and potential energy by plain rigid-body kinematics in the bedplate frame."""
     poses: list[tuple[Array, Array, Array, Array]] = []
-    total = 0.0
+    total: Any = 0.0
     for k, (joint, inertia) in enumerate(zip(tree.joints, tree.inertias, strict=True)):
         turn, origin, w, v = (
             poses[joint.parent]

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from tests.robots import random_robot
 from testbed.errors import InfeasibleMotion, UnknownName
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of, usage
 from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
+from tests.robots import random_robot
 
 PLATE = np.repeat([0.5, 0.1], 3)
 

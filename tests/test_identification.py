@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from tests.conftest import ROOT
-from tests.robots import random_robot
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import joint_forces
 from testbed.errors import RecordingError, UnseenParameters
@@ -17,6 +15,9 @@ from testbed.excitation.fourier import Fourier
 from testbed.identification.filters import derivatives, low_pass
 from testbed.identification.identify import Method
 from testbed.measurement.recording import Recording, Truth
+from testbed.parameters.rules import Model
+from tests.conftest import ROOT
+from tests.robots import random_robot
 
 EXACT = tb.Pipeline(position_cutoff=None, cutoff=None)
 METHODS: tuple[Method, ...] = ("external", "internal")
@@ -46,7 +47,7 @@ def ideal(tree: tb.Tree, duration: float = 10.0, rate: float = 200.0, seed: int 
 
 
 def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
-    model = "reaction" if method == "external" else "dynamic"
+    model: Model = "reaction" if method == "external" else "dynamic"
     delta = tb.minimal_set(tree, model, zeros=zeros).values(tb.barycentric(tree))
     if method == "external":
         return delta
@@ -136,7 +137,8 @@ def coverage(draws: int, correlation: float) -> Array:
         noisy = replace(clean, wrench=clean.wrench + noise)
         estimate = tb.identify(tree, noisy, "external", pipeline=tb.Pipeline(cutoff=5.0))
         inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.sigma)
-    return np.mean(inside, axis=0)
+    share: Array = np.mean(inside, axis=0)
+    return share
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])

@@ -10,15 +10,16 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
-from tests.robots import random_robot
 from testbed.errors import RecordingError
 from testbed.measurement.instrument import Instrument, measure
 from testbed.measurement.recording import Recording, Truth, check_robot, geometry
+from tests.robots import random_robot
 
 
 def truth(samples: int = 50, n: int = 2) -> Truth:
     rng = np.random.default_rng(0)
-    return Truth(*(rng.normal(size=(samples, n)) for _ in range(5)), rng.normal(size=(samples, 6)))
+    q, qd, qdd, torque, friction = (rng.normal(size=(samples, n)) for _ in range(5))
+    return Truth(q, qd, qdd, torque, friction, rng.normal(size=(samples, 6)))
 
 
 def recording(instrument: Instrument | None = None, seed: int = 1) -> Recording:

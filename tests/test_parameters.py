@@ -11,8 +11,6 @@ import pinocchio as pin
 import pytest
 
 import testbed as tb
-from tests.conftest import GOLDEN
-from tests.robots import random_robot, random_states
 from testbed.arrays import Array, skew
 from testbed.parameters.barycentric import (
     COMPONENTS,
@@ -22,6 +20,8 @@ from testbed.parameters.barycentric import (
     to_standard,
 )
 from testbed.parameters.rules import Model
+from tests.conftest import GOLDEN
+from tests.robots import random_robot, random_states
 
 GOLDEN_TOLERANCE = 1e-12
 GRAVITIES = {
@@ -224,10 +224,10 @@ def test_formulas_say_what_the_matrix_does(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tree = random_robot(rng, int(rng.integers(1, 7))).tree()
     theta = rng.normal(size=(tree.n, 10))
-    known = dict(zip(parameter_names(tree), theta.ravel(), strict=True))
+    known: dict[str, float] = dict(zip(parameter_names(tree), theta.ravel().tolist(), strict=True))
     for j, joint in enumerate(tree.joints):
         for x, length in zip("xyz", joint.offset, strict=True):
-            known[f"l{joint.parent + 1}{j + 1}{x}"] = length
+            known[f"l{joint.parent + 1}{j + 1}{x}"] = float(length)
     minimal = tb.minimal_set(tree, "reaction")
     for formula in minimal.auxiliary:  # tips first: each needs only those before it
         name, right = formula.split(" = ")
@@ -238,7 +238,7 @@ def test_formulas_say_what_the_matrix_does(seed: int) -> None:
         if name.startswith("mb*0"):
             continue  # the bedplate's static moment is said in words
         assert evaluate(right, known) == pytest.approx(value, abs=1e-4), formula  # six digits
-        known.setdefault(name, value)
+        known.setdefault(name, float(value))
 
 
 def evaluate(text: str, known: dict[str, float]) -> float:
@@ -246,13 +246,13 @@ def evaluate(text: str, known: dict[str, float]) -> float:
     names = sorted(known, key=len, reverse=True)
     pattern = re.compile("|".join(re.escape(n) for n in names if not n.startswith("2*")))
     numbers = pattern.sub(lambda match: f"({known[match.group()]!r})", text)
-    numbers = numbers.replace("np.float64(", "(")
     assert re.fullmatch(r"[-+*/(). 0-9e]*", numbers), (text, numbers)
     return float(eval(numbers))  # digits and operators only
 
 
 def test_parameters_that_are_zero_in_the_file_shrink_the_sets(puma: tb.Tree) -> None:
-    for model, counts in (("dynamic", (15, 9)), ("reaction", (20, 12))):
+    cases: dict[Model, tuple[int, int]] = {"dynamic": (15, 9), "reaction": (20, 12)}
+    for model, counts in cases.items():
         found = tuple(tb.minimal_set(puma, model, zeros=z).count for z in (False, True))
         assert found == counts
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from tests.conftest import ROOT
-from tests.robots import random_robot
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
 from testbed.simulation.drive import tuned_drive
 from testbed.simulation.run import Run, Sampling, simulate_motion
 from testbed.simulation.scene import Scene, build_scene
+from tests.conftest import ROOT
+from tests.robots import random_robot
 
 WITNESS = 1e-12
 PUMA = ROOT / "models/puma562.xml"
@@ -49,7 +49,8 @@ def puma_scene(puma: tb.Tree) -> Scene:
 
 def states(rng: np.random.Generator, count: int) -> Array:
     """Positions, velocities and efforts within the PUMA's reach, (count, 3, 3)."""
-    return rng.uniform(-1, 1, (count, 3, 3)) * np.array([[[2.3], [2.0], [60.0]]])
+    drawn: Array = rng.uniform(-1, 1, (count, 3, 3)) * np.array([[[2.3], [2.0], [60.0]]])
+    return drawn
 
 
 def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_scene: Scene) -> None:

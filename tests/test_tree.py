@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.errors import FreeRootError, InertiaError, ModelError, UnknownName
 from tests.conftest import ROOT
 from tests.robots import random_robot
-from testbed.errors import FreeRootError, InertiaError, ModelError, UnknownName
 
 SAME = 1e-12  # two readers, two rounding histories
 

@@ -2,9 +2,9 @@
 
     python portrait.py MODEL.xml PICTURE.png [--posture 0.6 -0.7 1.9] [--camera portrait] [--plain]
 
-The red arrow is the force and the blue one the moment about the plate's centre, both read from the
-model's own sensors.  Where the robot is in front of an arrow, the arrow shines through.  Needs Pillow,
-and on a machine without a display MUJOCO_GL=egl or MUJOCO_GL=osmesa.
+The red arrow is the force and the blue one the moment about the plate's centre, both
+read from the model's own sensors.  Where the robot is in front of an arrow, the arrow
+shines through.  Needs Pillow, and on a machine without a display MUJOCO_GL=egl or osmesa.
 """
 
 import argparse
@@ -23,7 +23,7 @@ SHINING_THROUGH = 0.6
 
 
 def reaction(model, data):
-    """Where the bedplate's sensor is, and the force and the moment it reads, in world axes, at rest."""
+    """Where the bedplate's sensor is, and the force and moment it reads at rest, world axes."""
     data.qvel[:] = data.qacc[:] = 0
     mujoco.mj_inverse(model, data)
     site = data.site("bedplate_sensor")

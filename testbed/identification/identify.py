@@ -141,7 +141,9 @@ def _estimate(
         matrix=minimal.matrix,
         channels=tuple(channel.name for channel in equations.channels),
         residual=np.array([np.sqrt(np.mean(r**2)) for _, r in used]),
-        relative_residual=np.array([np.linalg.norm(r) / np.linalg.norm(y) for y, r in used]),
+        relative_residual=np.array(
+            [np.linalg.norm(r) / (np.linalg.norm(y) or 1.0) for y, r in used]
+        ),
         samples=tuple(len(r) for _, r in used),
         condition=solution.condition,
         rank=solution.rank,

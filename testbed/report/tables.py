@@ -11,7 +11,6 @@ from testbed.identification.identify import Estimate
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.tree.tree import Tree
 
-
 _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
 
