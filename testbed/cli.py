@@ -54,11 +54,13 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.campaign.archive import result, run_folder, write_run
+    from testbed.campaign.archive import check_folder, result, run_folder, write_run
     from testbed.campaign.carry_out import carry_out
     from testbed.campaign.experiment import Experiment
 
     experiment = Experiment.load(file, settings or ())
+    if out is not None:
+        check_folder(out)
     with _Progress("simulating") as progress:
         outcome = carry_out(experiment, progress)
     folder = out or run_folder(experiment)
@@ -176,6 +178,9 @@ def main() -> None:
         app()
     except TestbedError as error:
         sys.stderr.write(f"testbed: {' '.join(str(error).split())}\n")
+        sys.exit(2)
+    except OSError as error:  # a full disk, a folder that may not be written
+        sys.stderr.write(f"testbed: {error}\n")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.stderr.write("testbed: interrupted\n")

@@ -15,8 +15,12 @@ from typing import Any
 from testbed.campaign.carry_out import Outcome, versions
 from testbed.campaign.compare import Errors
 from testbed.campaign.experiment import Experiment
+from testbed.errors import ExperimentError
 from testbed.files import fingerprint, replacing
 from testbed.identification.identify import Estimate
+
+FILES = ("experiment.toml", "recording.parquet", "result.json")
+"""What a run folder holds."""
 
 
 def run_folder(experiment: Experiment) -> Path:
@@ -26,8 +30,30 @@ def run_folder(experiment: Experiment) -> Path:
     return Path("runs") / f"{experiment.name}-{hashlib.sha256(content.encode()).hexdigest()[:8]}"
 
 
+def check_folder(folder: Path) -> None:
+    """Whether a run may be written there: a new place, or a run folder to be replaced.
+
+    Raises:
+        ExperimentError: Something else is there.
+    """
+    if folder.is_dir():
+        others = sorted(p.name for p in folder.iterdir() if p.name not in FILES)
+        if others:
+            raise ExperimentError(
+                f"'{folder}' is no run folder: it holds {', '.join(others[:3])}"
+                f"{' ...' if len(others) > 3 else ''}; name another with --out"
+            )
+    elif folder.exists():
+        raise ExperimentError(f"'{folder}' is a file; name a folder with --out")
+
+
 def write_run(outcome: Outcome, folder: Path) -> None:
-    """Write the run folder, whole or not at all; an older one is replaced."""
+    """Write the run folder, whole or not at all; an older one is replaced.
+
+    Raises:
+        ExperimentError: Something that is no run is there.
+    """
+    check_folder(folder)
     with replacing(folder) as fresh:
         fresh.mkdir()
         (fresh / "experiment.toml").write_text(outcome.experiment.as_toml(), encoding="utf-8")

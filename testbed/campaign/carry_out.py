@@ -23,13 +23,15 @@ from testbed.identification.prepare import Pipeline
 from testbed.measurement.instrument import Instrument, measure
 from testbed.measurement.recording import Recording, geometry
 from testbed.parameters.minimal_set import minimal_set
-from testbed.simulation.drive import tuned_drive
-from testbed.simulation.run import Sampling, simulate_motion
+from testbed.simulation.run import Run, Sampling, simulate_motion
 from testbed.simulation.scene import build_scene
 from testbed.tree.load import load_tree
 from testbed.tree.tree import Tree
 
 Progress = Callable[[int, int], None]
+
+MOST_SAMPLES = 1e7
+"""Most samples of one run: they are held in memory."""
 
 _QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
@@ -120,14 +122,9 @@ def _tree_of(experiment: Experiment) -> Tree:
 
 
 def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Recording:
-    plant, table = experiment.simulation, experiment.measurement
-    instrument = Instrument(**table.model_dump(exclude={"rate", "averaged"}))
-    steps = round(1 / (table.rate * plant.step))
-    if steps < 1 or abs(steps * table.rate * plant.step - 1) > 1e-9:
-        raise ExperimentError(
-            f"simulation.step = {plant.step:g} s does not divide the sampling time "
-            f"1 / measurement.rate = {1 / table.rate:g} s"
-        )
+    sampling = _sampling(experiment)
+    table = experiment.measurement.model_dump(exclude={"rate", "averaged"})
+    instrument, plant = Instrument(**table), experiment.simulation
     motion = _motion(experiment, tree, instrument)
     scene = build_scene(
         Path(experiment.model),
@@ -136,22 +133,49 @@ def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Record
         weld_root=experiment.weld_root,
         friction=plant.friction,
     )
-    postures = motion.at(np.linspace(0, motion.period, 50)).q
     run = simulate_motion(
         scene,
-        tree,
+        tree if plant.friction else tree.frictionless(),
         motion,
         experiment.motion.duration,
-        tuned_drive(tree, postures, plant.bandwidth),
-        Sampling(table.rate, steps, table.averaged, plant.warm_up),
+        plant.bandwidth,
+        sampling,
         progress,
     )
+    facts = _facts(experiment, tree, run)
+    return measure(instrument, tree.names, run.time, run.truth, scene.tare, facts, experiment.seed)
+
+
+def _sampling(experiment: Experiment) -> Sampling:
+    """How the run is cut into samples.
+
+    Raises:
+        ExperimentError: The step does not divide the sample, or there are too many.
+    """
+    plant, table = experiment.simulation, experiment.measurement
+    steps = round(1 / (table.rate * plant.step))
+    if steps < 1 or abs(steps * table.rate * plant.step - 1) > 1e-9:
+        raise ExperimentError(
+            f"simulation.step = {plant.step:g} s does not divide the sampling time "
+            f"1 / measurement.rate = {1 / table.rate:g} s"
+        )
+    samples = table.rate * (experiment.motion.duration + plant.warm_up)
+    if samples > MOST_SAMPLES:
+        raise ExperimentError(
+            f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
+            f"{MOST_SAMPLES:.0e} that one run holds in memory; make several runs"
+        )
+    return Sampling(table.rate, steps, table.averaged, plant.warm_up)
+
+
+def _facts(experiment: Experiment, tree: Tree, run: Run) -> dict[str, Any]:
+    """What a recording keeps about how it was made."""
     saturated = [
         f"the motor of joint '{name}' was at its limit in {share:.1%} of the samples"
         for name, share in zip(tree.names, run.saturated, strict=True)
         if share
     ]
-    facts = {
+    return {
         "robot": tree.name,
         "geometry": geometry(tree),
         "model_sha256": fingerprint(Path(experiment.model)),
@@ -160,7 +184,6 @@ def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Record
         "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
         "doubts": saturated,
     }
-    return measure(instrument, tree.names, run.time, run.truth, scene.tare, facts, experiment.seed)
 
 
 def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fourier:

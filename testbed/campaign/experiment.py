@@ -61,7 +61,7 @@ class MotionTable(_Table):
 class SimulationTable(_Table):
     """The plant and its controller."""
 
-    step: Positive = 1e-4
+    step: Positive = 2.5e-4
     """Of the integration [s]."""
     friction: bool = True
     """Keep the model file's joint friction."""

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array
 from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.equations import transmitted
 from testbed.dynamics.kinematics import kinematics
@@ -69,8 +69,13 @@ def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
 
 
 def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:
-    """Wrench of the bedplate on the pedestal, which does not move, (6,) [N, N m]."""
-    g = readonly(tree.gravity if gravity is None else gravity, (3,), "gravity")
+    """Wrench of the bedplate on the pedestal, which does not move, (6,) [N, N m].
+
+    Args:
+        tree: The robot.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    g = tree.gravity_or(gravity)
     pedestal = tree.pedestal
     return np.concatenate([-pedestal.mass * g, -np.cross(pedestal.first_moment, g)])
 
@@ -84,7 +89,7 @@ def _evaluate(
     tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Joint forces (M, n, p) and base wrench (M, 6, p) of parameters (n, 10, p)."""
-    g = readonly(tree.gravity if gravity is None else gravity, (3,), "gravity")
+    g = tree.gravity_or(gravity)
     p = theta.shape[-1]
     joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))
     for part in blocks(motion.samples):

@@ -75,12 +75,23 @@ def limits_of(
 
 def motor_efforts(tree: Tree, motion: Motion) -> Array:
     """What the motors must deliver, friction and rotor inertia included, (M, n) [N m or N]."""
-    coulomb, viscous, rotor = (
-        np.array([getattr(joint, name) for joint in tree.joints])
-        for name in ("coulomb", "viscous", "rotor_inertia")
-    )
-    friction = coulomb * np.sign(motion.qd) + viscous * motion.qd
-    return joint_forces(tree, motion) + friction + rotor * motion.qdd
+    rotor = np.array([joint.rotor_inertia for joint in tree.joints])
+    return joint_forces(tree, motion) + friction_torque(tree, motion.qd) + rotor * motion.qdd
+
+
+def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
+    """Coulomb and viscous friction at the joints, (..., n) [N m or N].
+
+    Args:
+        tree: Gives the coefficients.
+        qd: Velocities, (..., n) [rad/s or m/s].
+        smooth: Speed over which the sign is smoothed [rad/s or m/s].
+    """
+    coulomb = np.array([joint.coulomb for joint in tree.joints])
+    viscous = np.array([joint.viscous for joint in tree.joints])
+    sign = np.tanh(qd / smooth) if smooth else np.sign(qd)
+    friction: Array = coulomb * sign + viscous * qd
+    return friction
 
 
 def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:

@@ -147,20 +147,24 @@ def _estimate(
         samples=tuple(len(r) for _, r in used),
         condition=solution.condition,
         rank=solution.rank,
-        doubts=_doubts(equations, solution, sigma),
+        doubts=_doubts(method, equations, solution, sigma),
     )
 
 
-def _doubts(equations: Equations, solution: Solution, sigma: Array) -> tuple[str, ...]:
+def _doubts(
+    method: Method, equations: Equations, solution: Solution, sigma: Array
+) -> tuple[str, ...]:
     doubts = []
     if solution.condition > ILL_CONDITIONED:
         doubts.append(
-            f"the equations are ill-conditioned ({solution.condition:.1e}): errors of the "
+            f"the {method} equations are ill-conditioned ({solution.condition:.1e}): errors of the "
             "instrument grow by up to that factor"
         )
-    loose = np.abs(sigma) > SIGNIFICANT * np.abs(solution.values)
-    for name, value, s in zip(
-        np.array(equations.unknowns)[loose], solution.values[loose], sigma[loose], strict=True
-    ):
-        doubts.append(f"{name} is poorly determined: {value:.4g} +- {s:.2g}")
+    loose = [
+        f"{name} ({value:.3g} +- {s:.2g})"
+        for name, value, s in zip(equations.unknowns, solution.values, sigma, strict=True)
+        if s > SIGNIFICANT * abs(value)
+    ]
+    if loose:
+        doubts.append(f"the {method} estimate leaves poorly determined: {', '.join(loose)}")
     return tuple(doubts)

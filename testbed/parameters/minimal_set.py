@@ -90,7 +90,7 @@ def minimal_set(
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Take barycentric parameters that are zero in the model file as known.
     """
-    g = readonly(tree.gravity if gravity is None else gravity, (3,), "gravity")
+    g = tree.gravity_or(gravity)
     known_zero = zero_parameters(tree) if zeros else np.zeros(10 * tree.n, dtype=bool)
     entries, namer = _entries(tree, model, g, known_zero)
     if model == "reaction":

@@ -1,4 +1,9 @@
-"""The robot's own controller: torques that follow a reference, as a real drive would."""
+"""The robot's own controller: computed torque, as a well-tuned drive would deliver it.
+
+Torque = model along the reference + friction expected there + M(q_ref) times a
+proportional and derivative action. M decouples the joints, so that one bandwidth serves
+heavy and light ones alike; it is taken from the a-priori model once for a period.
+"""
 
 from __future__ import annotations
 
@@ -9,44 +14,80 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import joint_forces
 from testbed.dynamics.motion import Motion
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import friction_torque
 from testbed.tree.tree import Tree
+
+DAMPING = 0.9
+"""Damping ratio of the position loop."""
+
+_PERIOD_GRID = 500  # postures of a period at which M is known
+_SMOOTH = 0.05  # speed below which the expected dry friction fades out [rad/s or m/s]
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Proportional and derivative gains about a modelled torque, within the effort limits.
+    """A controller along a sampled reference.
 
     Attributes:
-        stiffness: (n,) [N m/rad or N/m].
-        damping: (n,) [N m s/rad or N s/m].
+        reference: The motion to follow, T samples.
+        expected: Torque expected along it, (T, n) [N m or N].
+        inertia: Mass matrices of the a-priori model, (grid, n, n).
+        posture: Which of them applies to each sample, (T,).
+        bandwidth: Of the position loop [rad/s].
         effort: Limits of the motors, (n,) [N m or N].
     """
 
-    stiffness: Array
-    damping: Array
+    reference: Motion
+    expected: Array
+    inertia: Array
+    posture: Array
+    bandwidth: float
     effort: Array
 
-    def torque(self, modelled: Array, position_error: Array, velocity_error: Array) -> Array:
-        """Motor torques for one sample, (n,) [N m or N]."""
-        wanted = modelled + self.stiffness * position_error + self.damping * velocity_error
+    def torque(self, k: int, position: Array, velocity: Array) -> Array:
+        """Motor torques for sample k, (n,) [N m or N], within the limits of the motors."""
+        late, slow = self.reference.q[k] - position, self.reference.qd[k] - velocity
+        action = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
+        wanted = self.expected[k] + self.inertia[self.posture[k]] @ action
         limited: Array = np.clip(wanted, -self.effort, self.effort)
         return limited
 
 
-def tuned_drive(tree: Tree, postures: Array, bandwidth: float) -> Drive:
-    """A drive whose joints, each alone, answer with the given bandwidth where heaviest.
+def drive_along(tree: Tree, motion: Fourier, times: Array, bandwidth: float) -> Drive:
+    """A drive that follows a periodic motion.
 
     Args:
-        tree: The robot, its inertias an a-priori model.
-        postures: Some postures of the motion to be followed, (k, n) [rad or m].
-        bandwidth: [rad/s].
+        tree: The drive's own model of the robot and its friction.
+        motion: What to follow.
+        times: Of the samples, (T,) [s].
+        bandwidth: Of the position loop [rad/s].
+    """
+    reference = motion.at(times)
+    grid = motion.at(np.linspace(0, motion.period, _PERIOD_GRID, endpoint=False)).q
+    phase = times / motion.period
+    rotors = np.array([joint.rotor_inertia for joint in tree.joints])
+    return Drive(
+        reference=reference,
+        expected=joint_forces(tree, reference)
+        + friction_torque(tree, reference.qd, _SMOOTH)
+        + rotors * reference.qdd,
+        inertia=mass_matrices(tree, grid) + np.diag(rotors),
+        posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int) % _PERIOD_GRID,
+        bandwidth=bandwidth,
+        effort=np.array([joint.max_effort for joint in tree.joints]),
+    )
+
+
+def mass_matrices(tree: Tree, postures: Array) -> Array:
+    """M(q) of every posture, (k, n, n) [kg m^2, kg m, kg], without rotors.
+
+    Args:
+        tree: The robot.
+        postures: (k, n) [rad or m].
     """
     k, n = postures.shape
     pushes = np.tile(np.eye(n), (k, 1))  # each joint alone, in every posture
     still = np.zeros((k * n, n))
     motion = Motion(np.arange(k * n, dtype=float), postures.repeat(n, axis=0), still, pushes)
-    mass_matrix = joint_forces(tree, motion, gravity=np.zeros(3)).reshape(k, n, n)
-    inertia = mass_matrix.diagonal(axis1=1, axis2=2).max(axis=0)
-    inertia = inertia + [joint.rotor_inertia for joint in tree.joints]
-    effort = np.array([joint.max_effort for joint in tree.joints])
-    return Drive(bandwidth**2 * inertia, 1.8 * bandwidth * inertia, effort)
+    return joint_forces(tree, motion, gravity=np.zeros(3)).reshape(k, n, n)

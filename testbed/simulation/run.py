@@ -1,8 +1,9 @@
 """Run the robot along a motion and log what happens, sample by sample.
 
-Derived quantities of a MuJoCo step belong to the state before it; positions and
-velocities are therefore logged as sensors, never as the state after the step. Averaged
-samples are the mean over the sample's steps of every channel alike.
+What MuJoCo holds after a step is a mixture: sensors belong to the state before it, forces
+to the last stage of the integrator. The first and the last instant of each sample are
+therefore computed anew. Averaged samples are trapezoidal means over the sample of every
+channel alike, the torque held over it; their acceleration is the gain of velocity.
 """
 
 from __future__ import annotations
@@ -14,15 +15,16 @@ import numpy as np
 from mujoco.batch import Batch
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import joint_forces
 from testbed.errors import TestbedError
 from testbed.excitation.fourier import Fourier
 from testbed.measurement.recording import Truth
-from testbed.simulation.drive import Drive
+from testbed.simulation.drive import Drive, drive_along
 from testbed.simulation.scene import Scene
 from testbed.tree.tree import Tree
 
-_RECORD = ("sensordata", "qacc", "qfrc_passive", "qfrc_constraint", "qfrc_actuator")
+_STATE = ("qpos", "qvel")
+_RECORD = ("sensordata", "qfrc_passive", "qfrc_constraint")
+_FIRST = {"sensordata": 0, "qfrc_passive": 1, "qfrc_constraint": 1}
 _SLAB = 1000
 """Samples between two reports of progress, and held in full detail at once."""
 
@@ -71,7 +73,7 @@ def simulate_motion(
     tree: Tree,
     motion: Fourier,
     duration: float,
-    drive: Drive,
+    bandwidth: float,
     sampling: Sampling,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Run:
@@ -79,10 +81,10 @@ def simulate_motion(
 
     Args:
         scene: The robot on its bedplate.
-        tree: The drive's own model of the robot.
+        tree: The drive's own model of the robot and its friction.
         motion: The reference.
         duration: Of the recording [s].
-        drive: The controller.
+        bandwidth: Of the drive [rad/s].
         sampling: How the run is cut into samples.
         progress: Called with samples done and samples in all.
 
@@ -91,73 +93,90 @@ def simulate_motion(
     """
     lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
     times = np.arange(-lead, samples) / sampling.rate
-    reference = motion.at(times)
-    modelled = joint_forces(tree, reference)
-    loop = _Loop(scene, drive, sampling, reference.q[0], reference.qd[0])
-    logs: list[dict[str, Array]] = []
+    drive = drive_along(tree, motion, times, bandwidth)
+    loop = _Loop(scene, drive, sampling)
+    logs: list[Truth] = []
     for first in range(0, len(times), _SLAB):
-        part = slice(first, min(first + _SLAB, len(times)))
-        logs.append(loop.run(reference.q[part], reference.qd[part], modelled[part]))
-        if not all(np.isfinite(values).all() for values in logs[-1].values()):
+        last = min(first + _SLAB, len(times))
+        logs.append(loop.run(range(first, last)))
+        if not all(np.isfinite(values).all() for values in vars(logs[-1]).values()):
             raise Diverged(
-                f"the simulation became unstable near t = {times[part.stop - 1]:.2f} s; use a "
-                "smaller step or a lower drive bandwidth"
+                f"the simulation became unstable near t = {times[last - 1]:.2f} s; use a smaller "
+                "step or a lower drive bandwidth"
             )
-        progress(part.stop, len(times))
-    log = {key: np.concatenate([each[key] for each in logs])[lead:] for key in logs[0]}
-    truth = _truth(scene, log)
-    error = truth.position - reference.q[lead:]
-    at_limit = np.abs(truth.torque) >= drive.effort * (1 - 1e-12)
-    run = Run(
-        time=times[lead:],
-        truth=truth,
-        tracking=np.sqrt(np.mean(error**2, axis=0)),
-        saturated=at_limit.mean(axis=0),
-    )
-    swing = np.ptp(reference.q, axis=0)
-    lost = [name for name, e, s in zip(tree.names, run.tracking, swing, strict=True) if e > s]
+        progress(last, len(times))
+    whole = {key: np.concatenate([vars(log)[key] for log in logs])[lead:] for key in vars(logs[0])}
+    return _run_of(times[lead:], Truth(**whole), drive, tree)
+
+
+def _run_of(time: Array, truth: Truth, drive: Drive, tree: Tree) -> Run:
+    wanted = drive.reference.q[-len(time) :]
+    tracking = np.sqrt(np.mean((truth.position - wanted) ** 2, axis=0))
+    swing = np.ptp(wanted, axis=0)
+    lost = [name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s]
     if lost:
         raise Diverged(
             f"the drive lost the reference at {', '.join(lost)}; lower the motion's limits"
         )
-    return run
+    at_limit = np.abs(truth.torque) >= drive.effort * (1 - 1e-12)
+    return Run(time, truth, tracking, at_limit.mean(axis=0))
 
 
 class _Loop:
-    """MuJoCo's state and the controller around it."""
+    """MuJoCo's state, the controller around it, and the log of it."""
 
-    def __init__(self, scene: Scene, drive: Drive, sampling: Sampling, q: Array, qd: Array) -> None:
+    def __init__(self, scene: Scene, drive: Drive, sampling: Sampling) -> None:
         self._scene, self._drive, self._sampling = scene, drive, sampling
         self._batch = Batch(scene.model, nsim=1, nthread=1)
-        self._position, self._velocity = (self._batch.bind(key)[0] for key in ("qpos", "qvel"))
-        self._position[scene.order], self._velocity[scene.order] = q, qd  # one each per joint
+        self._live = {key: self._batch.bind(key)[0] for key in (*_STATE, *_RECORD, "qacc", "ctrl")}
+        self._live["qpos"][scene.order] = drive.reference.q[0]  # every joint has one position
+        self._live["qvel"][scene.order] = drive.reference.qd[0]
 
-    def run(self, q: Array, qd: Array, modelled: Array) -> dict[str, Array]:
-        """Some samples of the reference; the log of each field, (samples, size)."""
-        steps, order = self._sampling.steps, self._scene.order
-        slab = {key: np.empty((len(q), steps, self._size(key))) for key in _RECORD}
-        control = np.empty((1, steps, len(order)))
-        for k in range(len(q)):
-            late, slow = q[k] - self._position[order], qd[k] - self._velocity[order]
-            control[:] = self._drive.torque(modelled[k], late, slow)
-            out = {key: values[k : k + 1] for key, values in slab.items()}
-            self._batch.rollout(steps, control, record=_RECORD, out=out)
-        if self._sampling.averaged:
-            return {key: values.mean(axis=1) for key, values in slab.items()}
-        return {key: values[:, 0] for key, values in slab.items()}
+    def run(self, samples: range) -> Truth:
+        """Follow some samples of the reference."""
+        order, steps = self._scene.order, self._sampling.steps
+        torque = np.empty((len(samples), len(order)))
+        slab = {key: np.empty((len(samples), steps + 1, len(self._live[key]))) for key in _RECORD}
+        start, end = np.empty((2, len(samples), len(order)))
+        for row, k in enumerate(samples):
+            position, velocity = (self._live[key][order] for key in _STATE)
+            torque[row] = self._drive.torque(k, position, velocity)
+            self._live["ctrl"][:] = torque[row]
+            self._batch.forward()  # the first instant, under the new torque
+            self._note(slab, row, 0)
+            start[row] = self._live["qacc"][order]
+            if self._sampling.averaged:
+                start[row] = velocity
+                # sensors are of each step's first instant, forces of its last
+                out = {key: slab[key][row : row + 1, _FIRST[key] :][:, :steps] for key in _RECORD}
+                self._batch.rollout(steps, record=_RECORD, out=out)
+                self._batch.forward()  # the last instant, still under the old torque
+                self._note(slab, row, steps)
+                end[row] = self._live["qvel"][order]
+            else:
+                self._batch.rollout(steps, record=("qpos",))
+        acceleration = (end - start) * self._sampling.rate if self._sampling.averaged else start
+        return self._truth({key: self._sampled(slab[key]) for key in _RECORD}, torque, acceleration)
 
-    def _size(self, key: str) -> int:
-        model = self._scene.model
-        return int(model.nsensordata if key == "sensordata" else model.nv)
+    def _note(self, slab: dict[str, Array], row: int, instant: int) -> None:
+        for key in _RECORD:
+            slab[key][row, instant] = self._live[key]
 
+    def _sampled(self, slab: Array) -> Array:
+        """The mean over each sample by the trapezoidal rule, or its first instant."""
+        if not self._sampling.averaged:
+            return slab[:, 0]
+        inner = slab[:, 1:-1].sum(axis=1)
+        mean: Array = (inner + (slab[:, 0] + slab[:, -1]) / 2) / self._sampling.steps
+        return mean
 
-def _truth(scene: Scene, log: dict[str, Array]) -> Truth:
-    sensed, order = log["sensordata"], scene.order
-    return Truth(
-        position=sensed[:, scene.positions],
-        velocity=sensed[:, scene.velocities],
-        acceleration=log["qacc"][:, order],
-        torque=log["qfrc_actuator"][:, order],
-        friction=-(log["qfrc_passive"] + log["qfrc_constraint"])[:, order],
-        wrench=scene.bedplate_wrench(sensed[:, scene.plate]),
-    )
+    def _truth(self, log: dict[str, Array], torque: Array, acceleration: Array) -> Truth:
+        sensed, order = log["sensordata"], self._scene.order
+        return Truth(
+            position=sensed[:, self._scene.positions],
+            velocity=sensed[:, self._scene.velocities],
+            acceleration=acceleration,
+            torque=torque,
+            friction=-(log["qfrc_passive"] + log["qfrc_constraint"])[:, order],
+            wrench=self._scene.bedplate_wrench(sensed[:, self._scene.plate]),
+        )

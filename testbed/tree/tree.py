@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
-from testbed.errors import UnknownName
+from testbed.errors import ModelError, UnknownName
 from testbed.tree.inertia import NOTHING, Inertia
 
 Kind = Literal["revolute", "prismatic"]
@@ -131,6 +132,19 @@ class Tree:
                 reach[:, j] += reach[:, parent]
         return readonly(reach, (self.n, self.n), "reach")
 
+    def gravity_or(self, gravity: ArrayLike | None) -> Array:
+        """The given gravity, or the model file's if None, (3,) [m/s^2], bedplate frame.
+
+        Raises:
+            ModelError: It is not three finite numbers.
+        """
+        if gravity is None:
+            return self.gravity
+        vector = np.asarray(gravity, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity}")
+        return readonly(vector, (3,), "gravity")
+
     def children(self, body: int) -> tuple[int, ...]:
         """Bodies carried directly by `body` (-1: by the bedplate)."""
         return tuple(j for j, parent in enumerate(self.parents) if parent == body)
@@ -149,12 +163,12 @@ class Tree:
             raise UnknownName("joint", name, self.names)
         return self.names.index(name)
 
+    def frictionless(self) -> Tree:
+        """The same tree with joints that do not rub."""
+        joints = tuple(replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints)
+        return replace(self, joints=joints)
+
     def unweighed(self) -> Tree:
         """The same tree with no masses and no friction: all that an estimator may know."""
-        return replace(
-            self,
-            inertias=(NOTHING,) * self.n,
-            joints=tuple(
-                replace(joint, coulomb=0.0, viscous=0.0, rotor_inertia=0.0) for joint in self.joints
-            ),
-        )
+        joints = tuple(replace(joint, rotor_inertia=0.0) for joint in self.frictionless().joints)
+        return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
