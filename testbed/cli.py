@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -130,46 +130,60 @@ def identify(
 def minimal(
     model: _Model,
     zeros: _Zeros = False,
+    zero: Annotated[
+        list[str] | None,
+        typer.Option("--zero", metavar="NAME", help="A parameter known to be zero, as mb1x."),
+    ] = None,
     gravity: Annotated[
         tuple[float, float, float] | None,
         typer.Option(help="Gravity vector [m/s^2]; default the model file's."),
     ] = None,
+    tared: Annotated[
+        bool, typer.Option("--tared", help="The bedplate's static wrench has been taken off.")
+    ] = False,
+    show_map: Annotated[
+        bool, typer.Option("--map", help="Show what each instrument tells of each parameter.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--verify", help="Hold the sets against two other witnesses.")
+    ] = False,
+    numbers: Annotated[
+        bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
+    ] = False,
+    as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
     weld_root: _Weld = False,
     accept_inertia: _Accept = False,
     as_json: _Json = False,
 ) -> None:
     """Print what joint torques and what the bedplate can tell about a robot.
 
-    Example: testbed minimal models/puma562.urdf --zeros
+    Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.parameters.minimal_set import minimal_set, selection
-    from testbed.report.tables import minimal_table
+    from testbed.dynamics.rank import verify
+    from testbed.parameters.identifiability import identifiability
+    from testbed.parameters.minimal_set import minimal_set
+    from testbed.report.minimal import as_document, print_sets
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    dynamic, reaction = (minimal_set(tree, m, gravity, zeros) for m in ("dynamic", "reaction"))
+    known: bool | list[str] = list(zero) if zero else zeros
+    dynamic = minimal_set(tree, "dynamic", gravity, known)
+    reaction = minimal_set(tree, "reaction", gravity, known, tared)
+    agreements = []
+    if check:  # known zeros are struck out afterwards: the rules are verified without them
+        general = minimal_set(tree, "reaction", gravity, tared=tared)
+        agreements = [
+            verify(tree, each) for each in (minimal_set(tree, "dynamic", gravity), general)
+        ]
+    seen = identifiability(tree, gravity, known) if show_map or as_json else ()
     if as_json:
-        sets = {
-            each.model: {
-                "names": each.names,
-                "formulas": each.formulas,
-                "auxiliary": each.auxiliary,
-                "units": each.units,
-                "matrix": each.matrix.tolist(),
-            }
-            for each in (dynamic, reaction)
-        }
-        _print_json(sets | {"S": selection(dynamic, reaction).tolist(), "joints": tree.names})
-        return
-    console = _console()
-    _print_doubts(console, tree.doubts)
-    console.print(minimal_table(tree, dynamic, reaction))
-    for line in dict.fromkeys((*dynamic.auxiliary, *reaction.auxiliary)):
-        console.print(f"with {line}", highlight=False, soft_wrap=True)
-    console.print(
-        f"{tree.name}: {10 * tree.n} parameters, of which joint torques tell {dynamic.count} "
-        f"combinations and the bedplate {reaction.count}"
-    )
+        _print_json(as_document(tree, dynamic, reaction, seen, agreements))
+    else:
+        console = _console()
+        _print_doubts(console, tree.doubts)
+        lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
+        print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
+    raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
 
 
 def main() -> None:

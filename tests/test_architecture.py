@@ -27,7 +27,9 @@ PLAN = {
     "measurement": {"errors", "arrays", "files", "tree"},
     "simulation": {"errors", "arrays", "tree", "dynamics", "excitation", "measurement"},
     "identification": {"errors", "arrays", "tree", "parameters", "dynamics", "measurement"},
-    "report": {"errors", "arrays", "tree", "parameters", "identification", "measurement"},
+    "report": {
+        "errors", "arrays", "tree", "parameters", "dynamics", "identification", "measurement",
+    },
     "campaign": {
         "errors", "arrays", "files", "tree", "parameters", "dynamics", "excitation",
         "simulation", "measurement", "identification",

@@ -17,6 +17,7 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.rules import Model
 from testbed.tree.tree import Tree
 
 BLOCK = 1024
@@ -66,6 +67,22 @@ def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
     theta = minimal.lift.reshape(tree.n, 10, minimal.count)
     joints, base = _evaluate(tree, motion, theta, minimal.gravity)
     return joints if minimal.model == "dynamic" else base
+
+
+def parameter_regressor(
+    tree: Tree, motion: Motion, model: Model, gravity: ArrayLike | None = None
+) -> Array:
+    """The regressor on all barycentric parameters, (M, n or 6, 10 n).
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        model: "dynamic" for joint forces, "reaction" for the base wrench.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+    joints, base = _evaluate(tree, motion, theta, gravity)
+    return joints if model == "dynamic" else base
 
 
 def pedestal_wrench(tree: Tree, gravity: ArrayLike | None = None) -> Array:

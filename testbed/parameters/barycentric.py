@@ -57,24 +57,26 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
 
     Args:
         tree: Gives parents and offsets.
-        standard: (n, 10) in the order STANDARD, numbers or symbols.
+        standard: (n, 10, ...) in the order STANDARD, numbers or symbols.
 
     Returns:
-        theta, (n, 10) in the order COMPONENTS.
+        theta, (n, 10, ...) in the order COMPONENTS.
     """
     theta = standard[:, _TO_STANDARD_ORDER].copy()
     for j in reversed(range(tree.n)):
         if tree.parents[j] >= 0:
-            theta[tree.parents[j]] += _point_mass(tree.joints[j].offset) * theta[j, 0]
+            mass = _point_mass(tree.joints[j].offset)
+            theta[tree.parents[j]] += np.multiply.outer(mass, theta[j, 0])
     return theta
 
 
 def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
-    """The inverse of `to_barycentric`: (n, 10) COMPONENTS -> (n, 10) STANDARD."""
+    """The inverse of `to_barycentric`: (n, 10, ...) COMPONENTS -> (n, 10, ...) STANDARD."""
     own = theta.copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
-            own[tree.parents[j]] -= _point_mass(tree.joints[j].offset) * theta[j, 0]
+            mass = _point_mass(tree.joints[j].offset)
+            own[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
     standard: AnyArray = own[:, _TO_STANDARD_ORDER]
     return standard
 

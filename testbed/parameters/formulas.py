@@ -1,41 +1,52 @@
 """Regrouping formulas as text, with the model's own lengths: K*1yz = K1yz - l12z*mb*2y.
 
-One level at a time: a starred parameter on the right has a formula of its own.
+One level at a time: a starred parameter on the right has a formula of its own. Lengths are
+symbols or numbers, the whole is plain text or LaTeX.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from testbed.arrays import AnyArray, Array
+from testbed.arrays import Array
 from testbed.parameters.barycentric import COMPONENTS, parameter_name
 from testbed.parameters.regroup import Body
 from testbed.parameters.rules import Kept
 from testbed.tree.tree import Tree
 
+Lengths = Literal["symbols", "numbers"]
+Terms = list[tuple[str, str]]  # (factor, name): their products are summed
 
+
+@dataclass(frozen=True, eq=False)
 class Namer:
     """Names and formulas of the redefined parameters of a regrouped tree.
 
-    Args:
+    Attributes:
         tree: The robot.
         bodies: Its bodies after regrouping.
-        known_zero: Which of the 10 n barycentric parameters are known to be zero, (10 n,).
+        known_zero: Which of the barycentric parameters are known to be zero, (n, 10).
+        present: Which of the redefined ones are not zero, (n, 10).
+        lengths: Whether offsets are printed as symbols or as numbers.
     """
 
-    def __init__(self, tree: Tree, bodies: Sequence[Body], known_zero: AnyArray) -> None:
-        self._tree = tree
-        self._bodies = bodies
-        self._zero = known_zero.reshape(tree.n, 10)
-        seen = ~known_zero
-        self._present = np.array([np.abs(b.redefined[:, seen]).max(axis=1) > 0 for b in bodies])
+    tree: Tree
+    bodies: Sequence[Body]
+    known_zero: NDArray[np.bool_]
+    present: NDArray[np.bool_]
+    lengths: Lengths = "symbols"
 
     def star(self, body: int) -> str:
         """An asterisk if the body's mb and K have been redefined: it carries others."""
-        return "*" if self._tree.children(body) else ""
+        return "*" if self.tree.children(body) else ""
 
     def kept(self, body: int, kept: Kept) -> str:
         """Name of a kept parameter, such as mb*2z, 2*K3d, K*1zz, mbar1."""
@@ -50,42 +61,51 @@ class Namer:
         return parameter_name(COMPONENTS[component], body + 1, star)
 
     def formula(self, name: str, body: int, form: Array) -> str:
-        """`name` = the form of body `body`, own parameters and its children's redefined ones."""
-        terms: list[tuple[str, str]] = []
-        for c in np.flatnonzero(form):
-            if not self._zero[body, c]:
-                own = parameter_name(COMPONENTS[c], body + 1)
-                terms.append((number(form[c]), own))
-        for child in self._tree.children(body):
-            weights = np.tensordot(form, self._bodies[child].passing, (0, 1))  # (4, 10)
+        """`name` = the form of body `body`: own parameters and what its children pass on.
+
+        Body -1 is the bedplate, whose own parameters do not count; of its children's
+        masses it holds the sum and, at their offsets, the first moment.
+        """
+        terms: Terms = []
+        if body >= 0:
+            for c in np.flatnonzero(form):
+                if not self.known_zero[body, c]:
+                    terms.append((number(form[c]), parameter_name(COMPONENTS[c], body + 1)))
+        for child in self.tree.children(body):
+            weights = np.tensordot(form, self.bodies[child].passing, (0, 1))  # (4, 10)
+            if body < 0:
+                weights[0, 0] += form[0]
+                weights[1:, 0] += form[1:4]
             for c in np.flatnonzero(np.abs(weights).max(axis=0)):
-                if self._present[child, c]:
-                    factor = self._factor(weights[:, c], body, child)
-                    if factor:
-                        terms.append((factor, self.component(child, int(c))))
+                factor = self._factor(weights[:, c], body, child)
+                if factor and self.present[child, c]:
+                    terms.append((factor, self.component(child, int(c))))
         return f"{name} = {join(terms)}"
 
     def _factor(self, weights: Array, body: int, child: int) -> str:
-        """1, lx, ly, lz weighted, as text; "" if it vanishes with the model's lengths."""
-        lengths = [f"l{body + 1}{child + 1}{x}" for x in "xyz"]
-        offset = self._tree.joints[child].offset
-        terms = [(number(weights[0]), "")] if weights[0] else []
-        for weight, length, value in zip(weights[1:], lengths, offset, strict=True):
-            if weight and value:
-                terms.append((number(weight), length))
+        """The weights of 1, lx, ly, lz as text; "" if it vanishes with the model's lengths."""
+        offset = self.tree.joints[child].offset
+        if self.lengths == "numbers":
+            value = weights[0] + weights[1:] @ offset
+            return number(value) if value else ""
+        terms: Terms = [(number(weights[0]), "")] if weights[0] else []
+        mark = "" if max(body, child) < 9 else "_"
+        for weight, axis, length in zip(weights[1:], "xyz", offset, strict=True):
+            if weight and length:
+                terms.append((number(weight), f"l{body + 1}{mark}{child + 1}{axis}"))
         if len(terms) == 1:
-            factor, length = terms[0]
-            return length if factor == "1" and length else _times(factor, length)
+            return _times(*terms[0])
         return f"({join(terms)})" if terms else ""
 
 
+@lru_cache(maxsize=4096)
 def number(value: float) -> str:
     """A coefficient: a small fraction where it is one, else six digits."""
     near = Fraction(float(value)).limit_denominator(12)
     return str(near) if abs(float(near) - value) < 1e-12 else f"{value:.6g}"
 
 
-def join(terms: Sequence[tuple[str, str]]) -> str:
+def join(terms: Terms) -> str:
     """A sum of factor * name: [("1", "a"), ("-l", "b")] gives a - l*b."""
     text = ""
     for factor, name in terms:
@@ -99,12 +119,24 @@ def join(terms: Sequence[tuple[str, str]]) -> str:
     return text or "0"
 
 
+def latex(formula: str) -> str:
+    """A formula or name in LaTeX: K*1yz gives K^{*1}_{yz}, l12z gives l^{12}_{z}."""
+    text = re.sub(r"mbar(\*?\d+)", r"\\bar{m}^{\1}", formula)
+    text = re.sub(r"\b(mb|K)(\*?\d+)([a-z]+)", r"\1^{\2}_{\3}", text)
+    text = re.sub(r"\bl(\d)(\d)([xyz])", r"l^{\1\2}_{\3}", text)
+    text = re.sub(r"\bl(\d+)_(\d+)([xyz])", r"l^{\1,\2}_{\3}", text)
+    text = re.sub(r"(\d+)/(\d+)\*", r"\\tfrac{\1}{\2}\\,", text)
+    text = re.sub(r"([^ ()]+\})/(\d+)", r"\\tfrac{1}{\2}\\,\1", text)
+    text = re.sub(r"(?<!\{)\*", r"\\,", text)
+    return text.replace("mb^", r"m\!b^")
+
+
 def _times(factor: str, name: str) -> str:
     if not name:
         return factor
     if factor in ("1", "-1"):
         return factor.replace("1", "") + name
-    if "/" in factor and factor.lstrip("-").startswith("1/"):
+    if factor.lstrip("-").startswith("1/"):
         sign = "-" if factor.startswith("-") else ""
         return f"{sign}{name}/{factor.split('/')[1]}"
     return f"{factor}*{name}"

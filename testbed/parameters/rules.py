@@ -72,7 +72,7 @@ def _table2(joint: Joint, mobility: Mobility) -> Row:
     if mobility.rotation == "across":
         assert mobility.direction is not None
         w = joint.rotation.T @ mobility.direction
-        u, v, names = _across(w)
+        u, v, names = across(w)
         return Row((mass, *_moments(np.array([u, v]), names)), np.outer(w, w), "all")
     return Row((mass,), np.eye(3), "all")
 
@@ -82,7 +82,7 @@ def _table3(joint: Joint, mobility: Mobility) -> Row:
     mass = _mass()
     if mobility.rotation in ("free", "across"):
         return Row((mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
-    u, v, names = _across(joint.axis)
+    u, v, names = across(joint.axis)
     passed = np.outer(joint.axis, joint.axis)
     return Row((mass, *_moments(np.array([u, v]), names)), passed, "all")
 
@@ -127,7 +127,7 @@ def _about_axis(
     Returns:
         (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
-    u, v, letters = _across(axis)
+    u, v, letters = across(axis)
     p, q = letters[0], letters[1]
     e = _letter(axis)
     between = {
@@ -153,10 +153,10 @@ def _sum(k: Kept, s: float, mb: Kept) -> Kept:
     return Kept(k.head, f"{k.tail}{s:+.6g}*mb_{mb.tail}", k.form + s * mb.form, k.direction)
 
 
-def _across(axis: Array) -> tuple[Array, Array, str]:
-    """Two unit vectors that complete `axis` to a triad, and their letters.
+def across(axis: Array) -> tuple[Array, Array, str]:
+    """Two unit vectors that complete the unit vector `axis` to a triad, and their letters.
 
-    Body axes where `axis` is one, so that the parameters are the body's own components.
+    Frame axes where `axis` is one, so that the parameters are the body's own components.
     """
     letter = _letter(axis)
     if letter in "xyz":

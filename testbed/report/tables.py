@@ -8,8 +8,6 @@ from rich.table import Table
 
 from testbed.arrays import Array
 from testbed.identification.identify import Estimate
-from testbed.parameters.minimal_set import MinimalSet
-from testbed.tree.tree import Tree
 
 _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
@@ -69,23 +67,6 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
             f"residual rms {fits}"
         )
     return lines
-
-
-def minimal_table(tree: Tree, dynamic: MinimalSet, reaction: MinimalSet) -> Table:
-    """Both minimal sets side by side, each parameter with its formula."""
-    table = Table(header_style="bold")
-    for column in ("body", "parameter", "unit", "torques", "bedplate", "formula"):
-        table.add_column(column)
-    entries: dict[str, tuple[str, str, int]] = {}
-    for each in (dynamic, reaction):
-        for row in zip(each.names, each.formulas, each.units, each.bodies, strict=True):
-            entries.setdefault(row[0], row[1:])
-    for name, (formula, unit, body) in entries.items():
-        owner = "bedplate" if body < 0 else tree.joints[body].body
-        seen = ["yes" if name in each.names else "-" for each in (dynamic, reaction)]
-        right = formula.split(" = ", 1)[1]
-        table.add_row(owner, name, unit, *seen, "" if right == name else right)
-    return table
 
 
 def _cells(estimate: Estimate, name: str, truth: float) -> tuple[str, str]:

@@ -1,0 +1,98 @@
+"""The identifiability map: which standard parameters an instrument can ever tell.
+
+For every body and each of its ten URDF-style parameters: told alone, only in combination
+with others, or never; by joint torques and by the bedplate under four circumstances.
+Computed from the model alone, before any data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from testbed.arrays import Array
+from testbed.parameters.barycentric import to_barycentric
+from testbed.parameters.entries import static_entries
+from testbed.parameters.minimal_set import known_zeros, minimal_set
+from testbed.parameters.regroup import regroup
+from testbed.parameters.space import row_space
+from testbed.tree.tree import Tree
+
+NEVER, COMBINED, ALONE = 0, 1, 2
+
+INSTRUMENTS = ("torques", "bedplate", "tared bedplate", "bedplate, pedestal unknown")
+"""Joint torques; the bedplate; the bedplate with its static wrench in one posture taken off;
+the bedplate where the pedestal's mass and moments on the sensor are unknown as well."""
+
+_CLEAR = 1e-9
+_RANK = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Visibility:
+    """What one instrument tells.
+
+    Attributes:
+        instrument: One of INSTRUMENTS.
+        count: Number of combinations told, the pedestal's own included if unknown.
+        standard: Of the standard parameters: NEVER, COMBINED or ALONE, (n, 10).
+        barycentric: Likewise of the barycentric parameters, (n, 10).
+    """
+
+    instrument: str
+    count: int
+    standard: NDArray[np.int_]
+    barycentric: NDArray[np.int_]
+
+
+def identifiability(
+    tree: Tree, gravity: ArrayLike | None = None, zeros: bool | Sequence[str] = False
+) -> tuple[Visibility, ...]:
+    """What each of INSTRUMENTS can tell about each parameter of each body.
+
+    Args:
+        tree: The robot; its inertias matter only for `zeros`.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        zeros: Barycentric parameters known to be zero, as in `minimal_set`.
+    """
+    g = tree.gravity_or(gravity)
+    torques = minimal_set(tree, "dynamic", g, zeros).matrix
+    plate = minimal_set(tree, "reaction", g, zeros).matrix
+    tared = minimal_set(tree, "reaction", g, zeros, tared=True).matrix
+    static = np.zeros((0, 10 * tree.n))
+    if g.any():
+        _, bedplate = regroup(tree, "reaction", g)
+        static = np.array([entry.row for entry in static_entries(tree, bedplate, g)])
+        static[:, known_zeros(tree, zeros).ravel()] = 0.0
+    moving = np.vstack([tared, static])
+    # an unknown pedestal adds its own mass and moments to each static entry
+    pedestal = np.eye(len(moving), len(static), -len(tared))
+    unknown = np.hstack([pedestal, moving])
+    cases = zip(INSTRUMENTS, (torques, plate, tared, unknown), strict=True)
+    return tuple(_visibility(tree, name, rows) for name, rows in cases)
+
+
+def _visibility(tree: Tree, instrument: str, rows: Array) -> Visibility:
+    own = 10 * tree.n
+    units = np.eye(own).reshape(tree.n, 10, own)
+    onto_theta = to_barycentric(tree, units).reshape(own, own)
+    others = rows.shape[1] - own
+    on_standard = np.hstack([rows[:, :others], rows[:, others:] @ onto_theta])
+    return Visibility(
+        instrument,
+        len(rows),
+        _seen(on_standard)[others:].reshape(tree.n, 10),
+        _seen(rows)[others:].reshape(tree.n, 10),
+    )
+
+
+def _seen(rows: Array) -> NDArray[np.int_]:
+    """NEVER, COMBINED or ALONE for every column, from the projector on the row space."""
+    share = np.sum(row_space(rows, _RANK).rows ** 2, axis=0)
+    seen = np.full(rows.shape[1], COMBINED)
+    seen[share <= _CLEAR] = NEVER
+    seen[share >= 1 - _CLEAR] = ALONE
+    return seen
