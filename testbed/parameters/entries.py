@@ -1,4 +1,8 @@
-"""From regrouped bodies to the entries of a minimal set, the bedplate's own included."""
+"""From regrouped bodies to the entries of a minimal set, the bedplate's own included.
+
+Everything here is about single bodies, so the cost grows linearly with their number; rows
+on all 10 n parameters are made by `dense_rows`, when somebody asks.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.parameters.formulas import Namer
-from testbed.parameters.regroup import Body, regroup
-from testbed.parameters.rules import Model, across
+from testbed.parameters.regroup import Body, redefined_parameters
+from testbed.parameters.rules import Kept, Model, across
 from testbed.tree.tree import Tree
 
 INDEPENDENT = 1e-9
 """Part of a unit row that must be left after projection for it to count as a new one."""
+
+Parts = tuple[tuple[int, Array], ...]  # (body, ten numbers)
 
 _UNITS = {"mbar": "kg", "mb": "kg m"}
 
@@ -29,58 +34,99 @@ class Entry:
         unit: Of its value.
         body: The body it belongs to; -1 for the bedplate.
         form: On that body's ten redefined parameters, (10,).
-        row: On the 10 n barycentric parameters, (10 n,).
-        direction: A theta for which it is 1 and every other entry 0, (10 n,).
+        parts: The same on the redefined parameters of bodies that move.
+        direction: Barycentric parameters, by body, for which it is 1 and all others 0.
     """
 
     name: str
     unit: str
     body: int
     form: Array
-    row: Array
-    direction: Array
+    parts: Parts
+    direction: Parts
 
 
 def list_entries(
-    tree: Tree, model: Model, gravity: Array, known_zero: NDArray[np.bool_], tared: bool
-) -> tuple[list[Entry], Namer]:
+    tree: Tree, bodies: Sequence[Body], model: Model, gravity: Array, tared: bool
+) -> list[Entry]:
     """Everything kept, tips to base, and for the reaction what the bedplate adds.
 
     Args:
         tree: The robot.
+        bodies: Its bodies after regrouping.
         model: "dynamic" or "reaction".
         gravity: (3,) [m/s^2], bedplate frame.
-        known_zero: Which of the barycentric parameters are known to be zero, (n, 10).
         tared: The bedplate's static wrench in one posture has been taken off.
     """
-    bodies, bedplate = regroup(tree, model, gravity)
-    namer = Namer(tree, bodies, known_zero, _present(bodies, known_zero))
     entries: list[Entry] = []
     for j in reversed(range(tree.n)):
         for kept in bodies[j].row.kept:
-            direction = np.zeros((tree.n, 10))
-            direction[j] = kept.direction
-            row = kept.form @ bodies[j].redefined
             unit = _UNITS.get(kept.head, "kg m^2")
-            name = namer.kept(j, kept)
-            entries.append(Entry(name, unit, j, kept.form, row, direction.ravel()))
+            name = kept_name(tree, j, kept)
+            parts, direction = ((j, kept.form),), ((j, kept.direction),)
+            entries.append(Entry(name, unit, j, kept.form, parts, direction))
     if model == "reaction" and gravity.any() and not tared:
-        entries = _with_static(entries, static_entries(tree, bedplate, gravity))
-    return entries, namer
+        return _with_static(tree, entries, static_entries(tree, bodies, gravity))
+    return entries
 
 
-def dynamic_first(entries: list[Entry], dynamic: list[Entry]) -> list[Entry]:
-    """The parameters shared with the dynamic set first, in its order; then K, mb, mbar."""
+def kept_name(tree: Tree, body: int, kept: Kept) -> str:
+    """Name of a kept parameter, such as mb*2z, 2*K3d, K*1zz, mbar1."""
+    if kept.head == "mbar":
+        return f"mbar{body + 1}"
+    label = f"{'*' if tree.children(body) else ''}{body + 1}"
+    return f"{kept.head}{label}{kept.tail.replace('mb_', 'mb' + label)}"
+
+
+def dynamic_first(
+    tree: Tree, entries: list[Entry], bodies: Sequence[Body], torques: Sequence[Body]
+) -> list[Entry]:
+    """The parameters shared with the dynamic set first, in its order; then K, mb, mbar.
+
+    Args:
+        tree: The robot.
+        entries: The reaction's.
+        bodies: Regrouped for the reaction.
+        torques: Regrouped for the joint torques.
+    """
+    same = [True] * tree.n  # whether all that a body carries is regrouped alike
+    for j in reversed(range(tree.n)):
+        alike = same[j] and np.array_equal(bodies[j].passing, torques[j].passing)
+        if tree.parents[j] >= 0 and not alike:
+            same[tree.parents[j]] = False
+    place = {
+        kept_name(tree, j, kept): (j, k, kept.form)
+        for j in range(tree.n)
+        for k, kept in enumerate(torques[j].row.kept)
+    }
     rank = {"kg m^2": 0, "kg m": 1, "kg": 2}
-    place = {entry.name: k for k, entry in enumerate(dynamic)}
 
     def key(entry: Entry) -> tuple[int, int, int]:
-        k = place.get(entry.name)
-        if k is not None and np.abs(dynamic[k].row - entry.row).max() <= 1e-12:
-            return (0, k, 0)
+        j, k, form = place.get(entry.name, (-1, 0, entry.form))
+        if j >= 0 and entry.body == j and same[j] and np.array_equal(form, entry.form):
+            return (0, -j, k)
         return (1, -entry.body, rank[entry.unit])
 
     return sorted(entries, key=key)
+
+
+def dense_rows(tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry]) -> Array:
+    """The entries on the 10 n barycentric parameters, (entries, 10 n)."""
+    redefined = redefined_parameters(tree, bodies)
+    rows = np.zeros((len(entries), 10 * tree.n))
+    for k, entry in enumerate(entries):
+        for body, form in entry.parts:
+            rows[k] += form @ redefined[body]
+    return rows
+
+
+def dense_directions(tree: Tree, entries: Sequence[Entry]) -> Array:
+    """The entries' directions, (10 n, entries)."""
+    directions = np.zeros((10 * tree.n, len(entries)))
+    for k, entry in enumerate(entries):
+        for body, direction in entry.direction:
+            directions[10 * body : 10 * body + 10, k] += direction
+    return directions
 
 
 def independent_rows(rows: Array) -> list[int]:
@@ -101,46 +147,47 @@ def independent_rows(rows: Array) -> list[int]:
     return keep
 
 
-def _present(bodies: Sequence[Body], known_zero: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which redefined parameters of which bodies are not zero, (n, 10)."""
-    seen = ~known_zero.ravel()
-    return np.array([(body.redefined[:, seen] != 0).any(axis=1) for body in bodies])
-
-
-def static_entries(tree: Tree, bedplate: Array, gravity: Array) -> list[Entry]:
+def static_entries(tree: Tree, bodies: Sequence[Body], gravity: Array) -> list[Entry]:
     """The base rule: F_0 = -M g, L_0 = -s x g; the mass M and s normal to g.
 
     M is the sum of the first bodies' mbar, s their first moments and what has migrated
-    into the bedplate.
+    into the bedplate. Directions are left empty.
 
     Args:
         tree: The robot.
-        bedplate: What has migrated, on the barycentric parameters, (10, 10 n).
+        bodies: Regrouped for the reaction.
         gravity: Not zero, (3,) [m/s^2], bedplate frame.
     """
     trunks = tree.children(-1)
-    whole = bedplate.copy()
-    for j in trunks:
-        whole[0, 10 * j] += 1.0
-        whole[1:4, 10 * j] += tree.joints[j].offset
     u, v, letters = across(gravity / np.linalg.norm(gravity))
     mass = f"mbar{trunks[0] + 1}" if len(trunks) == 1 else "mbar0"
     wanted = [(mass, "kg", np.eye(10)[0])]
     for direction, letter in zip((u, v), letters, strict=True):
         wanted.append((f"mb*0{letter}", "kg m", np.pad(direction, (1, 6))))
-    nothing = np.zeros(10 * tree.n)
-    return [Entry(name, unit, -1, form, form @ whole, nothing) for name, unit, form in wanted]
+    entries = []
+    for name, unit, form in wanted:
+        parts = []
+        for j in trunks:
+            own = form @ bodies[j].gain
+            own[0] += form[0] + form[1:4] @ tree.joints[j].offset
+            parts.append((j, own))
+        entries.append(Entry(name, unit, -1, form, tuple(parts), ()))
+    return entries
 
 
-def _with_static(entries: list[Entry], static: list[Entry]) -> list[Entry]:
-    """Add what is new of the static entries, with directions that leave the others alone."""
-    if not entries:
-        return entries
-    s = np.array([entry.row for entry in entries])
-    d = np.array([entry.direction for entry in entries]).T
-    r = np.array([entry.row for entry in static])
+def _with_static(tree: Tree, entries: list[Entry], static: list[Entry]) -> list[Entry]:
+    """Add what is new of the static entries, with directions that leave the others alone.
+
+    Static entries are forms of the first bodies' parameters, and so decided among these.
+    """
+    trunks = tree.children(-1)
+    ours = [k for k, entry in enumerate(entries) if entry.body in trunks]
+    s = _flat([entries[k].parts for k in ours], trunks)
+    d = _flat([entries[k].direction for k in ours], trunks).T
+    r = _flat([entry.parts for entry in static], trunks)
     blind = r - (r @ d) @ s  # r (1 - d s): what the rules' entries do not hold
-    blind[np.abs(blind).max(axis=1) <= INDEPENDENT * np.abs(r).max(axis=1)] = 0.0
+    # rows of masses and lengths; rescaled, the rounding of an almost vertical axis would count
+    blind[np.abs(blind).max(axis=1) <= INDEPENDENT] = 0.0
     new = independent_rows(blind)
     if not new:
         return entries
@@ -148,5 +195,35 @@ def _with_static(entries: list[Entry], static: list[Entry]) -> list[Entry]:
     push = blind.T - d @ (s @ blind.T)
     push = push @ np.linalg.inv(r @ push)
     d = d - push @ (r @ d)
-    kept = [replace(entry, direction=d[:, k]) for k, entry in enumerate(entries)]
-    return kept + [replace(static[k], direction=push[:, m]) for m, k in enumerate(new)]
+    result = list(entries)
+    for column, k in enumerate(ours):
+        result[k] = replace(entries[k], direction=_by_body(d[:, column], trunks))
+    for column, k in enumerate(new):
+        result.append(replace(static[k], direction=_by_body(push[:, column], trunks)))
+    return result
+
+
+def _flat(parts: Sequence[Parts], trunks: tuple[int, ...]) -> Array:
+    """Parts on the first bodies as rows, (entries, 10 trunks)."""
+    rows = np.zeros((len(parts), 10 * len(trunks)))
+    for k, part in enumerate(parts):
+        for body, numbers in part:
+            at = 10 * trunks.index(body)
+            rows[k, at : at + 10] += numbers
+    return rows
+
+
+def _by_body(column: Array, trunks: tuple[int, ...]) -> Parts:
+    pieces = zip(trunks, column.reshape(-1, 10), strict=True)
+    return tuple((body, piece) for body, piece in pieces if piece.any())
+
+
+def present_parameters(
+    tree: Tree, bodies: Sequence[Body], known_zero: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which redefined parameters of which bodies are not known to be zero, (n, 10)."""
+    present = ~known_zero
+    for j in reversed(range(tree.n)):
+        if tree.parents[j] >= 0:
+            present[tree.parents[j]] |= (bodies[j].gain[:, present[j]] != 0).any(axis=1)
+    return present

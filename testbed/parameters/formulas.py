@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.parameters.barycentric import COMPONENTS, parameter_name
 from testbed.parameters.regroup import Body
-from testbed.parameters.rules import Kept
 from testbed.tree.tree import Tree
 
 Lengths = Literal["symbols", "numbers"]
@@ -44,20 +43,9 @@ class Namer:
     present: NDArray[np.bool_]
     lengths: Lengths = "symbols"
 
-    def star(self, body: int) -> str:
-        """An asterisk if the body's mb and K have been redefined: it carries others."""
-        return "*" if self.tree.children(body) else ""
-
-    def kept(self, body: int, kept: Kept) -> str:
-        """Name of a kept parameter, such as mb*2z, 2*K3d, K*1zz, mbar1."""
-        label = f"{self.star(body)}{body + 1}"
-        if kept.head == "mbar":
-            return f"mbar{body + 1}"
-        return f"{kept.head}{label}{kept.tail.replace('mb_', 'mb' + label)}"
-
     def component(self, body: int, component: int) -> str:
         """Name of one of the ten redefined parameters of a body."""
-        star = "" if component == 0 else self.star(body)
+        star = "*" if component and self.tree.children(body) else ""
         return parameter_name(COMPONENTS[component], body + 1, star)
 
     def formula(self, name: str, body: int, form: Array) -> str:

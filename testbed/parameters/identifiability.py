@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array
 from testbed.parameters.barycentric import to_barycentric
-from testbed.parameters.entries import static_entries
+from testbed.parameters.entries import dense_rows, static_entries
 from testbed.parameters.minimal_set import known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
 from testbed.parameters.space import row_space
@@ -64,8 +64,8 @@ def identifiability(
     tared = minimal_set(tree, "reaction", g, zeros, tared=True).matrix
     static = np.zeros((0, 10 * tree.n))
     if g.any():
-        _, bedplate = regroup(tree, "reaction", g)
-        static = np.array([entry.row for entry in static_entries(tree, bedplate, g)])
+        bodies = regroup(tree, "reaction", g)
+        static = dense_rows(tree, bodies, static_entries(tree, bodies, g))
         static[:, known_zeros(tree, zeros).ravel()] = 0.0
     moving = np.vstack([tared, static])
     # an unknown pedestal adds its own mass and moments to each static entry

@@ -6,7 +6,7 @@ Source    [FRS96] eqs. (9)-(12); base rule and known zeros in docs/minimal-sets.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,8 +15,17 @@ from numpy.typing import ArrayLike, NDArray
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import barycentric, parameter_names, to_barycentric
-from testbed.parameters.entries import Entry, dynamic_first, independent_rows, list_entries
+from testbed.parameters.entries import (
+    Entry,
+    dense_directions,
+    dense_rows,
+    dynamic_first,
+    independent_rows,
+    list_entries,
+    present_parameters,
+)
 from testbed.parameters.formulas import Lengths, Namer
+from testbed.parameters.regroup import Body, regroup
 from testbed.parameters.rules import Model
 from testbed.tree.tree import Tree
 
@@ -30,31 +39,70 @@ class MinimalSet:
 
     Attributes:
         model: "dynamic" (joint torques, delta_d) or "reaction" (bedplate wrench, delta_r).
-        names: One a parameter: mb*2z, K3yy, 2*K3d, ...; stars mark redefined bodies.
-        units: One a parameter.
-        bodies: Index of the body each belongs to; -1 for the bedplate.
-        matrix: S, (N, 10 n), on the barycentric parameters in the order of `barycentric`.
-        lift: (10 n, N), a theta that has given minimal parameters, eliminated ones zero:
-            S lift = 1, and the model does not change by theta -> lift S theta.
         gravity: The gravity assumed, (3,) [m/s^2], bedplate frame.
         tared: Whether only changes of the bedplate's static wrench count.
     """
 
     model: Model
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    bodies: tuple[int, ...]
-    matrix: Array
-    lift: Array
     gravity: Array
     tared: bool
-    _entries: tuple[Entry, ...]
-    _namer: Namer
+    _tree: Tree
+    _bodies: tuple[Body, ...]
+    _known_zero: NDArray[np.bool_]
+    _candidates: tuple[Entry, ...]
+    _keep: tuple[int, ...]
+
+    @cached_property
+    def _entries(self) -> tuple[Entry, ...]:
+        return tuple(self._candidates[k] for k in self._keep)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One a parameter: mb*2z, K3yy, 2*K3d, ...; stars mark redefined bodies."""
+        return tuple(entry.name for entry in self._entries)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """One a parameter: kg, kg m or kg m^2."""
+        return tuple(entry.unit for entry in self._entries)
+
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """Index of the body each parameter belongs to; -1 for the bedplate."""
+        return tuple(entry.body for entry in self._entries)
+
+    @cached_property
+    def matrix(self) -> Array:
+        """S, (N, 10 n), on the barycentric parameters in the order of `barycentric`."""
+        rows = _rows(self._tree, self._bodies, self._entries, self._known_zero)
+        return readonly(rows, rows.shape, "matrix")
+
+    @cached_property
+    def lift(self) -> Array:
+        """(10 n, N): a theta that has given minimal parameters, eliminated ones zero.
+
+        S lift = 1, and the model does not change by theta -> lift S theta.
+        """
+        lift = dense_directions(self._tree, self._candidates)
+        if self._known_zero.any():
+            rows = _rows(self._tree, self._bodies, self._candidates, self._known_zero)
+            lift = lift @ _coordinates(rows, list(self._keep)).T
+        return readonly(lift, lift.shape, "lift")
+
+    @cached_property
+    def standard_matrix(self) -> Array:
+        """K: delta on the standard parameters in the order of `standard`, (N, 10 n).
+
+        m mx my mz Ixx Ixy Iyy Ixz Iyz Izz a body, about and along its frame.
+        """
+        units = np.eye(self.matrix.shape[1]).reshape(self._tree.n, 10, -1)
+        onto_theta = to_barycentric(self._tree, units).reshape(-1, self.matrix.shape[1])
+        return readonly(self.matrix @ onto_theta, self.matrix.shape, "standard_matrix")
 
     @property
     def count(self) -> int:
         """Number N of minimal parameters."""
-        return len(self.names)
+        return len(self._keep)
 
     @cached_property
     def formulas(self) -> tuple[str, ...]:
@@ -72,7 +120,7 @@ class MinimalSet:
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
-        namer = replace(self._namer, lengths=lengths)
+        namer = self._namer(lengths)
         return tuple(namer.formula(e.name, e.body, e.form) for e in self._entries)
 
     def auxiliary_with(self, lengths: Lengths) -> tuple[str, ...]:
@@ -81,7 +129,7 @@ class MinimalSet:
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
-        namer = replace(self._namer, lengths=lengths)
+        namer = self._namer(lengths)
         wanted = _words(self.formulas_with(lengths)) - set(self.names)
         found: list[str] = []
         for body in range(len(namer.bodies)):
@@ -92,16 +140,9 @@ class MinimalSet:
                     wanted |= _words(found[:1]) - set(self.names)
         return tuple(found)
 
-    @cached_property
-    def standard_matrix(self) -> Array:
-        """K: delta on the standard parameters in the order of `standard`, (N, 10 n).
-
-        m mx my mz Ixx Ixy Iyy Ixz Iyz Izz a body, about and along its frame.
-        """
-        n = self.matrix.shape[1] // 10
-        units = np.eye(10 * n).reshape(n, 10, 10 * n)
-        onto_theta = to_barycentric(self._namer.tree, units).reshape(10 * n, 10 * n)
-        return readonly(self.matrix @ onto_theta, self.matrix.shape, "standard_matrix")
+    def _namer(self, lengths: Lengths) -> Namer:
+        present = present_parameters(self._tree, self._bodies, self._known_zero)
+        return Namer(self._tree, self._bodies, self._known_zero, present, lengths)
 
     def values(self, theta: ArrayLike) -> Array:
         """Delta = S theta, (N,), of barycentric parameters theta, (n, 10)."""
@@ -132,29 +173,14 @@ def minimal_set(
     """
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
-    entries, namer = list_entries(tree, model, g, known_zero, tared)
+    bodies = regroup(tree, model, g)
+    entries = list_entries(tree, bodies, model, g, tared)
     if model == "reaction":
-        shared, _ = list_entries(tree, "dynamic", g, known_zero, tared)
-        entries = dynamic_first(entries, shared)
-    rows = np.array([entry.row for entry in entries]).reshape(len(entries), 10 * tree.n)
-    lift = np.array([entry.direction for entry in entries]).reshape(rows.shape).T
+        entries = dynamic_first(tree, entries, bodies, regroup(tree, "dynamic", g))
+    keep = list(range(len(entries)))
     if known_zero.any():
-        rows[:, known_zero.ravel()] = 0.0
-        keep = independent_rows(rows)
-        lift = lift @ _coordinates(rows, keep).T
-        rows, entries = rows[keep], [entries[k] for k in keep]
-    return MinimalSet(
-        model=model,
-        names=tuple(entry.name for entry in entries),
-        units=tuple(entry.unit for entry in entries),
-        bodies=tuple(entry.body for entry in entries),
-        matrix=readonly(rows, rows.shape, "matrix"),
-        lift=readonly(lift, lift.shape, "lift"),
-        gravity=g,
-        tared=tared,
-        _entries=tuple(entries),
-        _namer=namer,
-    )
+        keep = independent_rows(_rows(tree, bodies, entries, known_zero))
+    return MinimalSet(model, g, tared, tree, bodies, known_zero, tuple(entries), tuple(keep))
 
 
 def selection(dynamic: MinimalSet, reaction: MinimalSet) -> Array:
@@ -206,6 +232,15 @@ def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
         scale = theta[:, columns].max(axis=1, keepdims=True)
         zero[:, columns] = theta[:, columns] <= NO_MATTER * scale
     return zero
+
+
+def _rows(
+    tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry], known_zero: NDArray[np.bool_]
+) -> Array:
+    """Entries on the barycentric parameters, those known to be zero struck out."""
+    rows = dense_rows(tree, bodies, entries)
+    rows[:, known_zero.ravel()] = 0.0
+    return rows
 
 
 def _coordinates(rows: Array, keep: list[int]) -> Array:

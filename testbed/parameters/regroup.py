@@ -10,6 +10,7 @@ Source    [FRS96] eqs. (23), (38) and the redefinitions of Tables 2-5
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,38 +32,43 @@ class Body:
         row: What stays with it.
         passing: What it passes to its carrier, per unit and per component of the offset:
             (4, 10, 10), carrier's ten from own ten, for (1, lx, ly, lz).
-        redefined: Its ten redefined parameters on the 10 n barycentric ones, (10, 10 n).
+        gain: The same with the model's offset, (10, 10).
     """
 
     row: Row
     passing: Array
-    redefined: Array
+    gain: Array
 
 
-def regroup(tree: Tree, model: Model, gravity: Array) -> tuple[tuple[Body, ...], Array]:
-    """Apply the rules from the tips to the base.
+def regroup(tree: Tree, model: Model, gravity: Array) -> tuple[Body, ...]:
+    """Apply the rules to every joint.
 
     Args:
         tree: The robot.
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: In the bedplate frame, (3,) [m/s^2].
-
-    Returns:
-        The bodies, and what has migrated into the bedplate (its ten parameters on the
-        10 n barycentric ones), (10, 10 n).
     """
-    ahead = mobilities(tree, gravity)
-    redefined = np.zeros((tree.n + 1, 10, 10 * tree.n))  # the last one is the bedplate
-    bodies: dict[int, Body] = {}
-    for j in reversed(range(tree.n)):
-        joint = tree.joints[j]
-        redefined[j, range(10), range(10 * j, 10 * j + 10)] += 1.0
-        row = rule(joint, ahead[j], model)
+    bodies = []
+    for joint, ahead in zip(tree.joints, mobilities(tree, gravity), strict=True):
+        row = rule(joint, ahead, model)
         passing = migration(joint, row)
-        weights = np.concatenate([[1.0], joint.offset])
-        redefined[joint.parent] += np.tensordot(weights, passing, 1) @ redefined[j]
-        bodies[j] = Body(row, passing, redefined[j])
-    return tuple(bodies[j] for j in range(tree.n)), redefined[-1]
+        gain = np.tensordot(np.concatenate([[1.0], joint.offset]), passing, 1)
+        bodies.append(Body(row, passing, gain))
+    return tuple(bodies)
+
+
+def redefined_parameters(tree: Tree, bodies: Sequence[Body]) -> Array:
+    """The redefined parameters of every body on the barycentric ones, (n, 10, 10 n).
+
+    From the tips to the base; dense, so its size grows with the square of the number of
+    bodies.
+    """
+    redefined = np.zeros((tree.n, 10, 10 * tree.n))
+    for j in reversed(range(tree.n)):
+        redefined[j, range(10), range(10 * j, 10 * j + 10)] += 1.0
+        if tree.parents[j] >= 0:
+            redefined[tree.parents[j]] += bodies[j].gain @ redefined[j]
+    return redefined
 
 
 def migration(joint: Joint, row: Row) -> Array:

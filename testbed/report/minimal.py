@@ -58,7 +58,8 @@ def print_sets(
     for each in agreements:
         console.print(_said(each), highlight=False, soft_wrap=True)
     console.print(
-        f"{tree.name}: {10 * tree.n} parameters, of which joint torques tell {dynamic.count} "
+        f"{'% ' if as_latex else ''}{tree.name}: {10 * tree.n} parameters, "
+        f"of which joint torques tell {dynamic.count} "
         f"combinations and the {'tared ' if reaction.tared else ''}bedplate {reaction.count}",
         soft_wrap=True,
     )

@@ -9,6 +9,7 @@ Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -113,12 +114,12 @@ class Tree:
         """Number of moving bodies, which is the number of joints."""
         return len(self.joints)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """Joint names; the order of all columns."""
         return tuple(joint.name for joint in self.joints)
 
-    @property
+    @cached_property
     def parents(self) -> tuple[int, ...]:
         """INBODY: index of the body that carries each joint, -1 for the bedplate."""
         return tuple(joint.parent for joint in self.joints)
@@ -147,7 +148,14 @@ class Tree:
 
     def children(self, body: int) -> tuple[int, ...]:
         """Bodies carried directly by `body` (-1: by the bedplate)."""
-        return tuple(j for j, parent in enumerate(self.parents) if parent == body)
+        return self._children.get(body, ())
+
+    @cached_property
+    def _children(self) -> dict[int, tuple[int, ...]]:
+        carried: dict[int, tuple[int, ...]] = {}
+        for j, joint in enumerate(self.joints):
+            carried[joint.parent] = (*carried.get(joint.parent, ()), j)
+        return carried
 
     def chain(self, body: int) -> tuple[int, ...]:
         """The bodies from the bedplate's child up to and including `body`; () for -1."""
