@@ -18,7 +18,6 @@ from testbed.parameters.barycentric import to_barycentric
 from testbed.parameters.entries import dense_rows, static_entries
 from testbed.parameters.minimal_set import known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
-from testbed.parameters.space import row_space
 from testbed.tree.tree import Tree
 
 NEVER, COMBINED, ALONE = 0, 1, 2
@@ -28,6 +27,8 @@ INSTRUMENTS = ("torques", "bedplate", "tared bedplate", "bedplate, pedestal unkn
 the bedplate where the pedestal's mass and moments on the sensor are unknown as well."""
 
 _CLEAR = 1e-9
+"""Part of a unit parameter in, or outside, the row space that counts as none."""
+
 _RANK = 1e-10
 
 
@@ -90,9 +91,13 @@ def _visibility(tree: Tree, instrument: str, rows: Array) -> Visibility:
 
 
 def _seen(rows: Array) -> NDArray[np.int_]:
-    """NEVER, COMBINED or ALONE for every column, from the projector on the row space."""
-    share = np.sum(row_space(rows, _RANK).rows ** 2, axis=0)
-    seen = np.full(rows.shape[1], COMBINED)
-    seen[share <= _CLEAR] = NEVER
-    seen[share >= 1 - _CLEAR] = ALONE
+    """NEVER, COMBINED or ALONE for every column: its parts in the row space and outside."""
+    seen = np.full(rows.shape[1], NEVER)
+    if not rows.any():
+        return seen
+    _, spread, directions = np.linalg.svd(rows)
+    rank = int(np.sum(spread > _RANK * spread[0]))
+    inside, outside = (np.linalg.norm(part, axis=0) for part in np.split(directions, [rank]))
+    seen[inside > _CLEAR] = COMBINED
+    seen[outside <= _CLEAR] = ALONE
     return seen
