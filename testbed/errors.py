@@ -26,8 +26,8 @@ class InertiaError(ModelError):
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
         super().__init__(
-            f"{source}: {'; '.join(flaws)}. Correct the file, or pass --accept-inertia "
-            "(accept_inertia=True) if only the kinematics matter"
+            f"{source}: {'; '.join(flaws)}. Correct the file; where only the kinematics matter, "
+            "`minimal` and `identify` take it with --accept-inertia (accept_inertia=True)"
         )
 
 
@@ -38,7 +38,8 @@ class FreeRootError(ModelError):
         self.joint = joint
         super().__init__(
             f"{source}: joint '{joint}' leaves the root free to float, and a bedplate carries a "
-            "fixed root; pass --weld-root (weld_root=True) to weld it to the bedplate"
+            "fixed root; pass --weld-root (weld_root=True; in an experiment weld_root = true) to "
+            "weld it to the bedplate"
         )
 
 
@@ -55,6 +56,10 @@ class UnknownName(TestbedError):
 
 class RecordingError(TestbedError):
     """A recording that is damaged, incomplete, or of another robot."""
+
+
+class PipelineError(TestbedError):
+    """A treatment of the signals that would spoil them."""
 
 
 class ExperimentError(TestbedError):

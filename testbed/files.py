@@ -11,21 +11,37 @@ from pathlib import Path
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     """A temporary path beside `path`, renamed to it if the block succeeds.
 
+    Args:
+        path: What is to appear; what stands there is replaced only if it is of its kind.
+        folder: Whether it is a folder, else a file.
+
     Yields:
-        A path that does not exist yet, for a file or a folder. If the block fails,
-        whatever it wrote there is removed and `path` is left as it was.
+        A path that does not exist yet. If the block fails, whatever it wrote there is
+        removed and `path` is left as it was.
+
+    Raises:
+        OSError: A folder stands where a file is to appear or the other way round, or
+            the place may not be written to.
     """
+    if path.exists() and path.is_dir() is not folder:
+        raise OSError(f"'{path}' is a {'folder' if path.is_dir() else 'file'}; choose another name")
     path.parent.mkdir(parents=True, exist_ok=True)
-    nest = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    nest = Path(tempfile.mkdtemp(prefix=".testbed-", dir=path.parent))
     try:
-        fresh = nest / path.name
+        fresh = nest / "fresh"
         yield fresh
-        if path.is_dir():
-            path.rename(nest / "old")  # a folder cannot be renamed over a full one
-        fresh.replace(path)
+        if folder and path.exists():  # a folder cannot be renamed over a full one
+            path.rename(nest / "old")
+            try:
+                fresh.rename(path)
+            except OSError:
+                (nest / "old").rename(path)
+                raise
+        else:
+            fresh.replace(path)
     finally:
         shutil.rmtree(nest, ignore_errors=True)
 

@@ -109,7 +109,7 @@ def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
         ("run", gone): "there is no model file",
         ("run", TABLE6, "--set", "motion.duraton=1"): "did you mean 'duration'",
         ("run", TABLE6, *sets("motion.duration=0.5")): "too short",
-        ("run", TABLE6, "--set", "motion.duration=1e12"): "more than the 1e+07",
+        ("run", TABLE6, "--set", "motion.duration=1e12"): "more than the 2e+06",
         ("run", TABLE6, "--out", str(place)): "is no run folder: it holds broken.xml",
         ("run", TABLE6, "--out", toml): "is a file",
         ("minimal", PUMA, "--gravity", "nan", "0", "0"): "three finite numbers",

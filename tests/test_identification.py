@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import joint_forces
-from testbed.errors import RecordingError, UnseenParameters
+from testbed.errors import PipelineError, RecordingError, UnknownName, UnseenParameters
 from testbed.excitation.fourier import Fourier
 from testbed.identification.filters import derivatives, low_pass
 from testbed.identification.identify import Method
@@ -42,6 +42,7 @@ def ideal(tree: tb.Tree, duration: float = 10.0, rate: float = 200.0, seed: int 
         wrench,
         states.qd,
         states.qdd,
+        tare=np.zeros(6),
         truth=truth,
     )
 
@@ -178,7 +179,45 @@ def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
 
 def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
     with pytest.raises(RecordingError, match="too few for a filter at 150 Hz"):
-        tb.identify(puma, ideal(puma), "external", pipeline=tb.Pipeline(cutoff=150.0))
+        tb.identify(puma, ideal(puma), "external", pipeline=tb.Pipeline(None, 150.0))
+
+
+def test_a_filter_that_would_bias_the_estimate_is_refused() -> None:
+    with pytest.raises(PipelineError, match="less than twice"):
+        tb.Pipeline(position_cutoff=6.0, cutoff=5.0)
+    with pytest.raises(PipelineError, match="positive frequency"):
+        tb.Pipeline(cutoff=0.0)
+
+
+def test_an_unknown_method_is_refused(puma: tb.Tree) -> None:
+    with pytest.raises(UnknownName, match="known: external, internal"):
+        tb.identify(puma, ideal(puma), "plate")  # type: ignore[arg-type]
+
+
+def test_a_recording_without_a_tare_takes_the_pedestal_from_the_model(
+    puma: tb.Tree, puma_recording: Recording
+) -> None:
+    told = tb.identify(puma, puma_recording, zeros=True)
+    silent = tb.identify(puma, replace(puma_recording, tare=None), zeros=True)
+    np.testing.assert_allclose(silent.values, told.values, rtol=1e-12)
+    assert any("pedestal" in doubt for doubt in silent.doubts)
+
+
+def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
+    """Recorded on the moon, identified with a model file that says earth."""
+    settings = ["motion.duration=10", "motion.candidates=3", "gravity=[0.0, 0.0, -1.62]"]
+    moon = tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
+    estimate = tb.identify(puma, moon, zeros=True)
+    mass = dict(zip(estimate.names, estimate.values, strict=True))["mbar1"]
+    assert mass == pytest.approx(20.0, rel=1e-3)
+
+
+def test_rotor_inertia_is_a_doubt_of_the_internal_estimate(
+    puma: tb.Tree, puma_recording: Recording
+) -> None:
+    geared = replace(puma, joints=tuple(replace(j, rotor_inertia=1.0) for j in puma.joints))
+    doubts = tb.identify(geared, puma_recording, "internal", zeros=True).doubts
+    assert sum("rotor inertia" in doubt for doubt in doubts) == 3
 
 
 def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:

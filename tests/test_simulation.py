@@ -11,8 +11,9 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
+from testbed.simulation.plant import Scene
 from testbed.simulation.run import Run, Sampling, simulate_motion
-from testbed.simulation.scene import Scene, build_scene
+from testbed.simulation.scene import build_scene
 from tests.conftest import ROOT
 from tests.robots import random_robot
 

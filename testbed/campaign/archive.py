@@ -37,8 +37,9 @@ def check_folder(folder: Path) -> None:
         ExperimentError: Something else is there.
     """
     if folder.is_dir():
-        others = sorted(p.name for p in folder.iterdir() if p.name not in FILES)
-        if others:
+        present = {p.name for p in folder.iterdir()}
+        others = sorted(present - set(FILES)) or sorted(present)
+        if present and present != set(FILES):
             raise ExperimentError(
                 f"'{folder}' is no run folder: it holds {', '.join(others[:3])}"
                 f"{' ...' if len(others) > 3 else ''}; name another with --out"
@@ -54,7 +55,7 @@ def write_run(outcome: Outcome, folder: Path) -> None:
         ExperimentError: Something that is no run is there.
     """
     check_folder(folder)
-    with replacing(folder) as fresh:
+    with replacing(folder, folder=True) as fresh:
         fresh.mkdir()
         (fresh / "experiment.toml").write_text(outcome.experiment.as_toml(), encoding="utf-8")
         outcome.recording.save(fresh / "recording.parquet")

@@ -30,8 +30,11 @@ from testbed.tree.tree import Tree
 
 Progress = Callable[[int, int], None]
 
-MOST_SAMPLES = 1e7
+MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
+
+MOST_STEPS = 10_000
+"""Most simulation steps a sample: a thousand samples are held in full."""
 
 _QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
@@ -95,7 +98,7 @@ def carry_out(experiment: Experiment, progress: Progress = lambda done, total: N
         external=external,
         internal=internal,
         comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
-        doubts=(*tree.doubts, *recording.facts["doubts"], *external.doubts, *internal.doubts),
+        doubts=tuple(dict.fromkeys((*tree.doubts, *external.doubts, *internal.doubts))),
     )
 
 
@@ -160,6 +163,15 @@ def _sampling(experiment: Experiment) -> Sampling:
             f"1 / measurement.rate = {1 / table.rate:g} s"
         )
     samples = table.rate * (experiment.motion.duration + plant.warm_up)
+    if steps > MOST_STEPS:
+        raise ExperimentError(
+            f"simulation.step = {plant.step:g} s makes {steps} steps a sample, more than "
+            f"{MOST_STEPS}; choose a larger step"
+        )
+    if table.rate * experiment.motion.duration < 2:
+        raise ExperimentError(
+            f"motion.duration = {experiment.motion.duration:g} s is too short for two samples"
+        )
     if samples > MOST_SAMPLES:
         raise ExperimentError(
             f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
@@ -178,6 +190,7 @@ def _facts(experiment: Experiment, tree: Tree, run: Run) -> dict[str, Any]:
     return {
         "robot": tree.name,
         "geometry": geometry(tree),
+        "gravity": tree.gravity.tolist(),
         "model_sha256": fingerprint(Path(experiment.model)),
         "seed": experiment.seed,
         "versions": versions(),

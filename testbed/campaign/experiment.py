@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from testbed.errors import ExperimentError, UnknownName
 
@@ -48,9 +48,9 @@ class MotionTable(_Table):
     """Of the recording [s]."""
     fundamental: Positive = 0.1
     """Frequency at which the motion repeats [Hz]."""
-    harmonics: Annotated[int, Field(ge=1)] = 5
+    harmonics: Annotated[int, Field(ge=1, le=100)] = 5
     """Number of harmonics."""
-    candidates: Annotated[int, Field(ge=1)] = 40
+    candidates: Annotated[int, Field(ge=1, le=10_000)] = 40
     """Random motions drawn; the one that promises the smallest sigma is run."""
     max_velocity: dict[str, Positive] = {}
     """By joint, besides the model file's limits [rad/s or m/s]."""
@@ -113,6 +113,12 @@ class Bound(_Table):
     at_most: Finite | None = None
     at_least: Finite | None = None
 
+    @model_validator(mode="after")
+    def _bounds_something(self) -> Bound:
+        if self.at_most is None and self.at_least is None:
+            raise ValueError("a claim needs at_most or at_least")
+        return self
+
     def holds(self, value: float) -> bool:
         """Whether `value` is within the bound; a value that is not a number never is."""
         low = -math.inf if self.at_least is None else self.at_least
@@ -165,7 +171,7 @@ class Experiment(_Table):
             content = tomllib.loads(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise ExperimentError(f"there is no experiment file '{path}'") from None
-        except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        except (OSError, ValueError) as error:
             raise ExperimentError(f"{path}: not a readable TOML file: {error}") from None
         for setting in settings:
             _override(content, setting)
@@ -173,6 +179,8 @@ class Experiment(_Table):
             experiment = Experiment.model_validate(content)
         except ValidationError as error:
             raise ExperimentError(f"{path}: {_complaints(error)}") from None
+        if "\0" in experiment.model:
+            raise ExperimentError(f"{path}: model is not a file name")
         return experiment.model_copy(
             update={"model": str((path.parent / experiment.model).resolve())}
         )

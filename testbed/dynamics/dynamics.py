@@ -106,6 +106,8 @@ def _evaluate(
     tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None
 ) -> tuple[Array, Array]:
     """Joint forces (M, n, p) and base wrench (M, 6, p) of parameters (n, 10, p)."""
+    if motion.q.shape[1] != tree.n:
+        raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
     g = tree.gravity_or(gravity)
     p = theta.shape[-1]
     joints, base = np.empty((motion.samples, tree.n, p)), np.empty((motion.samples, 6, p))

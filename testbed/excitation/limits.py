@@ -10,6 +10,7 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.dynamics.dynamics import joint_forces
 from testbed.dynamics.motion import Motion
+from testbed.errors import InfeasibleMotion
 from testbed.tree.tree import Joint, Tree
 
 CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
@@ -54,6 +55,7 @@ def limits_of(
 
     Raises:
         UnknownName: A limit is given for a joint that the robot lacks.
+        InfeasibleMotion: A joint has no room to move.
     """
     velocity, acceleration = velocity or {}, acceleration or {}
     for name in (*velocity, *acceleration):
@@ -64,6 +66,9 @@ def limits_of(
         return known if np.isfinite(known) else CALM[joint.kind][1]
 
     ranges = np.array([_range(joint) for joint in tree.joints])
+    for joint, (low, high) in zip(tree.joints, ranges, strict=True):
+        if low == high:
+            raise InfeasibleMotion(f"joint '{joint.name}' has no room to move: {low:g} to {high:g}")
     return Limits(
         low=ranges[:, 0],
         high=ranges[:, 1],

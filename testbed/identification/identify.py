@@ -6,13 +6,15 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
+from testbed.dynamics.dynamics import pedestal_wrench
+from testbed.errors import RecordingError, UnknownName
 from testbed.identification.covariance import hac_covariance
 from testbed.identification.prepare import (
     Equations,
@@ -92,22 +94,49 @@ def identify(
         method: "external": six reaction rows a sample, no friction columns. "internal":
             a row a joint, with Coulomb and viscous columns.
         zeros: Take barycentric parameters that are zero in the model file as known.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
+            the model file's.
         pipeline: How the signals are treated; default `Pipeline()`.
 
     Raises:
         RecordingError: The recording is of another robot, or too short.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
+    if method not in ("external", "internal"):
+        raise UnknownName("method", method, ("external", "internal"))
     pipeline = pipeline or Pipeline()
+    gravity = recording.facts.get("gravity") if gravity is None else gravity
     model: Model = "reaction" if method == "external" else "dynamic"
     minimal = minimal_set(tree, model, gravity, zeros)
     geometry, data = tree.unweighed(), recording.blind().ordered(tree)
+    doubts = list(recording.facts.get("doubts", ()))
+    if data.tare is None:
+        data = replace(data, tare=pedestal_wrench(geometry, gravity))
+        if method == "external" and data.tare is not None and data.tare.any():
+            doubts.append(
+                "the recording does not say what of the wrench is the pedestal's; the model's "
+                f"pedestal is taken off (Fz {data.tare[2]:.4g} N)"
+            )
+    if method == "internal":
+        doubts += _rotors(tree)
     build = external_equations if method == "external" else internal_equations
     equations = build(geometry, data, minimal, pipeline)
     solution = solve(equations)
     covariance = hac_covariance(equations, solution)
-    return _estimate(method, geometry, minimal, equations, solution, covariance)
+    if not np.isfinite(covariance).all():
+        raise RecordingError("the recording holds numbers too large to compute with")
+    estimate = _estimate(method, geometry, minimal, equations, solution, covariance)
+    return replace(estimate, doubts=(*doubts, *estimate.doubts))
+
+
+def _rotors(tree: Tree) -> list[str]:
+    """Joints whose drive has inertia of its own, which joint torques contain."""
+    return [
+        f"joint '{joint.name}' has a rotor inertia of {joint.rotor_inertia:g} kg m^2 or kg at the "
+        "joint, which the internal estimate takes for the robot's"
+        for joint in tree.joints
+        if joint.rotor_inertia
+    ]
 
 
 def _estimate(
@@ -163,7 +192,7 @@ def _doubts(
     loose = [
         f"{name} ({value:.3g} +- {s:.2g})"
         for name, value, s in zip(equations.unknowns, solution.values, sigma, strict=True)
-        if s > SIGNIFICANT * abs(value)
+        if s > SIGNIFICANT * abs(value) and not name.startswith(("coulomb/", "viscous/"))
     ]
     if loose:
         doubts.append(f"the {method} estimate leaves poorly determined: {', '.join(loose)}")

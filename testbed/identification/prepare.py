@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import regressor
 from testbed.dynamics.motion import Motion
-from testbed.errors import RecordingError
+from testbed.errors import PipelineError, RecordingError
 from testbed.identification.filters import STENCIL, derivatives, low_pass, settling
 from testbed.measurement.recording import AXES, Recording
 from testbed.parameters.minimal_set import MinimalSet
@@ -39,6 +39,20 @@ class Pipeline:
     position_cutoff: float | None = 40.0
     cutoff: float | None = 5.0
     deadband: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in ("position_cutoff", "cutoff"):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, int | float) and 0 < value < np.inf):
+                raise PipelineError(f"{name} is a positive frequency [Hz] or None, found {value}")
+        if not 0 <= self.deadband < np.inf:
+            raise PipelineError(f"deadband is a speed, found {self.deadband}")
+        slow, fast = self.cutoff, self.position_cutoff
+        if slow is not None and fast is not None and fast < 2 * slow:
+            raise PipelineError(
+                f"position_cutoff = {fast:g} Hz is less than twice cutoff = {slow:g} Hz: what it "
+                "takes from the motion would bias the estimate"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +90,9 @@ class Equations:
 def motion_of(recording: Recording, pipeline: Pipeline) -> Motion:
     """The motion that the encoders show, or that the instrument senses."""
     t, q = recording.time, recording.position
-    if recording.velocity is not None and recording.acceleration is not None:
+    if recording.senses_kinematics:
+        assert recording.velocity is not None
+        assert recording.acceleration is not None
         return Motion(t, q, recording.velocity, recording.acceleration)
     if pipeline.position_cutoff is not None:
         q = low_pass(q, recording.rate, pipeline.position_cutoff)
@@ -90,10 +106,11 @@ def external_equations(
 
     Args:
         tree: The robot's geometry.
-        recording: Joint columns in the order of `tree.names`.
+        recording: Joint columns in the order of `tree.names`, with a tare.
         minimal: delta_r.
         pipeline: How to treat the signals.
     """
+    assert recording.tare is not None
     keep, rate = _kept_rows(recording, pipeline)
     phi = _filtered(regressor(tree, motion_of(recording, pipeline), minimal), recording, pipeline)
     wrench = _filtered(recording.wrench - recording.tare, recording, pipeline)
@@ -145,7 +162,7 @@ def _kept_rows(recording: Recording, pipeline: Pipeline) -> tuple[slice, float]:
     Raises:
         RecordingError: The recording is too short, or sampled too slowly.
     """
-    rate, sensed = recording.rate, recording.velocity is not None
+    rate, sensed = recording.rate, recording.senses_kinematics
     cutoffs = [c for c in (pipeline.cutoff, None if sensed else pipeline.position_cutoff) if c]
     fast = [cutoff for cutoff in cutoffs if cutoff >= rate / 2]
     if fast:

@@ -33,7 +33,8 @@ def write(recording: Recording, path: Path) -> None:
     columns = channels(recording) | _truth_columns(recording)
     geometry = recording.facts.get("geometry", {})
     fields = [pa.field(k, pa.float64(), metadata={"unit": _unit(k, geometry)}) for k in columns]
-    about = {"format": FORMAT, "tare": recording.tare.tolist(), "facts": dict(recording.facts)}
+    tare = None if recording.tare is None else recording.tare.tolist()
+    about = {"format": FORMAT, "tare": tare, "facts": dict(recording.facts)}
     schema = pa.schema(fields, metadata={"testbed": json.dumps(about, sort_keys=True)})
     table = pa.table([pa.array(values) for values in columns.values()], schema=schema)
     pq.write_table(
@@ -58,15 +59,40 @@ def read(path: Path) -> Recording:
     try:
         file = pq.ParquetFile(path, pre_buffer=False)
         schema = file.schema_arrow
-        about = json.loads((schema.metadata or {}).get(b"testbed", b"{}"))
+        about = _checked(json.loads((schema.metadata or {}).get(b"testbed", b"{}")))
         names = _joint_names(schema.names, path)
         wanted = [name for name in schema.names if _group(name) in _KNOWN]
         table = file.read(columns=wanted)
         columns = {name: table[name].to_numpy().astype(np.float64) for name in wanted}
-    except (pa.ArrowException, OSError, ValueError, TypeError) as error:
+    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError) as error:
         reason = " ".join(str(error).split())
         raise RecordingError(f"{path}: not a readable Parquet recording: {reason}") from None
     return _assemble(names, columns, about, path)
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether the file begins as Parquet files do."""
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PAR1"
+
+
+def _checked(about: Any) -> dict[str, Any]:
+    """The file's own metadata, of the layout this version knows.
+
+    Raises:
+        ValueError: They are of another layout.
+    """
+    if not isinstance(about, dict) or about.get("format", FORMAT) != FORMAT:
+        raise ValueError(f"its metadata are not of the layout '{FORMAT}'")
+    tare, facts = about.get("tare"), about.get("facts", {})
+    numbers = isinstance(tare, list) and len(tare) == 6
+    if tare is not None and not (numbers and all(isinstance(x, int | float) for x in tare)):
+        raise ValueError("its 'tare' is not six numbers")
+    if not isinstance(facts, dict) or not isinstance(facts.get("geometry", {}), dict):
+        raise ValueError("its 'facts' are not a table")
+    if not all(isinstance(joint, dict) for joint in facts.get("geometry", {}).values()):
+        raise ValueError("its 'geometry' is not a table by joint")
+    return about
 
 
 _TRUE = ("position", "velocity", "acceleration", "torque", "friction")
@@ -96,7 +122,7 @@ def _assemble(
         wrench=_present(group("wrench", AXES, True)),
         velocity=group("velocity", names, False),
         acceleration=group("acceleration", names, False),
-        tare=np.array(about.get("tare", np.zeros(6))),
+        tare=None if about.get("tare") is None else np.array(about["tare"], dtype=float),
         truth=Truth(**whole) if len(whole) == len(true) else None,
         facts=about.get("facts", {}),
     )
@@ -134,7 +160,7 @@ def _truth_columns(recording: Recording) -> dict[str, Array]:
 
 def _unit(column: str, geometry: dict[str, Any]) -> str:
     *_, group, member = ("", *column.removeprefix("truth/").split("/", 1))
-    if member == "time":
+    if column == "time":
         return "s"
     if group == "wrench":
         return "N" if member.startswith("F") else "N m"

@@ -62,7 +62,8 @@ class Recording:
         wrench: The plate, (M, 6) [N, N m]; contains `tare`.
         velocity: Where the instrument senses it, (M, n) [rad/s or m/s].
         acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
-        tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m].
+        tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m];
+            None if the recording does not say: the model's pedestal is then assumed.
         truth: What really happened, where a simulation made the recording.
         facts: What is known about the run: robot, model hash, seed, versions.
     """
@@ -74,7 +75,7 @@ class Recording:
     wrench: Array
     velocity: Array | None = None
     acceleration: Array | None = None
-    tare: Array = field(default_factory=lambda: np.zeros(6))
+    tare: Array | None = None
     truth: Truth | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
@@ -91,6 +92,11 @@ class Recording:
     def samples(self) -> int:
         """Number M of samples."""
         return len(self.time)
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+        return self.velocity is not None and self.acceleration is not None
 
     @property
     def rate(self) -> float:
@@ -123,9 +129,15 @@ class Recording:
         )
 
     def save(self, path: str | Path) -> None:
-        """Write to a Parquet file, whole or not at all."""
-        from testbed.measurement.parquet import write
+        """Write to a Parquet file, whole or not at all.
 
+        Raises:
+            RecordingError: Something that is no Parquet file is there.
+        """
+        from testbed.measurement.parquet import is_parquet, write
+
+        if Path(path).is_file() and not is_parquet(Path(path)):
+            raise RecordingError(f"'{path}' is there and is no recording; choose another name")
         with replacing(Path(path)) as fresh:
             write(self, fresh)
 
@@ -165,12 +177,12 @@ def check_robot(recording: Recording, tree: Tree) -> None:
     Raises:
         RecordingError: It is not.
     """
-    if set(recording.names) != set(tree.names):
+    if sorted(recording.names) != sorted(tree.names):
         raise RecordingError(
             f"the recording is of another robot: it has the joints {', '.join(recording.names)}, "
             f"the model has {', '.join(tree.names)}"
         )
-    known = recording.facts.get("geometry", {})
+    known: Mapping[str, Any] = recording.facts.get("geometry", {})
     for name, here in geometry(tree).items():
         for what, value in here.items():
             there = known.get(name, {}).get(what, value)
@@ -204,9 +216,12 @@ def check(recording: Recording, source: str) -> None:
                 "cut them out or repair the recording"
             )
     steps = np.diff(recording.time)
+    if steps.min() <= 0:
+        k = int(np.argmin(steps))
+        raise RecordingError(f"{source}: time does not increase after sample {k}")
     typical = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - typical)))
-    if typical <= 0 or abs(steps[worst] - typical) > 0.01 * typical:
+    if abs(steps[worst] - typical) > 0.01 * typical:
         raise RecordingError(
             f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample {worst}, "
             f"{typical:.6g} s elsewhere; resample the recording to a constant rate"

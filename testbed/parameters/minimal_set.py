@@ -171,6 +171,8 @@ def minimal_set(
         tared: The bedplate's static wrench in one posture has been taken off, so that
             only changes of it count.
     """
+    if model not in ("dynamic", "reaction"):
+        raise UnknownName("model", model, ("dynamic", "reaction"))
     g = tree.gravity_or(gravity)
     known_zero = known_zeros(tree, zeros)
     bodies = regroup(tree, model, g)

@@ -19,7 +19,7 @@ from testbed.errors import TestbedError
 from testbed.excitation.fourier import Fourier
 from testbed.measurement.recording import Truth
 from testbed.simulation.drive import Drive, drive_along
-from testbed.simulation.scene import Scene
+from testbed.simulation.plant import Scene
 from testbed.tree.tree import Tree
 
 _STATE = ("qpos", "qvel")

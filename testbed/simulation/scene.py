@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import warnings
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -23,46 +22,15 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
+from testbed.simulation.plant import Scene, check_scene
 from testbed.tree.load import model_format
-from testbed.tree.mjcf import compile_spec, open_spec
-from testbed.tree.quiet import silenced
+from testbed.tree.mjcf import compile_spec, open_spec, quiet
 from testbed.tree.tree import Tree
 from testbed.tree.urdf import supported_xml
 
 _PLATE = "testbed/bedplate"
+_PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
 _TINY = 1e-12  # mass given to bodies without matter, which MuJoCo refuses [kg]
-
-
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """A compiled model with what is needed to drive it and to read its plate.
-
-    Attributes:
-        model: The MuJoCo model.
-        order: For each joint of the tree, its index among MuJoCo's velocities, (n,).
-        positions: Where its position stands among the sensor data, (n,).
-        velocities: Likewise its velocity, (n,).
-        plate: Where the plate's force and moment stand among the sensor data, (6,).
-        plate_turn: Rotation from the sensor's axes to the bedplate's, (3, 3).
-        plate_origin: The sensor's origin in the bedplate frame, (3,) [m].
-        tare: Static wrench of what stands on the plate without moving, (6,) [N, N m],
-            bedplate axes, about O^0.
-    """
-
-    model: mujoco.MjModel
-    order: Array
-    positions: Array
-    velocities: Array
-    plate: Array
-    plate_turn: Array
-    plate_origin: Array
-    tare: Array
-
-    def bedplate_wrench(self, sensed: Array) -> Array:
-        """From the sensor's axes and origin to the bedplate's, (..., 6) [N, N m]."""
-        force = sensed[..., :3] @ self.plate_turn.T
-        moment = sensed[..., 3:] @ self.plate_turn.T + np.cross(self.plate_origin, force)
-        return np.concatenate([force, moment], axis=-1)
 
 
 def build_scene(
@@ -90,13 +58,15 @@ def build_scene(
         spec.delete(actuator)
     for key in list(spec.keys):
         spec.delete(key)
-    with warnings.catch_warnings(), silenced():
+    prefix = ""
+    with warnings.catch_warnings(), quiet():
         warnings.simplefilter("ignore", UserWarning)  # attaching overrides timestep and camera
         if _plate_of(compile_spec(spec, path)) is None:
-            spec = _on_plate(spec)
-        _equip(spec, tree, step, friction)
-        model = compile_spec(spec, path)
-    return _scene_of(model, tree, path)
+            spec, prefix = _on_plate(spec), _PREFIX
+        _equip(spec, tree, step, friction, prefix)
+        scene = _scene_of(compile_spec(spec, path), tree, path, prefix)
+        check_scene(scene, tree if friction else tree.frictionless(), path)
+    return scene
 
 
 def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
@@ -108,7 +78,7 @@ def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
             root.remove(extension)
         options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
         ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
-        with silenced():
+        with quiet():
             try:
                 spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
             except ValueError as error:
@@ -122,7 +92,7 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
     site = spec.worldbody.add_body(name=_PLATE).add_site(name=_PLATE)
-    spec.attach(robot, site=site, prefix="")
+    spec.attach(robot, site=site, prefix=_PREFIX)
     for name, kind in (
         ("force", mujoco.mjtSensor.mjSENS_FORCE),
         ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
@@ -132,20 +102,27 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool) -> None:
+def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool, prefix: str) -> None:
     """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
     option = spec.option
     option.timestep, option.gravity = step, tree.gravity
     option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     option.tolerance, option.iterations = 1e-14, 50
-    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for k, joint in enumerate(spec.joints):
-        joint.name = joint.name or tree.names[k]
+    off = mujoco.mjtDisableBit  # a state that blew up must stay so, to be seen
+    option.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_AUTORESET)
+    option.enableflags = 0
+    for joint in spec.joints:
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the drive limits itself
+        known = tree.joints[tree.index(joint.name.removeprefix(prefix))]
+        if not known.coulomb:
+            joint.frictionloss = 0.0
+        if not known.viscous:
+            joint.damping = np.zeros_like(joint.damping)
         joint.solref_friction = [2 * step, 1]
         joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2]
         if not friction:
             joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
-    for name in tree.names:
+    for name in (prefix + name for name in tree.names):
         motor = spec.add_actuator(name=f"testbed/{name}", target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
@@ -153,7 +130,7 @@ def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool) -> None
             spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
 
 
-def _scene_of(model: mujoco.MjModel, tree: Tree, path: Path) -> Scene:
+def _scene_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Scene:
     plate = _plate_of(model)
     if plate is None:
         raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled the model")
@@ -163,12 +140,12 @@ def _scene_of(model: mujoco.MjModel, tree: Tree, path: Path) -> Scene:
     site = int(model.sensor_objid[force])
 
     def sensors(kind: mujoco.mjtSensor) -> Array:
-        found = [model.sensor(f"testbed/{kind.name}/{name}").adr[0] for name in tree.names]
+        found = [model.sensor(f"testbed/{kind.name}/{prefix}{n}").adr[0] for n in tree.names]
         return np.array(found)
 
     return Scene(
         model=model,
-        order=np.array([model.joint(name).dofadr[0] for name in tree.names]),
+        order=np.array([model.joint(prefix + name).dofadr[0] for name in tree.names]),
         positions=sensors(mujoco.mjtSensor.mjSENS_JOINTPOS),
         velocities=sensors(mujoco.mjtSensor.mjSENS_JOINTVEL),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in (force, torque)]),

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from testbed.errors import ModelError
+from testbed.tree.check import check_tree
 from testbed.tree.tree import Tree
 
 
@@ -20,7 +21,7 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
         raise ModelError(f"there is no model file '{path}'")
     try:
         root = ET.parse(path).getroot()
-    except ET.ParseError as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
         raise ModelError(f"{path}: not well-formed XML ({error})") from None
     if root.tag == "mujoco":
         return "mjcf"
@@ -34,7 +35,8 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
 def load_tree(path: str | Path, *, weld_root: bool = False, accept_inertia: bool = False) -> Tree:
     """Read a robot from MJCF or URDF.
 
-    Joints are revolute or prismatic; fixed ones are merged; meshes never matter.
+    Joints are revolute or prismatic; fixed ones are merged. Meshes do not matter, unless
+    an MJCF body takes its inertia from one.
 
     Args:
         path: The model file.
@@ -52,6 +54,5 @@ def load_tree(path: str | Path, *, weld_root: bool = False, accept_inertia: bool
     else:
         from testbed.tree.urdf import read_urdf as read
     tree = read(path, weld_root=weld_root, accept_inertia=accept_inertia)
-    if tree.n == 0:
-        raise ModelError(f"{path}: the robot has no joint that moves")
+    check_tree(tree, path)
     return tree

@@ -7,6 +7,8 @@ inertia makes them irrelevant.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,11 +39,13 @@ def open_spec(path: Path, *, weld_root: bool = False) -> mujoco.MjSpec:
         ModelError: The file is not MJCF, or holds what is not supported.
         FreeRootError: The root floats and `weld_root` is not set.
     """
-    with silenced():
+    with quiet():
         try:
             spec = mujoco.MjSpec.from_file(str(path))
         except Exception as error:  # MuJoCo raises ValueError and its own FatalError
             raise ModelError(f"{path}: not a valid MJCF: {_one_line(error)}") from None
+    _name_everything(spec)
+    spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
     for equality in spec.equalities:
         raise ModelError(
             f"{path}: equality constraint '{equality.name}' between '{equality.name1}' and "
@@ -67,7 +71,7 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     Raises:
         ModelError: MuJoCo refuses the model.
     """
-    with silenced():
+    with quiet():
         try:
             return spec.compile()
         except Exception as error:
@@ -100,6 +104,10 @@ def read_mjcf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
         raise InertiaError(path.name, flaws)
     spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
     model = compile_spec(spec, path)
+    for k in range(model.nnumeric):
+        name = model.numeric(k).name
+        if name.startswith(_VELOCITY_LIMIT) and not _is_joint(model, name):
+            raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
     return _tree_of(model, stated, tuple(flaws) + _springs(model))
 
 
@@ -115,22 +123,56 @@ def _stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, _Stated]
     """Flaws, and the explicit inertias by body name; flawed ones are replaced in `spec`."""
     flaws: list[str] = []
     stated: dict[str, _Stated] = {}
-    from_geoms = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    compiler = spec.compiler
+    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if from_geoms or compiler.settotalmass > 0 or compiler.balanceinertia:
+        return flaws, stated  # what counts is what the compiler makes of the file
     for body in spec.bodies:
-        if not body.explicitinertial or spec.compiler.inertiafromgeom == from_geoms:
+        if not body.explicitinertial:
             continue
         xx, yy, zz, xy, xz, yz = body.fullinertia
         full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         given_in_full = not np.isnan(xx)
         found = flaw(body.name, body.mass, full if given_in_full else np.diag(body.inertia))
+        if not np.isfinite(body.ipos).all():
+            found = f"link '{body.name}' has a mass centre that is not a number"
+            body.ipos = np.zeros(3)
         stated[body.name] = _Stated(body.mass, full if given_in_full else None)
         if found:
             flaws.append(found)
             tensor = full if given_in_full else np.diag(body.inertia)
             finite = np.isfinite(body.mass) and np.isfinite(tensor).all()
-            stated[body.name] = _Stated(body.mass, tensor) if finite else _Stated(0.0, 0 * full)
+            stated[body.name] = (
+                _Stated(body.mass, tensor) if finite else _Stated(0.0, np.zeros((3, 3)))
+            )
             body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
     return flaws, stated
+
+
+def _name_everything(spec: mujoco.MjSpec) -> None:
+    """Names are optional in MJCF, and everything here is told apart by name."""
+    taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
+    for k, body in enumerate(spec.bodies):
+        if not body.name:
+            body.name = next(n for i in range(len(taken) + 1) if (n := f"body{k + i}") not in taken)
+            taken.add(body.name)
+    for k, joint in enumerate(spec.joints):
+        if not joint.name:
+            near = f"{joint.parent.name}_joint"
+            joint.name = near if near not in taken else f"{near}{k}"
+            taken.add(joint.name)
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        with silenced():
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
 
 
 def _springs(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -166,7 +208,7 @@ def _tree_of(model: mujoco.MjModel, stated: dict[str, _Stated], doubts: tuple[st
         joints=tuple(joints),
         inertias=tuple(inertias),
         pedestal=pedestal,
-        gravity=model.opt.gravity,
+        gravity=np.zeros(3) if _disabled(model, "GRAVITY") else model.opt.gravity,
         doubts=doubts,
     )
 
@@ -178,7 +220,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     position `qpos0` that the file's posture has.
     """
     body = model.body(model.jnt_bodyid[j]).name
-    name = model.joint(j).name or f"{body or 'body'}_joint{j}"
+    name = model.joint(j).name
     axis, zero = model.jnt_axis[j], model.qpos0[model.jnt_qposadr[j]]
     attachment = position + rotation @ model.jnt_pos[j]
     kind = _KINDS[int(model.jnt_type[j])]
@@ -188,25 +230,35 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
         attachment = attachment - rotation @ axis * zero
     dof = model.jnt_dofadr[j]
     bounded, capped = model.jnt_limited[j], model.jnt_actfrclimited[j]
-    limit = [numeric for numeric in (_VELOCITY_LIMIT + name,) if _has_numeric(model, numeric)]
+    limit = _VELOCITY_LIMIT + name
+    dry, wet = (not _disabled(model, flag) for flag in ("FRICTIONLOSS", "DAMPER"))
     return Joint(
         name=name,
-        body=body or name,
+        body=body,
         kind=kind,
         parent=owner,
         axis=axis,
         offset=attachment,
         rotation=rotation,
         position_range=model.jnt_range[j] if bounded else np.array([-np.inf, np.inf]),
-        max_velocity=float(model.numeric(limit[0]).data[0]) if limit else np.inf,
-        max_effort=float(model.jnt_actfrcrange[j, 1]) if capped else np.inf,
-        coulomb=float(model.dof_frictionloss[dof]),
-        viscous=float(np.ravel(model.dof_damping[dof])[0]),
+        max_velocity=float(model.numeric(limit).data[0]) if _has(model, limit) else np.inf,
+        max_effort=float(np.abs(model.jnt_actfrcrange[j]).min()) if capped else np.inf,
+        coulomb=float(model.dof_frictionloss[dof]) if dry else 0.0,
+        viscous=float(np.ravel(model.dof_damping[dof])[0]) if wet else 0.0,
         rotor_inertia=float(model.dof_armature[dof]),
     )
 
 
-def _has_numeric(model: mujoco.MjModel, name: str) -> bool:
+def _is_joint(model: mujoco.MjModel, numeric: str) -> bool:
+    joint = numeric.removeprefix(_VELOCITY_LIMIT)
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)) >= 0
+
+
+def _disabled(model: mujoco.MjModel, flag: str) -> bool:
+    return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
+
+
+def _has(model: mujoco.MjModel, name: str) -> bool:
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)) >= 0
 
 

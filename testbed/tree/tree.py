@@ -22,6 +22,10 @@ from testbed.tree.inertia import NOTHING, Inertia
 Kind = Literal["revolute", "prismatic"]
 
 
+WEAKEST, STRONGEST = 1e-6, 1e4
+"""Magnitudes of gravity that are not a mistake [m/s^2]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
     """One joint of one degree of freedom, and how its body sits on the carrying body.
@@ -140,10 +144,16 @@ class Tree:
             ModelError: It is not three finite numbers.
         """
         if gravity is None:
-            return self.gravity
+            gravity = self.gravity
         vector = np.asarray(gravity, dtype=np.float64)
         if vector.shape != (3,) or not np.isfinite(vector).all():
             raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity}")
+        size = float(np.linalg.norm(vector / 1e3)) * 1e3
+        if vector.any() and not WEAKEST <= size <= STRONGEST:
+            raise ModelError(
+                f"gravity of {size:.3g} m/s^2 is outside {WEAKEST:g} ... {STRONGEST:g}; "
+                "0 0 0 is weightlessness"
+            )
         return readonly(vector, (3,), "gravity")
 
     def children(self, body: int) -> tuple[int, ...]:

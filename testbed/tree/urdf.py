@@ -57,7 +57,7 @@ def supported_xml(path: Path, *, weld_root: bool = False) -> ET.Element:
     """
     try:
         root = ET.parse(path).getroot()
-    except ET.ParseError as error:
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
         raise ModelError(f"{path}: not well-formed XML ({error})") from None
     for link in root.findall("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
@@ -121,7 +121,12 @@ def _link_flaw(link: ET.Element, path: Path) -> str | None:
     except ValueError as error:
         raise ModelError(f"{path}: the inertial of link '{name}': {error}") from None
     found = flaw(name, m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
-    if not np.isfinite([m, xx, xy, xz, yy, yz, zz]).all():
+    origin = inertial.find("origin")
+    place = " ".join([] if origin is None else [origin.get("xyz", ""), origin.get("rpy", "")])
+    if any(word.lower().strip("+-") in ("nan", "inf", "infinity") for word in place.split()):
+        found = f"link '{name}' has a mass centre or inertia frame that is not a number"
+        link.remove(inertial)
+    elif not np.isfinite([m, xx, xy, xz, yy, yz, zz]).all():
         link.remove(inertial)
     return found
 
@@ -149,6 +154,7 @@ def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
     v, q = model.idx_vs[j], model.idx_qs[j]
     bounded = model.joints[j].nq == 1  # a continuous joint is kept as a point of the circle
     limits = (model.lowerPositionLimit[q], model.upperPositionLimit[q])
+    bounded = bounded and limits != (0.0, 0.0)  # in URDF a limit of zero means none is known
     placement = model.jointPlacements[j]
     return Joint(
         name=model.names[j],
