@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -40,7 +42,17 @@ _Accept = Annotated[
 _Zeros = Annotated[
     bool, typer.Option("--zeros", help="Parameters that are zero in the model file are known.")
 ]
+_Gravity = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(help="Gravity vector [m/s^2]; default the recording's or the model file's."),
+]
 _Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
+
+
+class _Method(StrEnum):
+    external = "external"
+    internal = "internal"
+    both = "both"
 
 
 @app.command()
@@ -96,11 +108,14 @@ def simulate(
 def identify(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
     model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    method: Annotated[_Method, typer.Option(help="Which estimates to make.")] = _Method.both,
     zeros: _Zeros = False,
+    gravity: _Gravity = None,
     weld_root: _Weld = False,
     accept_inertia: _Accept = False,
-    position_cutoff: Annotated[float, typer.Option(help="Low-pass on encoders [Hz].")] = 40.0,
-    cutoff: Annotated[float, typer.Option(help="Parallel low-pass [Hz].")] = 5.0,
+    position_cutoff: Annotated[str, typer.Option(help="Low-pass on encoders [Hz], or off.")] = "40",
+    cutoff: Annotated[str, typer.Option(help="Parallel low-pass [Hz], or off.")] = "5",
+    deadband: Annotated[float, typer.Option(help="Slower joint rows are dropped.")] = 0.02,
     as_json: _Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
@@ -115,10 +130,12 @@ def identify(
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     data = Recording.load(recording)
-    pipeline = Pipeline(position_cutoff, cutoff)
+    pipeline = Pipeline(_hertz(position_cutoff), _hertz(cutoff), deadband)
+    names: tuple[Literal["external", "internal"], ...] = ("external", "internal")
     estimates = [
-        identified(tree, data, "external", zeros=zeros, pipeline=pipeline),
-        identified(tree, data, "internal", zeros=zeros, pipeline=pipeline),
+        identified(tree, data, name, zeros=zeros, gravity=gravity, pipeline=pipeline)
+        for name in names
+        if method in (name, _Method.both)
     ]
     if as_json:
         _print_json({e.method: estimate_as_json(e) for e in estimates})
@@ -134,10 +151,7 @@ def minimal(
         list[str] | None,
         typer.Option("--zero", metavar="NAME", help="A parameter known to be zero, as mb1x."),
     ] = None,
-    gravity: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(help="Gravity vector [m/s^2]; default the model file's."),
-    ] = None,
+    gravity: _Gravity = None,
     tared: Annotated[
         bool, typer.Option("--tared", help="The bedplate's static wrench has been taken off.")
     ] = False,
@@ -188,17 +202,41 @@ def minimal(
 
 def main() -> None:
     """Run a command; what the user got wrong is one line and exit code 2."""
+    warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     try:
-        app()
+        code = app(standalone_mode=False)
     except TestbedError as error:
-        sys.stderr.write(f"testbed: {' '.join(str(error).split())}\n")
-        sys.exit(2)
+        _fail(str(error))
     except OSError as error:  # a full disk, a folder that may not be written
-        sys.stderr.write(f"testbed: {error}\n")
-        sys.exit(2)
-    except KeyboardInterrupt:
+        _fail(str(error))
+    except MemoryError:
+        _fail("not enough memory; make the run shorter")
+    except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("testbed: interrupted\n")
         sys.exit(130)
+    except Exception as error:
+        message = getattr(error, "format_message", None)  # what the option parser found
+        if message is None:
+            raise
+        _fail(f"{message()} (testbed --help tells more)")
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(message: str) -> NoReturn:
+    sys.stderr.write(f"testbed: {' '.join(message.split())}\n")
+    sys.exit(2)
+
+
+def _hertz(text: str) -> float | None:
+    """A cutoff as typed: a number, or off."""
+    from testbed.errors import PipelineError
+
+    if text == "off":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise PipelineError(f"a cutoff is a frequency [Hz] or off, found '{text}'") from None
 
 
 class _Progress:
@@ -226,8 +264,8 @@ class _Progress:
 def _console() -> Console:
     from rich.console import Console
 
-    console = Console()
-    return console if console.is_terminal else Console(width=120)
+    console = Console(markup=False, highlight=False)
+    return console if console.is_terminal else Console(markup=False, highlight=False, width=120)
 
 
 def _print_json(value: dict[str, Any]) -> None:
@@ -240,7 +278,7 @@ def _print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None
     console = _console()
     console.print(estimate_table(estimates))
     for line in quality_lines(estimates):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     _print_doubts(console, (*doubts, *(d for e in estimates for d in e.doubts)))
 
 
@@ -254,7 +292,7 @@ def _print_outcome(outcome: Any, folder: Path) -> None:
     )
     console.print(result_table(external, internal, truths, f"{outcome.experiment.name}"))
     for line in quality_lines((external, internal)):
-        console.print(line, highlight=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     _print_doubts(console, outcome.doubts)
     verdicts = outcome.verdicts
     for name, value in compared.metrics.items():
@@ -263,13 +301,13 @@ def _print_outcome(outcome: Any, folder: Path) -> None:
             bound = outcome.experiment.expect[name].model_dump(exclude_none=True)
             wanted = ", ".join(f"{k.replace('_', ' ')} {v:g}" for k, v in bound.items())
             claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
-        console.print(f"{name:30s} {value:9.3g}{claim}", highlight=False)
-    console.print(f"run folder: {folder}", highlight=False, soft_wrap=True)
+        console.print(f"{name:30s} {value:9.3g}{claim}")
+    console.print(f"run folder: {folder}", soft_wrap=True)
 
 
 def _print_doubts(console: Console, doubts: tuple[str, ...]) -> None:
     for doubt in doubts:
-        console.print(f"[yellow]note[/yellow] {doubt}", highlight=False, soft_wrap=True)
+        console.print(f"note: {doubt}", style="yellow", soft_wrap=True)
 
 
 if __name__ == "__main__":

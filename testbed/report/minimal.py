@@ -48,15 +48,15 @@ def print_sets(
         console.print(minimal_table(tree, dynamic, reaction, lengths))
         lines = (*dynamic.auxiliary_with(lengths), *reaction.auxiliary_with(lengths))
         for line in dict.fromkeys(lines):
-            console.print(f"with {line}", highlight=False, soft_wrap=True)
+            console.print(f"with {line}", soft_wrap=True)
     if seen:
         console.print(map_table(tree, seen))
         legend = (
             f"{GLYPHS[2]} told alone, {GLYPHS[1]} in combination, {GLYPHS[0]} never; in the order"
         )
-        console.print(f"{legend} {' '.join(STANDARD)} about the body frame", highlight=False)
+        console.print(f"{legend} {' '.join(STANDARD)} about the body frame")
     for each in agreements:
-        console.print(_said(each), highlight=False, soft_wrap=True)
+        console.print(_said(each), soft_wrap=True)
     console.print(
         f"{'% ' if as_latex else ''}{tree.name}: {10 * tree.n} parameters, "
         f"of which joint torques tell {dynamic.count} "
@@ -150,11 +150,11 @@ def _print_latex(
     console: Console, dynamic: MinimalSet, reaction: MinimalSet, lengths: Lengths
 ) -> None:
     for each in (dynamic, reaction):
-        console.print(rf"% {each.model}: {each.count}", highlight=False, markup=False)
+        console.print(rf"% {each.model}: {each.count}")
         for formula in (*each.formulas_with(lengths), *each.auxiliary_with(lengths)):
             left, right = latex(formula).split(" = ", 1)
             line = rf"{left} &= {right} \\"
-            console.print(line, highlight=False, markup=False, soft_wrap=True)
+            console.print(line, soft_wrap=True)
 
 
 def _said(agreement: Agreement) -> str:

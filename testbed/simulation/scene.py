@@ -13,7 +13,6 @@ pays for it (docs/architecture.md).
 
 from __future__ import annotations
 
-import warnings
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -59,8 +58,7 @@ def build_scene(
     for key in list(spec.keys):
         spec.delete(key)
     prefix = ""
-    with warnings.catch_warnings(), quiet():
-        warnings.simplefilter("ignore", UserWarning)  # attaching overrides timestep and camera
+    with quiet():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
         _equip(spec, tree, step, friction, prefix)

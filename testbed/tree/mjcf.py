@@ -7,6 +7,7 @@ inertia makes them irrelevant.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -46,6 +47,11 @@ def open_spec(path: Path, *, weld_root: bool = False) -> mujoco.MjSpec:
             raise ModelError(f"{path}: not a valid MJCF: {_one_line(error)}") from None
     _name_everything(spec)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
+    if spec.compiler.settotalmass > 0:
+        raise ModelError(
+            f"{path}: compiler settotalmass is deprecated and not supported; scale the masses in "
+            "the file"
+        )
     for equality in spec.equalities:
         raise ModelError(
             f"{path}: equality constraint '{equality.name}' between '{equality.name1}' and "
@@ -125,7 +131,7 @@ def _stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, _Stated]
     stated: dict[str, _Stated] = {}
     compiler = spec.compiler
     from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if from_geoms or compiler.settotalmass > 0 or compiler.balanceinertia:
+    if from_geoms or compiler.balanceinertia:
         return flaws, stated  # what counts is what the compiler makes of the file
     for body in spec.bodies:
         if not body.explicitinertial:
@@ -169,7 +175,8 @@ def quiet() -> Iterator[None]:
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
-        with silenced():
+        with silenced(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             yield
     finally:
         mujoco.set_mju_user_warning(before)
