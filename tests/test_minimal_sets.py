@@ -139,8 +139,11 @@ def test_an_axis_tilted_by_rounding_is_not_tilted() -> None:
 
 def test_inclined_axes_are_taken_in_a_triad_of_their_own() -> None:
     tree = chain(Z, (0.6, 0.0, 0.8))
-    names = tb.minimal_set(tree, "dynamic").names
-    assert {"mb2u", "mb2v", "K2ww", "2*K2d", "K2uv"} <= set(names)
+    minimal = tb.minimal_set(tree, "dynamic")
+    assert {"mb2u", "mb2v", "K2ww", "2*K2d", "K2uv"} <= set(minimal.names)
+    assert list(minimal.triads) == [1]
+    np.testing.assert_allclose(minimal.triads[1] @ minimal.triads[1].T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(minimal.triads[1][2], [0.6, 0.0, 0.8], atol=1e-15)
     agree(tree, "dynamic", None)
 
 

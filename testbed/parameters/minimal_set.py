@@ -26,7 +26,7 @@ from testbed.parameters.entries import (
 )
 from testbed.parameters.formulas import Lengths, Namer
 from testbed.parameters.regroup import Body, regroup
-from testbed.parameters.rules import Model
+from testbed.parameters.rules import Model, across
 from testbed.tree.tree import Tree
 
 NO_MATTER = 1e-12
@@ -139,6 +139,20 @@ class MinimalSet:
                     found.insert(0, namer.formula(name, body, np.eye(10)[component]))
                     wanted |= _words(found[:1]) - set(self.names)
         return tuple(found)
+
+    @property
+    def triads(self) -> dict[int, Array]:
+        """For bodies whose parameters are named along u, v, w: these, as rows, (3, 3).
+
+        By body index, in the body's frame; w is the joint axis or the only axis of rotation.
+        """
+        found: dict[int, Array] = {}
+        for body in {e.body for e in self._entries if e.body >= 0 and set(e.name) & set("uvw")}:
+            kept = {k.tail: k.form[1:4] for k in self._bodies[body].row.kept if k.head == "mb"}
+            u, v, _ = across(self._tree.joints[body].axis)
+            u, v = kept.get("u", u), kept.get("v", v)
+            found[body] = readonly([u, v, np.cross(u, v)], (3, 3), "triad")
+        return dict(sorted(found.items()))
 
     def _namer(self, lengths: Lengths) -> Namer:
         present = present_parameters(self._tree, self._bodies, self._known_zero)

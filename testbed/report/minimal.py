@@ -49,6 +49,12 @@ def print_sets(
         lines = (*dynamic.auxiliary_with(lengths), *reaction.auxiliary_with(lengths))
         for line in dict.fromkeys(lines):
             console.print(f"with {line}", soft_wrap=True)
+        for body, triad in (dynamic.triads | reaction.triads).items():
+            axes = [
+                f"{a} = ({x:.6g}, {y:.6g}, {z:.6g})"
+                for a, (x, y, z) in zip("uvw", triad, strict=True)
+            ]
+            console.print(f"in body {body + 1}, {', '.join(axes)}", soft_wrap=True)
     if seen:
         console.print(map_table(tree, seen))
         legend = (
