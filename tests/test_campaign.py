@@ -75,6 +75,21 @@ def test_a_table_for_a_joint_that_is_not_there_is_refused() -> None:
         tb.simulate(experiment)
 
 
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["simulation.bandwidth=1e6"], "too fast for a controller"),
+        (["motion.fundamental=1e9"], "too fast for measurement.rate"),
+        (["motion.fundamental=1e-12"], "hardly move"),
+        (["motion.duration=1e-3", "motion.fundamental=20.0"], "no two samples"),
+        (["simulation.step=1e-9"], "more than 10000"),
+    ],
+)
+def test_rates_that_do_not_fit_are_refused(settings: list[str], said: str) -> None:
+    with pytest.raises(ExperimentError, match=said):
+        tb.simulate(tb.Experiment.load(TABLE6, settings))
+
+
 def test_a_step_that_does_not_divide_the_sample_is_refused() -> None:
     with pytest.raises(ExperimentError, match="does not divide"):
         tb.simulate(tb.Experiment.load(TABLE6, ["simulation.step=3e-4"]))

@@ -33,6 +33,9 @@ Progress = Callable[[int, int], None]
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
 
+LEAST_PERIODS = 0.02
+"""Least part of a period that is a motion."""
+
 MOST_STEPS = 10_000
 """Most simulation steps a sample: a thousand samples are held in full."""
 
@@ -155,29 +158,53 @@ def _sampling(experiment: Experiment) -> Sampling:
     Raises:
         ExperimentError: The step does not divide the sample, or there are too many.
     """
-    plant, table = experiment.simulation, experiment.measurement
+    plant, table, motion = experiment.simulation, experiment.measurement, experiment.motion
+    _check_rates(experiment)
     steps = round(1 / (table.rate * plant.step))
     if steps < 1 or abs(steps * table.rate * plant.step - 1) > 1e-9:
         raise ExperimentError(
             f"simulation.step = {plant.step:g} s does not divide the sampling time "
             f"1 / measurement.rate = {1 / table.rate:g} s"
         )
-    samples = table.rate * (experiment.motion.duration + plant.warm_up)
+    samples = table.rate * (motion.duration + plant.warm_up)
     if steps > MOST_STEPS:
         raise ExperimentError(
             f"simulation.step = {plant.step:g} s makes {steps} steps a sample, more than "
             f"{MOST_STEPS}; choose a larger step"
         )
-    if table.rate * experiment.motion.duration < 2:
-        raise ExperimentError(
-            f"motion.duration = {experiment.motion.duration:g} s is too short for two samples"
-        )
+    if table.rate * motion.duration < 2:
+        raise ExperimentError(f"motion.duration = {motion.duration:g} s holds no two samples")
     if samples > MOST_SAMPLES:
         raise ExperimentError(
             f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
             f"{MOST_SAMPLES:.0e} that one run holds in memory; make several runs"
         )
     return Sampling(table.rate, steps, table.averaged, plant.warm_up)
+
+
+def _check_rates(experiment: Experiment) -> None:
+    """Whether controller and motion fit the rate and each other.
+
+    Raises:
+        ExperimentError: They do not.
+    """
+    motion, rate = experiment.motion, experiment.measurement.rate
+    if experiment.simulation.bandwidth > rate / 2:
+        raise ExperimentError(
+            f"simulation.bandwidth = {experiment.simulation.bandwidth:g} rad/s is too fast for a "
+            f"controller at measurement.rate = {rate:g} Hz; lower it to {rate / 2:g} or less"
+        )
+    if 10 * motion.fundamental * motion.harmonics > rate:
+        raise ExperimentError(
+            f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
+            f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
+        )
+    periods = motion.fundamental * motion.duration
+    if periods < LEAST_PERIODS:
+        raise ExperimentError(
+            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of "
+            "motion.fundamental: the robot would hardly move"
+        )
 
 
 def _facts(experiment: Experiment, tree: Tree, run: Run) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from testbed.identification.prepare import (
     internal_equations,
 )
 from testbed.identification.solve import Solution, solve
-from testbed.measurement.recording import Recording
+from testbed.measurement.recording import Recording, check
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
 from testbed.tree.tree import Tree
@@ -99,11 +99,13 @@ def identify(
         pipeline: How the signals are treated; default `Pipeline()`.
 
     Raises:
-        RecordingError: The recording is of another robot, or too short.
+        RecordingError: The recording is of another robot, too short, or holds what is no
+            measurement.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
     if method not in ("external", "internal"):
         raise UnknownName("method", method, ("external", "internal"))
+    check(recording, "the recording")
     pipeline = pipeline or Pipeline()
     gravity = recording.facts.get("gravity") if gravity is None else gravity
     model: Model = "reaction" if method == "external" else "dynamic"

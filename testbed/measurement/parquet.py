@@ -88,6 +88,10 @@ def _checked(about: Any) -> dict[str, Any]:
     numbers = isinstance(tare, list) and len(tare) == 6
     if tare is not None and not (numbers and all(isinstance(x, int | float) for x in tare)):
         raise ValueError("its 'tare' is not six numbers")
+    gravity = facts.get("gravity", [0.0] * 3) if isinstance(facts, dict) else []
+    vector = isinstance(gravity, list) and len(gravity) == 3
+    if not (vector and all(isinstance(x, int | float) for x in gravity)):
+        raise ValueError("its 'facts' are not a table, or their 'gravity' is not three numbers")
     if not isinstance(facts, dict) or not isinstance(facts.get("geometry", {}), dict):
         raise ValueError("its 'facts' are not a table")
     if not all(isinstance(joint, dict) for joint in facts.get("geometry", {}).values()):

@@ -25,6 +25,9 @@ from testbed.tree.tree import Tree
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """The plate's channels."""
 
+LARGEST = 1e12
+"""What no instrument measures, in any SI unit."""
+
 GEOMETRY_TOLERANCE = 1e-9
 """Greatest difference of axes, offsets and rotations within one robot."""
 
@@ -200,7 +203,7 @@ def check_robot(recording: Recording, tree: Tree) -> None:
 
 
 def check(recording: Recording, source: str) -> None:
-    """Whether every value is a number and the sampling is uniform.
+    """Whether every value is a measurement and the sampling is uniform.
 
     Raises:
         RecordingError: Names the first bad channel, sample and time.
@@ -208,7 +211,7 @@ def check(recording: Recording, source: str) -> None:
     if recording.samples < 2:
         raise RecordingError(f"{source}: {recording.samples} samples are no recording")
     for label, values in channels(recording).items():
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) < LARGEST))  # what is no number fails too
         if bad.size:
             raise RecordingError(
                 f"{source}: channel '{label}' is {values[bad[0]]} at sample {bad[0]} "
