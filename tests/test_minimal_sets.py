@@ -22,7 +22,7 @@ from testbed.parameters.identifiability import (
     identifiability,
 )
 from testbed.parameters.recursion import recursive_space
-from testbed.parameters.rules import Model
+from testbed.parameters.rules import REASONS, Model
 from testbed.parameters.space import distance, row_space
 from testbed.tree.tree import Joint, Tree
 from tests.conftest import GOLDEN
@@ -35,7 +35,7 @@ CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
 REAL = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data/robots"
 LARGEST = 50  # joints of a real robot that is verified by sampling, which is the slow witness
-REASONS = ("mimics another joint", "no joint that moves", "not a valid URDF")
+REFUSALS = ("mimics another joint", "no joint that moves", "not a valid URDF")
 
 
 def agree(
@@ -75,7 +75,7 @@ def test_real_robots_are_understood_or_refused_with_a_reason(path: Path) -> None
         tree = tb.load_tree(path, weld_root=True, accept_inertia=True)
     except tb.TestbedError as error:
         refused = str(error)
-        known = any(reason in refused for reason in REASONS) and path.name in refused
+        known = any(reason in refused for reason in REFUSALS) and path.name in refused
         if not known:
             raise
         return
@@ -145,6 +145,16 @@ def test_inclined_axes_are_taken_in_a_triad_of_their_own() -> None:
     np.testing.assert_allclose(minimal.triads[1] @ minimal.triads[1].T, np.eye(3), atol=1e-15)
     np.testing.assert_allclose(minimal.triads[1][2], [0.6, 0.0, 0.8], atol=1e-15)
     agree(tree, "dynamic", None)
+
+
+def test_every_entry_has_a_reason_and_the_rest_is_named(puma: tb.Tree) -> None:
+    dynamic, reaction = (tb.minimal_set(puma, m) for m in MODELS)
+    assert set(dynamic.reasons) == {"4.1", "4.3"}
+    assert dict(zip(reaction.names, reaction.reasons, strict=True))["mbar1"] == "base"
+    assert set(reaction.reasons) == {"5.1", "5.2", "base"}
+    assert set(reaction.never) == {"mb1z", "K1xx", "K1xy", "K1yy", "mbar2", "mbar3"}
+    for number in (*dynamic.reasons, *reaction.reasons):
+        assert REASONS[number]
 
 
 def test_a_tared_plate_does_not_weigh(puma: tb.Tree) -> None:

@@ -21,6 +21,9 @@ from testbed.parameters.barycentric import COMPONENTS, parameter_name
 from testbed.parameters.regroup import Body
 from testbed.tree.tree import Tree
 
+ROUNDING = 1e-12
+"""Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""
+
 Lengths = Literal["symbols", "numbers"]
 Terms = list[tuple[str, str]]  # (factor, name): their products are summed
 
@@ -56,7 +59,7 @@ class Namer:
         """
         terms: Terms = []
         if body >= 0:
-            for c in np.flatnonzero(form):
+            for c in np.flatnonzero(np.abs(form) > ROUNDING):
                 if not self.known_zero[body, c]:
                     terms.append((number(form[c]), parameter_name(COMPONENTS[c], body + 1)))
         for child in self.tree.children(body):
@@ -64,7 +67,7 @@ class Namer:
             if body < 0:
                 weights[0, 0] += form[0]
                 weights[1:, 0] += form[1:4]
-            for c in np.flatnonzero(np.abs(weights).max(axis=0)):
+            for c in np.flatnonzero(np.abs(weights).max(axis=0) > ROUNDING):
                 factor = self._factor(weights[:, c], body, child)
                 if factor and self.present[child, c]:
                     terms.append((factor, self.component(child, int(c))))
@@ -75,11 +78,11 @@ class Namer:
         offset = self.tree.joints[child].offset
         if self.lengths == "numbers":
             value = weights[0] + weights[1:] @ offset
-            return number(value) if value else ""
-        terms: Terms = [(number(weights[0]), "")] if weights[0] else []
+            return number(value) if abs(value) > ROUNDING else ""
+        terms: Terms = [(number(weights[0]), "")] if abs(weights[0]) > ROUNDING else []
         mark = "" if max(body, child) < 9 else "_"
         for weight, axis, length in zip(weights[1:], "xyz", offset, strict=True):
-            if weight and length:
+            if min(abs(weight), abs(length)) > ROUNDING:
                 terms.append((number(weight), f"l{body + 1}{mark}{child + 1}{axis}"))
         if len(terms) == 1:
             return _times(*terms[0])

@@ -71,6 +71,17 @@ class MinimalSet:
         """Index of the body each parameter belongs to; -1 for the bedplate."""
         return tuple(entry.body for entry in self._entries)
 
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Table and row of the rule that keeps each parameter; `rules.REASONS` says it."""
+        return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)
+
+    @property
+    def never(self) -> tuple[str, ...]:
+        """Barycentric parameters that are in no combination at all."""
+        unseen = ~self.matrix.any(axis=0) & ~self._known_zero.ravel()
+        return tuple(np.array(parameter_names(self._tree))[unseen].tolist())
+
     @cached_property
     def matrix(self) -> Array:
         """S, (N, 10 n), on the barycentric parameters in the order of `barycentric`."""

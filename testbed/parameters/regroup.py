@@ -24,10 +24,6 @@ from testbed.tree.tree import Joint, Tree
 _UPPER = tuple(zip(*np.triu_indices(3), strict=True))
 
 
-ROUNDING = 1e-12
-"""Coefficients below this are rounding of zero: an axis turned by a quarter, say."""
-
-
 @dataclass(frozen=True, eq=False)
 class Body:
     """One body after regrouping.
@@ -103,5 +99,5 @@ def migration(joint: Joint, row: Row) -> Array:
             - np.einsum("a,bk->abk", l, b)
         )
         gains[1 + x, 4:, 1:4] = [moved[a, c] for a, c in _UPPER]
-    gains[np.abs(gains) < ROUNDING] = 0.0
+    gains[np.abs(gains) < 1e-15] = 0.0
     return gains

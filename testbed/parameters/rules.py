@@ -22,6 +22,24 @@ from testbed.tree.tree import Joint
 Model = Literal["dynamic", "reaction"]
 
 
+REASONS = {
+    "2.1": "slides on a body that turns about several directions",
+    "2.2": "slides on a body that turns about one direction only, not the axis",
+    "2.3": "slides on a body that turns about the axis only, or not at all",
+    "3.1": "slides on a body that turns about several directions",
+    "3.2": "slides on a body that turns about one direction only, not the axis",
+    "3.3": "slides on a body that turns about the axis only, or not at all",
+    "4.1": "turns on a body that turns about another direction, too",
+    "4.2": "turns on a body that turns about the axis only, or not at all",
+    "4.3": "as 4.2 (turns about the axis only), and nothing accelerates or pulls it across the axis",
+    "4.4": "turns on a body that turns about another direction, too, all about one resting point",
+    "5.1": "turns on a body that turns about another direction, too",
+    "5.2": "turns on a body that turns about the axis only, or not at all",
+    "base": "the static wrench of all that stands on the bedplate",
+}
+"""Why a parameter is in the set: what the joint does, by table and row."""
+
+
 @dataclass(frozen=True, eq=False)
 class Kept:
     """One parameter kept: a linear form of body j's ten redefined parameters.
@@ -45,12 +63,14 @@ class Row:
     """One row of a table.
 
     Attributes:
+        number: Table and row, a key of REASONS.
         kept: The parameters kept for the joint, in printing order.
         passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
         tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
             the axis, K_s of eq. (37).
     """
 
+    number: str
     kept: tuple[Kept, ...]
     passed: Array
     tensor: Literal["all", "mean"]
@@ -58,54 +78,62 @@ class Row:
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
     """The row that applies to a joint."""
-    if joint.revolute:
-        kept = (_table4 if model == "dynamic" else _table5)(joint, mobility)
-        return Row(kept, np.outer(joint.axis, joint.axis), "mean")
-    return (_table2 if model == "dynamic" else _table3)(joint, mobility)
+    table = {
+        (False, "dynamic"): _table2,
+        (False, "reaction"): _table3,
+        (True, "dynamic"): _table4,
+        (True, "reaction"): _table5,
+    }[joint.revolute, model]
+    return table(joint, mobility)
 
 
 def _table2(joint: Joint, mobility: Mobility) -> Row:
     """Prismatic, joint torques."""
     mass = _mass()
     if mobility.rotation == "free":
-        return Row((mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
+        return Row("2.1", (mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
     if mobility.rotation == "across":
         assert mobility.direction is not None
         w = joint.rotation.T @ mobility.direction
         u, v, names = across(w)
-        return Row((mass, *_moments(np.array([u, v]), names)), np.outer(w, w), "all")
-    return Row((mass,), np.eye(3), "all")
+        return Row("2.2", (mass, *_moments(np.array([u, v]), names)), np.outer(w, w), "all")
+    return Row("2.3", (mass,), np.eye(3), "all")
 
 
 def _table3(joint: Joint, mobility: Mobility) -> Row:
     """Prismatic, bedplate reaction."""
     mass = _mass()
     if mobility.rotation in ("free", "across"):
-        return Row((mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
+        number = "3.1" if mobility.rotation == "free" else "3.2"
+        return Row(number, (mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
     u, v, names = across(joint.axis)
     passed = np.outer(joint.axis, joint.axis)
-    return Row((mass, *_moments(np.array([u, v]), names)), passed, "all")
+    return Row("3.3", (mass, *_moments(np.array([u, v]), names)), passed, "all")
 
 
-def _table4(joint: Joint, mobility: Mobility) -> tuple[Kept, ...]:
+def _table4(joint: Joint, mobility: Mobility) -> Row:
     """Revolute, joint torques."""
     moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    passed = np.outer(joint.axis, joint.axis)
     if mobility.rotation in ("none", "along"):
-        return (axial,) if mobility.at_rest else (*moments, axial)
+        if mobility.at_rest:
+            return Row("4.3", (axial,), passed, "mean")
+        return Row("4.2", (*moments, axial), passed, "mean")
     if mobility.pivot is None:
-        return (*moments, axial, difference, *oblique, product)
+        return Row("4.1", (*moments, axial, difference, *oblique, product), passed, "mean")
     about_pivot = tuple(
         _sum(k, mobility.pivot, mb) for k, mb in zip(oblique, reversed(moments), strict=True)
     )
-    return (axial, difference, *about_pivot, product)
+    return Row("4.4", (axial, difference, *about_pivot, product), passed, "mean")
 
 
-def _table5(joint: Joint, mobility: Mobility) -> tuple[Kept, ...]:
+def _table5(joint: Joint, mobility: Mobility) -> Row:
     """Revolute, bedplate reaction."""
     moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    passed = np.outer(joint.axis, joint.axis)
     if mobility.rotation in ("none", "along"):
-        return (*moments, axial, *oblique)
-    return (*moments, axial, difference, *oblique, product)
+        return Row("5.2", (*moments, axial, *oblique), passed, "mean")
+    return Row("5.1", (*moments, axial, difference, *oblique, product), passed, "mean")
 
 
 def _mass() -> Kept:

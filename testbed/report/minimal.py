@@ -14,6 +14,7 @@ from testbed.parameters.barycentric import COMPONENTS, STANDARD, parameter_names
 from testbed.parameters.formulas import Lengths, latex
 from testbed.parameters.identifiability import Visibility
 from testbed.parameters.minimal_set import MinimalSet, selection
+from testbed.parameters.rules import REASONS
 from testbed.tree.tree import Tree
 
 GLYPHS = ("·", "+", "#")
@@ -46,6 +47,8 @@ def print_sets(
         _print_latex(console, dynamic, reaction, lengths)
     else:
         console.print(minimal_table(tree, dynamic, reaction, lengths))
+        for number in sorted({*dynamic.reasons, *reaction.reasons}):
+            console.print(f"{number}: {REASONS[number]}", soft_wrap=True)
         lines = (*dynamic.auxiliary_with(lengths), *reaction.auxiliary_with(lengths))
         for line in dict.fromkeys(lines):
             console.print(f"with {line}", soft_wrap=True)
@@ -63,6 +66,9 @@ def print_sets(
         console.print(f"{legend} {' '.join(STANDARD)} about the body frame")
     for each in agreements:
         console.print(_said(each), soft_wrap=True)
+    lost = [name for name in reaction.never if name in dynamic.never]
+    if lost and not as_latex:
+        console.print(f"never told, not even in combination: {', '.join(lost)}", soft_wrap=True)
     console.print(
         f"{'% ' if as_latex else ''}{tree.name}: {10 * tree.n} parameters, "
         f"of which joint torques tell {dynamic.count} "
@@ -72,25 +78,24 @@ def print_sets(
 
 
 def minimal_table(tree: Tree, dynamic: MinimalSet, reaction: MinimalSet, lengths: Lengths) -> Table:
-    """Both minimal sets side by side, each parameter with its formula."""
+    """Both minimal sets side by side, each parameter with its formula and its rules."""
     table = Table(header_style="bold")
     for column in ("body", "parameter", "unit", "torques", "bedplate", "formula"):
         table.add_column(column)
-    rows: dict[str, dict[str, tuple[str, str, str]]] = {}
+    rows: dict[str, dict[str, tuple[str, str, str, str]]] = {}
     for each in (dynamic, reaction):
-        described = zip(
-            each.names, each.formulas_with(lengths), each.units, each.bodies, strict=True
-        )
-        for name, formula, unit, body in described:
+        formulas = each.formulas_with(lengths)
+        for name, formula, unit, body, reason in zip(
+            each.names, formulas, each.units, each.bodies, each.reasons, strict=True
+        ):
             owner = "bedplate" if body < 0 else tree.joints[body].body
-            rows.setdefault(name, {})[each.model] = (owner, unit, formula.split(" = ", 1)[1])
+            right = formula.split(" = ", 1)[1]
+            rows.setdefault(name, {})[each.model] = (owner, unit, reason, right)
     for name, models in rows.items():
-        formulas = [models[m][2] for m in ("dynamic", "reaction") if m in models]
-        right = (
-            formulas[0] if len(set(formulas)) == 1 else f"{formulas[0]} (bedplate: {formulas[1]})"
-        )
-        owner, unit, _ = next(iter(models.values()))
-        told = ["yes" if m in models else "-" for m in ("dynamic", "reaction")]
+        said = [models[m][3] for m in ("dynamic", "reaction") if m in models]
+        right = said[0] if len(set(said)) == 1 else f"{said[0]} (bedplate: {said[1]})"
+        told = [models[m][2] if m in models else "-" for m in ("dynamic", "reaction")]
+        owner, unit, *_ = next(iter(models.values()))
         table.add_row(owner, name, unit, *told, "" if right == name else right)
     return table
 
@@ -133,6 +138,8 @@ def _set_as_json(each: MinimalSet) -> dict[str, Any]:
         "units": list(each.units),
         "formulas": list(each.formulas),
         "auxiliary": list(each.auxiliary),
+        "reasons": [f"{number}: {REASONS[number]}" for number in each.reasons],
+        "never": list(each.never),
         "latex": [latex(formula) for formula in each.formulas],
         "matrix": each.matrix.tolist(),
         "standard_matrix": each.standard_matrix.tolist(),
