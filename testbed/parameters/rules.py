@@ -31,7 +31,7 @@ REASONS = {
     "3.3": "slides on a body that turns about the axis only, or not at all",
     "4.1": "turns on a body that turns about another direction, too",
     "4.2": "turns on a body that turns about the axis only, or not at all",
-    "4.3": "as 4.2 (turns about the axis only), and nothing accelerates or pulls it across the axis",
+    "4.3": "turns on a body that turns about the axis only; nothing moves or pulls it across",
     "4.4": "turns on a body that turns about another direction, too, all about one resting point",
     "5.1": "turns on a body that turns about another direction, too",
     "5.2": "turns on a body that turns about the axis only, or not at all",
