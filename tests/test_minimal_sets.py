@@ -28,6 +28,7 @@ from testbed.tree.tree import Joint, Tree
 from tests.conftest import GOLDEN
 from tests.robots import random_robot
 
+SLIGHTLY_INCLINED = (691, 815, 1727, 1996)  # first axes close to vertical: large lifts
 UNCHANGED = 1e-12  # relative change of the model by regrouping
 FILE_ROUNDING = 1e-8  # the same, for files whose angles are rounded: an axis almost vertical
 GRAVITIES = {"down": (0.0, 0.0, -9.81), "tilted": (2.97, -4.95, -7.93), "off": (0.0, 0.0, 0.0)}
@@ -48,10 +49,10 @@ def agree(
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
-@pytest.mark.parametrize("seed", range(60))
+@pytest.mark.parametrize("seed", [*range(10_000, 10_060), *SLIGHTLY_INCLINED])
 def test_three_witnesses_agree_on_random_trees(seed: int, gravity: str) -> None:
     """1 to 12 joints; row spaces, not counts; `python -m benchmarks minimal` does thousands."""
-    rng = np.random.default_rng(10_000 + seed)
+    rng = np.random.default_rng(seed)
     tree = random_robot(rng, int(rng.integers(1, 13))).tree()
     for model in MODELS:
         agree(tree, model, GRAVITIES[gravity])

@@ -192,8 +192,10 @@ def _with_static(tree: Tree, entries: list[Entry], static: list[Entry]) -> list[
     if not new:
         return entries
     r, blind = r[new], blind[new]
-    push = blind.T - d @ (s @ blind.T)
-    push = push @ np.linalg.inv(r @ push)
+    push = blind.T
+    for _ in range(3):  # repeated against rounding: an axis may be only slightly inclined
+        push = push - d @ (s @ push)
+        push = push @ np.linalg.inv(r @ push)
     d = d - push @ (r @ d)
     result = list(entries)
     for column, k in enumerate(ours):
