@@ -70,6 +70,13 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
     return theta
 
 
+def standard_to_barycentric(tree: Tree) -> Array:
+    """`to_barycentric` as a matrix, (10 n, 10 n): theta = this times the standard parameters."""
+    units = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+    matrix: Array = to_barycentric(tree, units).reshape(10 * tree.n, 10 * tree.n)
+    return matrix
+
+
 def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
     """The inverse of `to_barycentric`: (n, 10, ...) COMPONENTS -> (n, 10, ...) STANDARD."""
     own = theta.copy()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import to_barycentric
+from testbed.parameters.barycentric import standard_to_barycentric
 from testbed.parameters.entries import dense_rows, static_entries
 from testbed.parameters.minimal_set import known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
@@ -78,10 +78,8 @@ def identifiability(
 
 def _visibility(tree: Tree, instrument: str, rows: Array) -> Visibility:
     own = 10 * tree.n
-    units = np.eye(own).reshape(tree.n, 10, own)
-    onto_theta = to_barycentric(tree, units).reshape(own, own)
     others = rows.shape[1] - own
-    on_standard = np.hstack([rows[:, :others], rows[:, others:] @ onto_theta])
+    on_standard = np.hstack([rows[:, :others], rows[:, others:] @ standard_to_barycentric(tree)])
     return Visibility(
         instrument,
         len(rows),

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import barycentric, parameter_names, to_barycentric
+from testbed.parameters.barycentric import barycentric, parameter_names, standard_to_barycentric
 from testbed.parameters.entries import (
     Entry,
     dense_directions,
@@ -106,9 +106,8 @@ class MinimalSet:
 
         m mx my mz Ixx Ixy Iyy Ixz Iyz Izz a body, about and along its frame.
         """
-        units = np.eye(self.matrix.shape[1]).reshape(self._tree.n, 10, -1)
-        onto_theta = to_barycentric(self._tree, units).reshape(-1, self.matrix.shape[1])
-        return readonly(self.matrix @ onto_theta, self.matrix.shape, "standard_matrix")
+        rows = self.matrix @ standard_to_barycentric(self._tree)
+        return readonly(rows, self.matrix.shape, "standard_matrix")
 
     @property
     def count(self) -> int:

@@ -23,13 +23,12 @@ from testbed.arrays import Array
 from testbed.errors import ModelError
 from testbed.simulation.plant import Scene, check_scene
 from testbed.tree.load import model_format
-from testbed.tree.mjcf import compile_spec, open_spec, quiet
+from testbed.tree.mjcf import MASSLESS, compile_spec, open_spec, quiet
 from testbed.tree.tree import Tree
 from testbed.tree.urdf import supported_xml
 
 _PLATE = "testbed/bedplate"
 _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
-_TINY = 1e-12  # mass given to bodies without matter, which MuJoCo refuses [kg]
 
 
 def build_scene(
@@ -52,6 +51,7 @@ def build_scene(
     Raises:
         ModelError: MuJoCo refuses the model.
     """
+    tree = tree if friction else tree.frictionless()
     spec = _robot(path, weld_root)
     for actuator in list(spec.actuators):
         spec.delete(actuator)
@@ -61,9 +61,9 @@ def build_scene(
     with quiet():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
-        _equip(spec, tree, step, friction, prefix)
+        _equip(spec, tree, step, prefix)
         scene = _scene_of(compile_spec(spec, path), tree, path, prefix)
-        check_scene(scene, tree if friction else tree.frictionless(), path)
+        check_scene(scene, tree, path)
     return scene
 
 
@@ -81,14 +81,14 @@ def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
                 spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
             except ValueError as error:
                 raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
-    spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     return spec
 
 
 def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     """A world with one plate at its origin, and the robot on it."""
     spec = mujoco.MjSpec()
-    spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     site = spec.worldbody.add_body(name=_PLATE).add_site(name=_PLATE)
     spec.attach(robot, site=site, prefix=_PREFIX)
     for name, kind in (
@@ -100,7 +100,7 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool, prefix: str) -> None:
+def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
     """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
     option = spec.option
     option.timestep, option.gravity = step, tree.gravity
@@ -118,8 +118,6 @@ def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, friction: bool, prefix:
             joint.damping = np.zeros_like(joint.damping)
         joint.solref_friction = [2 * step, 1]
         joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2]
-        if not friction:
-            joint.frictionloss, joint.damping = 0.0, np.zeros_like(joint.damping)
     for name in (prefix + name for name in tree.names):
         motor = spec.add_actuator(name=f"testbed/{name}", target=name)
         motor.trntype = mujoco.mjtTrn.mjTRN_JOINT

@@ -26,7 +26,7 @@ _KINDS: dict[int, Kind] = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
 }
-_TINY = 1e-12
+MASSLESS = 1e-12
 """Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
 
 _VELOCITY_LIMIT = "velocity_limit/"
@@ -108,7 +108,7 @@ def read_mjcf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
     flaws, stated = _stated_inertias(spec)
     if flaws and not accept_inertia:
         raise InertiaError(path.name, flaws)
-    spec.compiler.boundmass = spec.compiler.boundinertia = _TINY
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     model = compile_spec(spec, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
@@ -278,7 +278,7 @@ def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, _Stated]) -> In
         central = principal if said.central is None else said.central
         return Inertia.about_centre(said.mass, model.body_ipos[b], central)
     mass = model.body_mass[b]
-    if mass <= _TINY:
+    if mass <= MASSLESS:
         return NOTHING
     return Inertia.about_centre(mass, model.body_ipos[b], principal)
 
