@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from testbed.errors import TestbedError as TestbedError
     from testbed.identification.identify import Estimate as Estimate
     from testbed.identification.identify import identify as identify
-    from testbed.identification.prepare import Pipeline as Pipeline
+    from testbed.identification.pipeline import Pipeline as Pipeline
+    from testbed.identification.products import Products as Products
+    from testbed.identification.solve import fit as fit
+    from testbed.measurement.parquet import StoredRecording as StoredRecording
     from testbed.measurement.recording import Recording as Recording
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
@@ -47,7 +50,10 @@ _HOMES = {
     "testbed.dynamics.motion": ("Motion",),
     "testbed.errors": ("TestbedError",),
     "testbed.identification.identify": ("Estimate", "identify"),
-    "testbed.identification.prepare": ("Pipeline",),
+    "testbed.identification.pipeline": ("Pipeline",),
+    "testbed.identification.products": ("Products",),
+    "testbed.identification.solve": ("fit",),
+    "testbed.measurement.parquet": ("StoredRecording",),
     "testbed.measurement.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),

@@ -16,17 +16,19 @@ AnyArray: TypeAlias = NDArray[Any]  # numbers or symbols
 
 
 def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Array:
-    """A read-only copy of `value` as float64, checked to have `shape`.
+    """`value` as a read-only array of float64, checked to have `shape`.
 
     Args:
-        value: Anything NumPy turns into an array.
+        value: Anything NumPy turns into an array. Copied, unless it is one of float64 that
+            is read-only already: parts of recordings and memory maps stay where they are.
         shape: Required shape; None leaves an axis free.
         name: What the array is called in the error.
 
     Raises:
         ValueError: The shape differs.
     """
-    array = np.array(value, dtype=np.float64)
+    kept = isinstance(value, np.ndarray) and not value.flags.writeable
+    array = (np.asarray if kept else np.array)(value, dtype=np.float64)
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )

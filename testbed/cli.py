@@ -124,7 +124,7 @@ def identify(
     """
     from testbed.campaign.archive import estimate_as_json
     from testbed.identification.identify import identify as identified
-    from testbed.identification.prepare import Pipeline
+    from testbed.identification.pipeline import Pipeline
     from testbed.measurement.recording import Recording
     from testbed.tree.load import load_tree
 

@@ -12,7 +12,7 @@ from testbed.arrays import Array
 from testbed.dynamics.dynamics import joint_forces
 from testbed.errors import PipelineError, RecordingError, UnknownName, UnseenParameters
 from testbed.excitation.fourier import Fourier
-from testbed.identification.filters import derivatives, low_pass
+from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.identification.identify import Method
 from testbed.measurement.recording import Recording, Truth
 from testbed.parameters.rules import Model
@@ -227,17 +227,49 @@ def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> Non
     assert any("poorly determined" in doubt for doubt in estimate.doubts)
 
 
-def test_derivatives_are_exact_on_cubics() -> None:
-    t = np.arange(50) / 100
-    first, second = derivatives((t**3 - t**2)[:, None], 100.0)
-    np.testing.assert_allclose(first[2:-2, 0], (3 * t**2 - 2 * t)[2:-2], atol=1e-12)
-    np.testing.assert_allclose(second[2:-2, 0], (6 * t - 2)[2:-2], atol=1e-9)
+def applied(taps: Array, values: Array) -> Array:
+    """A kernel run over a signal; the ends that it does not reach are left out."""
+    return np.convolve(values, taps[::-1], "valid")
 
 
-def test_the_filter_has_no_phase_and_unit_gain_below_its_cutoff() -> None:
-    t = np.arange(4000) / 1000
-    slow = np.sin(2 * np.pi * 0.5 * t)
-    fast = np.sin(2 * np.pi * 50 * t)
-    np.testing.assert_allclose(
-        low_pass(slow + fast, 1000.0, 5.0)[1000:-1000], slow[1000:-1000], atol=1e-4
-    )
+@pytest.mark.parametrize("cutoff", [None, 40.0])
+def test_derivatives_are_exact_on_polynomials(cutoff: float | None) -> None:
+    taps = motion_taps(500.0, cutoff)
+    half = taps.shape[1] // 2
+    t = np.arange(-300, 301) / 500
+    position, velocity, acceleration = (applied(each, t**3 - t**2 + t) for each in taps)
+    inner = t[half:-half]
+    # a low-pass without phase adds to a cubic what its width makes of the curvature
+    width = np.sum(taps[0] * (np.arange(-half, half + 1) / 500) ** 2)
+    expected = inner**3 - inner**2 + inner + width * (3 * inner - 1)
+    np.testing.assert_allclose(position, expected, atol=1e-12)
+    np.testing.assert_allclose(velocity, 3 * inner**2 - 2 * inner + 1 + 3 * width, atol=1e-10)
+    np.testing.assert_allclose(acceleration, 6 * inner - 2, atol=1e-8)
+
+
+def test_positions_pass_unchanged_below_a_quarter_of_the_cutoff() -> None:
+    rate, cutoff = 1000.0, 40.0
+    taps = motion_taps(rate, cutoff)
+    for f in (0.1, 1.0, 5.0, 10.0):
+        t = np.arange(3000) / rate
+        half = taps.shape[1] // 2
+        inner = t[half:-half]
+        w = 2 * np.pi * f
+        expected = (np.sin(w * inner), w * np.cos(w * inner), -(w**2) * np.sin(w * inner))
+        for kernel, value, tolerance in zip(taps, expected, (2e-6, 2e-6, 2e-6), strict=True):
+            error = np.abs(applied(kernel, np.sin(w * t)) - value).max() / np.abs(value).max()
+            assert error <= tolerance
+
+
+def test_the_filter_has_no_phase_half_gain_at_its_cutoff_and_stops_beyond() -> None:
+    taps = low_pass(1000.0, 5.0, ROW_ATTENUATION)
+    np.testing.assert_allclose(taps, taps[::-1], rtol=1e-12)
+    assert taps.sum() == pytest.approx(1.0, rel=1e-12)
+    offsets = np.arange(len(taps)) - len(taps) // 2
+
+    def gain(f: float) -> float:
+        return float(np.sum(taps * np.cos(2 * np.pi * f * offsets / 1000)))
+
+    assert gain(5.0) == pytest.approx(0.5, abs=0.01)
+    assert gain(1.0) == pytest.approx(1.0, abs=2e-3)
+    assert all(abs(gain(f)) < 2e-3 for f in (9.0, 20.0, 50.0, 333.0))

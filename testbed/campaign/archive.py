@@ -98,7 +98,6 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "relative_residual": estimate.relative_residual.tolist(),
         "samples": list(estimate.samples),
         "condition": estimate.condition,
-        "rank": estimate.rank,
         "doubts": list(estimate.doubts),
     }
 

@@ -19,7 +19,7 @@ from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
 from testbed.files import fingerprint
 from testbed.identification.identify import Estimate, identify
-from testbed.identification.prepare import Pipeline
+from testbed.identification.pipeline import Pipeline
 from testbed.measurement.instrument import Instrument, measure
 from testbed.measurement.recording import Recording, geometry
 from testbed.parameters.minimal_set import minimal_set

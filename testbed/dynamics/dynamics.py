@@ -34,7 +34,7 @@ def joint_forces(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -
         motion: M samples, columns in the order of `tree.names`.
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
     """
-    return _evaluate(tree, motion, barycentric(tree)[..., None], gravity)[0][..., 0]
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[0][..., 0]
 
 
 def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) -> Array:
@@ -48,7 +48,7 @@ def base_wrench(tree: Tree, motion: Motion, gravity: ArrayLike | None = None) ->
         motion: M samples, columns in the order of `tree.names`.
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
     """
-    return _evaluate(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
+    return linear(tree, motion, barycentric(tree)[..., None], gravity)[1][..., 0]
 
 
 def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
@@ -65,7 +65,7 @@ def regressor(tree: Tree, motion: Motion, minimal: MinimalSet) -> Array:
         (M, n, N) [N m or N per parameter] for a dynamic set, (M, 6, N) for a reaction set.
     """
     theta = minimal.lift.reshape(tree.n, 10, minimal.count)
-    joints, base = _evaluate(tree, motion, theta, minimal.gravity)
+    joints, base = linear(tree, motion, theta, minimal.gravity)
     return joints if minimal.model == "dynamic" else base
 
 
@@ -81,7 +81,7 @@ def parameter_regressor(
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
     """
     theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    joints, base = _evaluate(tree, motion, theta, gravity)
+    joints, base = linear(tree, motion, theta, gravity)
     return joints if model == "dynamic" else base
 
 
@@ -102,10 +102,17 @@ def blocks(samples: int, size: int = BLOCK) -> Iterator[slice]:
     return (slice(first, first + size) for first in range(0, samples, size))
 
 
-def _evaluate(
-    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None
+def linear(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
 ) -> tuple[Array, Array]:
-    """Joint forces (M, n, p) and base wrench (M, 6, p) of parameters (n, 10, p)."""
+    """Joint forces (M, n, p) and base wrench (M, 6, p) of p sets of parameters.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        theta: Barycentric parameters, (n, 10, p).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
     if motion.q.shape[1] != tree.n:
         raise ValueError(f"a motion of {motion.q.shape[1]} joints, a robot of {tree.n}")
     g = tree.gravity_or(gravity)

@@ -1,7 +1,9 @@
 """An honest covariance: filtered residuals are correlated, and the formula must know.
 
-The sandwich of heteroskedasticity- and autocorrelation-consistent (HAC) estimation: sums
-of the scores' autocovariances with Bartlett's weights.
+The sandwich of heteroskedasticity- and autocorrelation-consistent (HAC) estimation with
+Bartlett's weights, taken as what it is: the mean square of sums over a sliding window.
+
+Source    [NW87]
 """
 
 from __future__ import annotations
@@ -9,32 +11,66 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.prepare import Equations
-from testbed.identification.solve import Solution
 
 WINDOW = 0.5
 """Longest time over which residuals are taken to be correlated [s]."""
+
+BINS = 8
+"""Least number of bins in a window."""
 
 SMALL_SAMPLE = 1.1
 """Factor on sigma for what Bartlett's weights and the fit itself hide (tests: coverage)."""
 
 
-def hac_covariance(equations: Equations, solution: Solution) -> Array:
+def bin_size(rate: float) -> int:
+    """Rows whose scores are added up at once: a power of two up to 64.
+
+    Args:
+        rate: Rows a second [Hz].
+    """
+    size = 1
+    while size < 64 and 2 * size * BINS <= WINDOW * rate:
+        size *= 2
+    return size
+
+
+class ScoreSquares:
+    """Sum over all pairs of scores of one window, with Bartlett's weights, as they come."""
+
+    def __init__(self, columns: int, rate: float) -> None:
+        """Args:
+        columns: Number p of columns.
+        rate: Rows a second [Hz].
+        """
+        self.lags = max(int(WINDOW * rate / bin_size(rate)), 1)
+        self.total = np.zeros(columns)
+        self._recent = np.zeros((self.lags, columns))
+        self._sum = np.zeros((columns, columns))
+
+    def add(self, scores: Array) -> None:
+        """Go on with scores of consecutive bins, (bins, p)."""
+        self.total += scores.sum(axis=0)
+        self._slide(scores)
+
+    def finish(self) -> Array:
+        """The weighted sum, (p, p)."""
+        self._slide(np.zeros_like(self._recent))
+        return self._sum / (self.lags + 1)
+
+    def _slide(self, scores: Array) -> None:
+        run = np.vstack([self._recent, scores])
+        sums = np.cumsum(np.vstack([np.zeros(run.shape[1]), run]), axis=0)
+        windows = sums[self.lags + 1 :] - sums[: -self.lags - 1]
+        self._sum += windows.T @ windows
+        self._recent = run[len(run) - self.lags :]
+
+
+def sandwich(inverse: Array, squares: Array) -> Array:
     """Covariance of the unknowns, (p, p).
 
     Args:
-        equations: Rows in the order of time, at a constant rate.
-        solution: Their solution.
+        inverse: Of X' W X, (p, p).
+        squares: Of the scores, (p, p).
     """
-    scores = np.zeros((len(solution.residuals[0]), len(solution.values)))
-    parts = zip(equations.channels, solution.residuals, solution.noise, strict=True)
-    for channel, residual, noise in parts:
-        scores += channel.columns * (channel.used * residual / noise**2)[:, None]
-    lags = min(int(WINDOW * equations.rate), len(scores) - 1)
-    meat = scores.T @ scores
-    for lag in range(1, lags + 1):
-        weight = 1 - lag / (lags + 1)
-        overlap = scores[lag:].T @ scores[:-lag]
-        meat += weight * (overlap + overlap.T)
-    covariance: Array = SMALL_SAMPLE**2 * solution.normal @ meat @ solution.normal
+    covariance: Array = SMALL_SAMPLE**2 * inverse @ squares @ inverse
     return covariance

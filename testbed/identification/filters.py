@@ -1,4 +1,8 @@
-"""Zero-phase low-pass filter and numerical derivatives of uniformly sampled signals."""
+"""Filters without phase and with an end: convolution with symmetric kernels.
+
+A row that is filtered depends on the samples within reach of it and on no other, so that a
+recording can be cut anywhere without a trace.
+"""
 
 from __future__ import annotations
 
@@ -7,43 +11,63 @@ from scipy import signal
 
 from testbed.arrays import Array
 
-ORDER = 4
-"""Of the Butterworth filter, run forwards and backwards."""
+POSITION_ATTENUATION = 120.0
+"""Of the filter on positions [dB]: what it takes from the motion would bias the estimate."""
 
-STENCIL = 2
-"""Samples at each end where the derivatives are one-sided and should be cut off."""
+ROW_ATTENUATION = 60.0
+"""Of the filter on rows [dB]: both sides of the equations pass it, so it need not be flat."""
+
+TRANSITION = 1.5
+"""Width of the band between passing and stopping, in cutoffs; the cutoff is in its middle."""
+
+_FIRST = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # central differences of order eight
+_SECOND = (8 / 5, -1 / 5, 8 / 315, -1 / 560)
+
+STENCIL = len(_FIRST)
+"""Samples that a derivative reaches to either side."""
 
 
-def low_pass(values: Array, rate: float, cutoff: float) -> Array:
-    """Zero-phase Butterworth low-pass along the first axis.
+def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
+    """Weights of a symmetric low-pass, (2 L + 1,), of sum one; a windowed sinc.
 
     Args:
-        values: (M, ...).
         rate: Samples a second [Hz].
-        cutoff: Where one pass is down by 3 dB [Hz].
+        cutoff: Where its gain is one half [Hz].
+        attenuation: Beyond cutoff (1 + TRANSITION / 2), and how flat it is below
+            cutoff (1 - TRANSITION / 2) [dB].
     """
-    sections = signal.butter(ORDER, cutoff, fs=rate, output="sos")
-    filtered: Array = signal.sosfiltfilt(sections, values, axis=0)
-    return filtered
+    taps, beta = signal.kaiserord(attenuation, TRANSITION * cutoff / (rate / 2))
+    weights: Array = signal.firwin(taps | 1, cutoff, window=("kaiser", beta), fs=rate)
+    return weights
 
 
-def settling(cutoff: float) -> float:
-    """Time at each end of a filtered signal that the ends distort [s]."""
-    return 2.5 / cutoff
-
-
-def derivatives(q: Array, rate: float) -> tuple[Array, Array]:
-    """First and second derivative by fourth-order central differences.
+def motion_taps(rate: float, cutoff: float | None) -> Array:
+    """Kernels that make position, velocity and acceleration of encoder positions.
 
     Args:
-        q: (M, n).
         rate: Samples a second [Hz].
+        cutoff: Of the low-pass on positions [Hz]; None for none.
 
     Returns:
-        (M, n) each; the first and last STENCIL rows repeat their neighbours.
+        (3, 2 L + 1), in the order of time: x[k] = sum over l of taps[l] q[k - L + l].
     """
-    a, b, c, d, e = (q[k : len(q) - 4 + k] for k in range(5))
-    first = rate * (8 * (d - b) - (e - a)) / 12
-    second = rate**2 * (16 * (b + d) - (a + e) - 30 * c) / 12
-    ends = ((STENCIL, STENCIL), (0, 0))
-    return np.pad(first, ends, mode="edge"), np.pad(second, ends, mode="edge")
+    first, second = np.array(_FIRST) * rate, np.array(_SECOND) * rate**2
+    position = np.zeros(2 * STENCIL + 1)
+    position[STENCIL] = 1.0
+    stencils = (
+        position,
+        np.concatenate([-first[::-1], [0.0], first]),
+        np.concatenate([second[::-1], [-2 * second.sum()], second]),
+    )
+    weights = np.ones(1) if cutoff is None else low_pass(rate, cutoff, POSITION_ATTENUATION)
+    return np.stack([np.convolve(weights, stencil) for stencil in stencils])
+
+
+def row_weights(rate: float, cutoff: float | None) -> Array:
+    """Weights of the parallel filter on rows, (2 L + 1,); a single one for none.
+
+    Args:
+        rate: Samples a second [Hz].
+        cutoff: Where its gain is one half [Hz]; None for none.
+    """
+    return np.ones(1) if cutoff is None else low_pass(rate, cutoff, ROW_ATTENUATION)

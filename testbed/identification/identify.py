@@ -6,7 +6,9 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -14,16 +16,17 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import pedestal_wrench
-from testbed.errors import RecordingError, UnknownName
-from testbed.identification.covariance import hac_covariance
-from testbed.identification.prepare import (
-    Equations,
-    Pipeline,
-    external_equations,
-    internal_equations,
-)
-from testbed.identification.solve import Solution, solve
-from testbed.measurement.recording import Recording, check
+from testbed.dynamics.kernel.layout import layout
+from testbed.dynamics.kernel.shapes import Question, products_wanted
+from testbed.errors import PipelineError, RecordingError, UnknownName, UnseenParameters
+from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
+from testbed.identification.pipeline import Pipeline
+from testbed.identification.plan import Plan, make_plan
+from testbed.identification.products import Products, gather
+from testbed.identification.solve import SQUARED, Fit, noise_weights, solved, triangular
+from testbed.identification.stream import Progress, Sweeper
+from testbed.measurement.recording import AXES, Recording, check_robot
+from testbed.measurement.source import Source, open_source
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
 from testbed.tree.tree import Tree
@@ -44,7 +47,7 @@ class Estimate:
     Attributes:
         method: "external" (bedplate) or "internal" (joint torques).
         names: Minimal parameters, delta_r or delta_d; then, for the internal method,
-            `coulomb/JOINT` and `viscous/JOINT`.
+            `coulomb/JOINT`, `viscous/JOINT` and what other terms the pipeline has.
         units: One each.
         values: (p,).
         sigma: Standard deviations, (p,), correlation of residuals counted.
@@ -56,7 +59,7 @@ class Estimate:
         relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.
-        rank: Their numerical rank.
+        products: Of all rows: other weights and subsets of channels need no other pass.
         doubts: What a careful reader should know, one line each.
     """
 
@@ -73,30 +76,39 @@ class Estimate:
     relative_residual: Array
     samples: tuple[int, ...]
     condition: float
-    rank: int
+    products: Products
     doubts: tuple[str, ...]
 
 
 def identify(
     tree: Tree,
-    recording: Recording,
+    recording: Recording | Source | str | Path | Iterable[Recording],
     method: Method = "external",
     *,
-    zeros: bool = False,
+    zeros: bool | Sequence[str] = False,
     gravity: ArrayLike | None = None,
     pipeline: Pipeline | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
 ) -> Estimate:
     """Minimal parameters from encoder positions and one kind of force measurement.
 
+    Two passes over the samples, in constant memory; the same to the bit for any number of
+    threads and wherever the samples come from.
+
     Args:
         tree: The robot; its inertias are not used, except for `zeros`.
-        recording: Columns are matched by joint name; its truth is not read.
+        recording: In memory, or a Parquet file's path, or parts in the order of time.
+            Columns are matched by joint name; its truth is not read.
         method: "external": six reaction rows a sample, no friction columns. "internal":
-            a row a joint, with Coulomb and viscous columns.
-        zeros: Take barycentric parameters that are zero in the model file as known.
+            a row a joint, with columns for the pipeline's terms.
+        zeros: Take barycentric parameters that are zero in the model file, or are named
+            here, as known.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
         pipeline: How the signals are treated; default `Pipeline()`.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
 
     Raises:
         RecordingError: The recording is of another robot, too short, or holds what is no
@@ -105,30 +117,97 @@ def identify(
     """
     if method not in ("external", "internal"):
         raise UnknownName("method", method, ("external", "internal"))
-    check(recording, "the recording")
-    pipeline = pipeline or Pipeline()
-    gravity = recording.facts.get("gravity") if gravity is None else gravity
+    source, pipeline = open_source(recording), pipeline or Pipeline()
+    if source.samples < 2:
+        raise RecordingError(f"the recording: {source.samples} samples are no recording")
+    check_robot(source, tree)
+    gravity = source.facts.get("gravity") if gravity is None else gravity
     model: Model = "reaction" if method == "external" else "dynamic"
     minimal = minimal_set(tree, model, gravity, zeros)
-    geometry, data = tree.unweighed(), recording.blind().ordered(tree)
-    doubts = list(recording.facts.get("doubts", ()))
-    if data.tare is None:
-        data = replace(data, tare=pedestal_wrench(geometry, gravity))
-        if method == "external" and data.tare is not None and data.tare.any():
-            doubts.append(
-                "the recording does not say what of the wrench is the pedestal's; the model's "
-                f"pedestal is taken off (Fz {data.tare[2]:.4g} N)"
-            )
-    if method == "internal":
+    geometry = tree.unweighed()
+    terms = pipeline.terms if method == "internal" else ()
+    rows = layout(geometry, minimal, terms, pipeline.joined)
+    if pipeline.covariance is not None and len(pipeline.covariance) != rows.width:
+        raise PipelineError(
+            f"weights is a covariance of {len(pipeline.covariance)} channels, the {method} method "
+            f"has {rows.width}"
+        )
+    tare, doubts = _tare(source, geometry, gravity, method)
+    if method == "internal" and "rotor" not in terms:
         doubts += _rotors(tree)
-    build = external_equations if method == "external" else internal_equations
-    equations = build(geometry, data, minimal, pipeline)
-    solution = solve(equations)
-    covariance = hac_covariance(equations, solution)
-    if not np.isfinite(covariance).all():
+    plan = make_plan(source, rows, tare, pipeline)
+    names = (*minimal.names, *(f"{term}/{joint}" for term in terms for joint in tree.names))
+    channels = AXES if method == "external" else tree.names
+    sweeper = Sweeper(plan, threads, progress)
+    products = gather(rows, names, channels, sweeper.sums(products_wanted(rows.width)))
+    first = _solution(plan, products, pipeline, sweeper)
+    found = _second_pass(plan, first, sweeper)
+    if not np.isfinite(found.covariance).all():
         raise RecordingError("the recording holds numbers too large to compute with")
-    estimate = _estimate(method, geometry, minimal, equations, solution, covariance)
-    return replace(estimate, doubts=(*doubts, *estimate.doubts))
+    units = (*minimal.units, *_units(tree, terms))
+    return _estimate(method, units, minimal, products, found, tuple(doubts))
+
+
+def _tare(
+    source: Source, geometry: Tree, gravity: ArrayLike | None, method: Method
+) -> tuple[Array, list[str]]:
+    """What is taken off the wrench, and doubts so far."""
+    doubts = list(source.facts.get("doubts", ()))
+    if source.tare is not None:
+        return source.tare, doubts
+    tare = pedestal_wrench(geometry, gravity)
+    if method == "external" and tare.any():
+        doubts.append(
+            "the recording does not say what of the wrench is the pedestal's; the model's "
+            f"pedestal is taken off (Fz {tare[2]:.4g} N)"
+        )
+    return tare, doubts
+
+
+def _solution(plan: Plan, products: Products, pipeline: Pipeline, sweeper: Sweeper) -> Fit:
+    """By normal equations, or by QR where these have lost too much."""
+    full = pipeline.joined and pipeline.covariance is None
+    weights = noise_weights(products, pipeline.covariance, full)
+    try:
+        found = solved(products, weights)
+    except UnseenParameters:  # to product's precision; the rows may know better
+        return triangular(plan.layout, products, weights, sweeper.rows())
+    if np.isnan(found.values).any() or found.condition > SQUARED:
+        return triangular(plan.layout, products, weights, sweeper.rows())
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Refined:
+    """A solution after the second pass, which looks at the residuals themselves."""
+
+    fit: Fit
+    values: Array
+    covariance: Array
+    squares: Array  # of each channel's residuals
+
+
+def _second_pass(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
+    rows, basis = plan.layout.rows, plan.layout.basis
+    factors = np.zeros(rows.slots)
+    columns = rows.unknown >= 0
+    factors[columns] = -(basis @ fit.values)[rows.unknown[columns]]
+    factors[rows.measured] = 1.0
+    squares = np.zeros(len(rows.measured))
+    scores = ScoreSquares(len(basis), plan.rate)
+    for sums in sweeper.sums(Question(factors, fit.weights, bin_size(plan.rate))):
+        squares += np.diagonal(sums.moments)
+        scores.add(sums.scores)
+    values = fit.values + fit.inverse @ (basis.T @ scores.total)
+    covariance = sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
+    return _Refined(fit, values, covariance, squares)
+
+
+def _units(tree: Tree, terms: Sequence[str]) -> list[str]:
+    """Units of the terms' coefficients, kind by kind."""
+    turning = {"coulomb": "N m", "viscous": "N m s/rad", "offset": "N m", "rotor": "kg m^2"}
+    sliding = {"coulomb": "N", "viscous": "N s/m", "offset": "N", "rotor": "kg"}
+    return [(turning if j.revolute else sliding)[term] for term in terms for j in tree.joints]
 
 
 def _rotors(tree: Tree) -> list[str]:
@@ -143,59 +222,49 @@ def _rotors(tree: Tree) -> list[str]:
 
 def _estimate(
     method: Method,
-    tree: Tree,
+    units: tuple[str, ...],
     minimal: MinimalSet,
-    equations: Equations,
-    solution: Solution,
-    covariance: Array,
+    products: Products,
+    found: _Refined,
+    doubts: tuple[str, ...],
 ) -> Estimate:
-    friction_units: tuple[str, ...] = ()
-    if method == "internal":
-        turns = [joint.revolute for joint in tree.joints]
-        friction_units = (
-            *("N m" if turn else "N" for turn in turns),
-            *("N m s/rad" if turn else "N s/m" for turn in turns),
-        )
-    used = [
-        (c.measured[c.used], r[c.used])
-        for c, r in zip(equations.channels, solution.residuals, strict=True)
-    ]
-    sigma = np.sqrt(np.diagonal(covariance))
-    return Estimate(
+    square = np.diagonal(products.square) if products.joined else products.square
+    used = np.maximum(products.used, 1.0)
+    sigma = np.sqrt(np.diagonal(found.covariance))
+    estimate = Estimate(
         method=method,
-        names=equations.unknowns,
-        units=(*minimal.units, *friction_units),
-        values=solution.values,
+        names=products.unknowns,
+        units=units,
+        values=found.values,
         sigma=sigma,
-        covariance=covariance,
+        covariance=found.covariance,
         count=minimal.count,
         matrix=minimal.matrix,
-        channels=tuple(channel.name for channel in equations.channels),
-        residual=np.array([np.sqrt(np.mean(r**2)) for _, r in used]),
-        relative_residual=np.array(
-            [np.linalg.norm(r) / (np.linalg.norm(y) or 1.0) for y, r in used]
-        ),
-        samples=tuple(len(r) for _, r in used),
-        condition=solution.condition,
-        rank=solution.rank,
-        doubts=_doubts(method, equations, solution, sigma),
+        channels=products.channels,
+        residual=np.sqrt(found.squares / used),
+        relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
+        samples=tuple(int(n) for n in products.used),
+        condition=found.fit.condition,
+        products=products,
+        doubts=doubts,
     )
+    return replace(estimate, doubts=(*doubts, *_doubts(estimate)))
 
 
-def _doubts(
-    method: Method, equations: Equations, solution: Solution, sigma: Array
-) -> tuple[str, ...]:
+def _doubts(estimate: Estimate) -> list[str]:
     doubts = []
-    if solution.condition > ILL_CONDITIONED:
+    if estimate.condition > ILL_CONDITIONED:
         doubts.append(
-            f"the {method} equations are ill-conditioned ({solution.condition:.1e}): errors of the "
-            "instrument grow by up to that factor"
+            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): errors "
+            "of the instrument grow by up to that factor"
         )
+    every = zip(estimate.names, estimate.values, estimate.sigma, strict=True)
     loose = [
-        f"{name} ({value:.3g} +- {s:.2g})"
-        for name, value, s in zip(equations.unknowns, solution.values, sigma, strict=True)
-        if s > SIGNIFICANT * abs(value) and not name.startswith(("coulomb/", "viscous/"))
+        f"{name} ({value:.3g} +- {sigma:.2g})"
+        for name, value, sigma in list(every)[: estimate.count]
+        if sigma > SIGNIFICANT * abs(value)
     ]
     if loose:
-        doubts.append(f"the {method} estimate leaves poorly determined: {', '.join(loose)}")
-    return tuple(doubts)
+        listed = ", ".join(loose)
+        doubts.append(f"the {estimate.method} estimate leaves poorly determined: {listed}")
+    return doubts

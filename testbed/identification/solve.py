@@ -1,105 +1,185 @@
-"""Weighted least squares with scaled columns; weights from the residuals themselves.
+"""Weighted least squares from products; weights from the residuals themselves.
 
-Source    [FRS96] eq. (14), by QR instead of the normal equations
+Source    [FRS96] eq. (14); columns are scaled to unit length first
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import linalg
 
 from testbed.arrays import Array
-from testbed.errors import UnseenParameters
-from testbed.identification.prepare import Equations
+from testbed.dynamics.kernel.layout import Layout
+from testbed.errors import UnknownName, UnseenParameters
+from testbed.identification.products import Products
 
-REWEIGHTINGS = 3
-"""Passes in which the channels' noise levels are estimated from the residuals."""
+REWEIGHTINGS = 4
+"""Times that the channels' noise is estimated anew from the residuals."""
 
-RANK_TOLERANCE = 1e-6
+SQUARED = 1e6
+"""Condition up to which normal equations and one refinement are as good as a QR."""
+
+RANK_TOLERANCE = 1e-10
 """Singular values of the scaled equations below this share of the largest count as zero."""
 
+PRECISION = 1e-7
+"""Least noise of a channel relative to its measurement: what products can resolve."""
+
 _PART = 0.1  # an unknown with a larger part in a direction that the data miss is named
-_FLOOR = 1e-15  # least noise level of a channel, relative to the largest measurement
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """Least-squares solution of `Equations`.
+class Fit:
+    """A weighted least-squares solution.
 
     Attributes:
-        values: (p,).
-        noise: Noise level of each channel, (channels,) in its own unit.
-        residuals: measured - columns @ values, one (M',) a channel.
-        normal: Inverse of the weighted normal matrix, (p, p).
-        condition: Of the weighted equations with unit columns.
-        rank: Their numerical rank.
+        values: (p,); nan for what no weighted channel sees.
+        inverse: Inverse of X' W X, (p, p); nan likewise.
+        weights: W, (C, C).
+        condition: Of the weighted equations with columns of unit length.
     """
 
     values: Array
-    noise: Array
-    residuals: tuple[Array, ...]
-    normal: Array
+    inverse: Array
+    weights: Array
     condition: float
-    rank: int
 
 
-def solve(equations: Equations) -> Solution:
-    """Solve, re-estimating each channel's noise level from its residuals.
+def fit(products: Products, weights: Mapping[str, float] | None = None) -> Fit:
+    """Fit some of the channels, with weights of one's own.
+
+    One channel alone, all but one, or any others: no pass over the samples.
+
+    Args:
+        products: Of a recording; `Estimate.products`.
+        weights: By channel, one over the variance of its noise [N^-2, (N m)^-2]; channels
+            that are not named are left out. Default all, by their residuals.
+
+    Raises:
+        UnknownName: There is no such channel.
+        UnseenParameters: The channels see parameters that they cannot tell apart.
+    """
+    if weights is None:
+        return solved(products, noise_weights(products, None))
+    for name in weights:
+        if name not in products.channels:
+            raise UnknownName("channel", name, products.channels)
+    return solved(products, np.diag([float(weights.get(c, 0.0)) for c in products.channels]))
+
+
+def solved(products: Products, weights: Array) -> Fit:
+    """The solution for given weights, (C, C), by scaled normal equations.
+
+    Raises:
+        UnseenParameters: The equations do not determine all they see; names them.
+    """
+    matrix, vector = products.matrix(weights), products.vector(weights)
+    scale = np.sqrt(np.diagonal(matrix))
+    seen = scale > 0
+    values, inverse = np.full(len(scale), np.nan), np.full(matrix.shape, np.nan)
+    unit = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+    spread, directions = np.linalg.eigh(unit)
+    lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
+    if lost.any():
+        names = tuple(np.array(products.unknowns)[seen])
+        refuse(names, directions[:, lost].T, int(products.used.sum()))
+    factor = linalg.cho_factor(unit)
+    scaled = linalg.cho_solve(factor, np.eye(len(unit))) / np.outer(scale[seen], scale[seen])
+    inverse[np.ix_(seen, seen)] = scaled
+    values[seen] = linalg.cho_solve(factor, vector[seen] / scale[seen]) / scale[seen]
+    return Fit(values, inverse, weights, float(np.sqrt(spread[-1] / spread[0])))
+
+
+def noise_weights(products: Products, covariance: Array | None, full: bool = False) -> Array:
+    """W, (C, C): the inverse of the noise's covariance.
+
+    Args:
+        products: Of all rows.
+        covariance: Of the noise, if it is known.
+        full: Whether channels are taken as correlated.
+    """
+    if covariance is not None:
+        return np.linalg.inv(covariance)
+    rms = np.sqrt(np.diagonal(products.square) if products.joined else products.square)
+    rms = rms / np.sqrt(np.maximum(products.used, 1.0))
+    floor = np.maximum(PRECISION * rms, PRECISION**2 * (rms.max() or 1.0))
+    weights = np.eye(len(products.channels))
+    for _ in range(REWEIGHTINGS):
+        values = _rough(products, weights)
+        weights = _from_residuals(products, products.residual(values), floor, full)
+    return weights
+
+
+def _from_residuals(products: Products, squares: Array, floor: Array, full: bool) -> Array:
+    share = len(products.unknowns) / len(products.channels)
+    free = np.maximum(products.used - share, 1.0)
+    spread = squares / np.sqrt(np.outer(free, free))
+    variance = np.maximum(np.diagonal(spread), floor**2)
+    if not full:
+        return np.diag(1 / variance)
+    correlation = spread / np.sqrt(np.outer(variance, variance))
+    np.fill_diagonal(correlation, 1 + PRECISION)
+    return np.linalg.inv(correlation) / np.sqrt(np.outer(variance, variance))
+
+
+def _rough(products: Products, weights: Array) -> Array:
+    """A solution good enough for weights, whatever the condition."""
+    matrix, vector = products.matrix(weights), products.vector(weights)
+    scale = np.sqrt(np.diagonal(matrix))
+    scale[scale == 0] = 1.0
+    unit = matrix / np.outer(scale, scale)
+    values: Array = np.linalg.lstsq(unit, vector / scale, rcond=1e-13)[0] / scale
+    return values
+
+
+def triangular(layout: Layout, products: Products, weights: Array, rows: Iterator[Array]) -> Fit:
+    """The solution by QR of the rows themselves, block after block onto one triangle.
+
+    For equations whose products have lost what tells parameters apart.
+
+    Args:
+        layout: The rows.
+        products: Of all rows; only their names and scale.
+        weights: W, (C, C).
+        rows: Blocks of (slots, rows).
 
     Raises:
         UnseenParameters: The equations do not determine all unknowns; names them.
     """
-    noise = np.ones(len(equations.channels))
-    solution = _weighted(equations, noise)
-    for _ in range(REWEIGHTINGS):
-        noise = _levels(equations, solution.residuals)
-        solution = _weighted(equations, noise)
-    return solution
-
-
-def _weighted(equations: Equations, noise: Array) -> Solution:
-    stack = zip(equations.channels, noise, strict=True)
-    rows = [(c.columns[c.used] / level, c.measured[c.used] / level) for c, level in stack]
-    a, b = np.vstack([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
-    scale = np.linalg.norm(a, axis=0)
+    p, root = len(products.unknowns), np.linalg.cholesky(weights)
+    scale = np.sqrt(np.diagonal(products.matrix(weights)))
     scale[scale == 0] = 1.0
-    q, r = np.linalg.qr(a / scale)
+    lead = layout.basis / scale
+    triangle = np.zeros((0, p + 1))
+    for block in rows:
+        stack = np.zeros((len(layout.channels), block.shape[1], p + 1))
+        for c, columns in enumerate(layout.channels):
+            at = layout.rows.start[c]
+            stack[c, :, :p] = block[at : at + len(columns)].T @ lead[columns]
+            stack[c, :, p] = block[layout.rows.measured[c]]
+        white = np.tensordot(root.T, stack, 1).reshape(-1, p + 1)
+        triangle = np.linalg.qr(np.vstack([triangle, white]), mode="r")
+    r = np.zeros((p, p))
+    r[: min(p, len(triangle))] = triangle[:p, :p]
     _, spread, directions = np.linalg.svd(r)
-    _check_rank(equations, spread, directions, len(b))
+    lost = spread <= RANK_TOLERANCE * spread[0]
+    if lost.any():
+        refuse(products.unknowns, directions[lost], int(products.used.sum()))
     inverse = np.linalg.inv(r)
-    scaled = inverse @ (q.T @ b)
-    scaled += inverse @ (q.T @ (b - (a / scale) @ scaled))  # one refinement
-    values = scaled / scale
-    return Solution(
-        values=values,
-        noise=noise,
-        residuals=tuple(c.measured - c.columns @ values for c in equations.channels),
-        normal=(inverse @ inverse.T) / np.outer(scale, scale),
-        condition=float(spread[0] / spread[-1]),
-        rank=len(spread),
+    values = inverse @ triangle[:p, p] / scale
+    return Fit(
+        values,
+        inverse @ inverse.T / np.outer(scale, scale),
+        weights,
+        float(spread[0] / spread[-1]),
     )
 
 
-def _check_rank(equations: Equations, spread: Array, directions: Array, rows: int) -> None:
-    p = len(equations.unknowns)
-    spread = np.pad(spread, (0, p - len(spread)))
-    rank = int(np.sum(spread > RANK_TOLERANCE * spread[0]))
-    if rank < p:
-        parts = np.abs(directions[rank:]).max(axis=0)
-        unseen = [
-            name for name, part in zip(equations.unknowns, parts, strict=True) if part > _PART
-        ]
-        raise UnseenParameters(unseen, rank, p, rows)
-
-
-def _levels(equations: Equations, residuals: Sequence[Array]) -> Array:
-    """Noise level of every channel, (channels,); never below rounding."""
-    share = len(equations.unknowns) / len(equations.channels)
-    pairs = list(zip(equations.channels, residuals, strict=True))
-    free = np.array([max(c.used.sum() - share, 1.0) for c, _ in pairs])
-    spread = np.sqrt([np.sum(r[c.used] ** 2) for c, r in pairs] / free)
-    largest = max(float(np.abs(c.measured).max()) for c, _ in pairs)
-    levels: Array = np.maximum(spread, _FLOOR * largest or 1.0)
-    return levels
+def refuse(names: tuple[str, ...], directions: Array, rows: int) -> None:
+    """Raise with the names of the unknowns that have a part in directions, (k, p), unseen."""
+    parts = np.abs(directions).max(axis=0)
+    unseen = [name for name, part in zip(names, parts, strict=True) if part > _PART]
+    raise UnseenParameters(unseen, len(names) - len(directions), len(names), rows)

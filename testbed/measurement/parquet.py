@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,12 @@ FORMAT = "testbed recording 1"
 
 ROW_GROUP = 250_000
 """Samples a row group: what a streaming reader holds at once."""
+
+BATCH = 65_536
+"""Samples read at once."""
+
+BUFFER = 1 << 20
+"""Bytes of a column that are read at once."""
 
 _UNITS = {
     "revolute": {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
@@ -54,20 +62,96 @@ def read(path: Path) -> Recording:
     Raises:
         RecordingError: The file is missing or damaged, or a channel is missing.
     """
+    with _readable(path):
+        file, names, about = _opened(path)
+        wanted = [name for name in file.schema_arrow.names if _group(name) in _KNOWN]
+        return _assemble(names, _numbers(file.read(columns=wanted), wanted), about, path)
+
+
+class StoredRecording:
+    """A recording that stays in its Parquet file; parts are read as they are asked for.
+
+    Attributes:
+        names: Joint names.
+        samples: Number of samples.
+        rate: Samples a second [Hz].
+        tare: As `Recording.tare`.
+        facts: As `Recording.facts`.
+        senses_kinematics: Whether velocities and accelerations were sensed, both.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a file; reads its ends only.
+
+        Raises:
+            RecordingError: The file is missing or damaged, or a channel is missing.
+        """
+        self._path = Path(path)
+        with _readable(self._path):
+            self._file, self.names, self._about = _opened(self._path)
+            schema = self._file.schema_arrow.names
+            self._wanted = [name for name in schema if _group(name) in _MEASURED]
+            self.samples = self._file.metadata.num_rows
+            self._restart(0)
+            start = self.part(0, min(1, self.samples))
+            groups = self._file.metadata.num_row_groups
+            last = self._file.read_row_group(groups - 1, columns=["time"]) if groups else None
+            ends = [start.time[0], last["time"][-1].as_py()] if last and self.samples else [0, 0]
+        self.tare, self.facts = start.tare, start.facts
+        self.senses_kinematics = start.senses_kinematics
+        self.rate = (self.samples - 1) / float(ends[1] - ends[0]) if ends[1] > ends[0] else 0.0
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
+
+        Raises:
+            RecordingError: The file is damaged there.
+        """
+        with _readable(self._path):
+            if first < self._first:
+                self._restart(first)
+            while self._first + sum(len(batch) for batch in self._batches) < last:
+                self._batches.append(next(self._rest))
+                while self._first + len(self._batches[0]) <= first:
+                    self._first += len(self._batches.pop(0))
+            table = pa.Table.from_batches(self._batches, self._batches[0].schema)
+            table = table.slice(first - self._first, last - first)
+            columns = _numbers(table, self._wanted)
+            return _assemble(self.names, columns, self._about, self._path)
+
+    def _restart(self, first: int) -> None:
+        """Read on from the row group that holds a sample."""
+        groups, start, group = self._file.metadata, 0, 0
+        while group + 1 < groups.num_row_groups and first >= start + groups.row_group(group).num_rows:
+            start += groups.row_group(group).num_rows
+            group += 1
+        wanted = range(group, groups.num_row_groups)
+        self._first = start
+        self._batches: list[pa.RecordBatch] = []
+        self._rest = self._file.iter_batches(BATCH, wanted, columns=self._wanted)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError, StopIteration) as error:
+        reason = " ".join(str(error).split()) or "it ends early"
+        raise RecordingError(f"{path}: not a readable Parquet recording: {reason}") from None
+
+
+def _opened(path: Path) -> tuple[pq.ParquetFile, tuple[str, ...], dict[str, Any]]:
+    """The file, its joints, and its own metadata."""
     if not path.is_file():
         raise RecordingError(f"there is no recording '{path}'")
-    try:
-        file = pq.ParquetFile(path, pre_buffer=False)
-        schema = file.schema_arrow
-        about = _checked(json.loads((schema.metadata or {}).get(b"testbed", b"{}")))
-        names = _joint_names(schema.names, path)
-        wanted = [name for name in schema.names if _group(name) in _KNOWN]
-        table = file.read(columns=wanted)
-        columns = {name: table[name].to_numpy().astype(np.float64) for name in wanted}
-    except (pa.ArrowException, OSError, ValueError, TypeError, KeyError) as error:
-        reason = " ".join(str(error).split())
-        raise RecordingError(f"{path}: not a readable Parquet recording: {reason}") from None
-    return _assemble(names, columns, about, path)
+    file = pq.ParquetFile(path, pre_buffer=False, buffer_size=BUFFER)
+    schema = file.schema_arrow
+    about = _checked(json.loads((schema.metadata or {}).get(b"testbed", b"{}")))
+    return file, _joint_names(schema.names, path), about
+
+
+def _numbers(table: pa.Table, wanted: list[str]) -> dict[str, Array]:
+    return {name: table[name].to_numpy().astype(np.float64) for name in wanted}
 
 
 def is_parquet(path: Path) -> bool:
@@ -100,7 +184,8 @@ def _checked(about: Any) -> dict[str, Any]:
 
 
 _TRUE = ("position", "velocity", "acceleration", "torque", "friction")
-_KNOWN = {"time", "wrench", *_TRUE, *(f"truth/{g}" for g in (*_TRUE, "wrench"))} - {"friction"}
+_MEASURED = {"time", "wrench", *_TRUE} - {"friction"}
+_KNOWN = _MEASURED | {f"truth/{g}" for g in (*_TRUE, "wrench")}
 
 
 def _assemble(

@@ -106,6 +106,23 @@ class Recording:
         """Samples a second [Hz]."""
         return (self.samples - 1) / float(self.time[-1] - self.time[0])
 
+    def part(self, first: int, last: int) -> Recording:
+        """What was measured in samples `first` to `last` - 1; nothing is copied."""
+
+        def cut(columns: Array | None) -> Array | None:
+            return None if columns is None else columns[first:last]
+
+        return replace(
+            self,
+            time=self.time[first:last],
+            position=self.position[first:last],
+            torque=self.torque[first:last],
+            wrench=self.wrench[first:last],
+            velocity=cut(self.velocity),
+            acceleration=cut(self.acceleration),
+            truth=None,
+        )
+
     def blind(self) -> Recording:
         """The same recording without the truth: what an estimator is given."""
         return replace(self, truth=None)
@@ -210,25 +227,51 @@ def check(recording: Recording, source: str) -> None:
     """
     if recording.samples < 2:
         raise RecordingError(f"{source}: {recording.samples} samples are no recording")
-    for label, values in channels(recording).items():
-        bad = np.flatnonzero(~(np.abs(values) < LARGEST))  # what is no number fails too
-        if bad.size:
-            raise RecordingError(
-                f"{source}: channel '{label}' is {values[bad[0]]} at sample {bad[0]} "
-                f"(t = {recording.time[bad[0]]:.6g} s), {bad.size} such samples in all; "
-                "cut them out or repair the recording"
-            )
-    steps = np.diff(recording.time)
+    check_part(recording, source, float(np.median(np.diff(recording.time))))
+
+
+def check_part(part: Recording, source: str, typical: float, first: int = 0) -> None:
+    """`check` of a part of a recording.
+
+    Args:
+        part: Consecutive samples.
+        source: What the recording is called.
+        typical: Its sampling time [s].
+        first: Number of the part's first sample.
+
+    Raises:
+        RecordingError: Names the first bad channel, sample and time.
+    """
+    for group in ("time", "position", "velocity", "acceleration", "torque", "wrench"):
+        values = getattr(part, group)
+        if values is not None and values.size:
+            good = -LARGEST < values.min() and values.max() < LARGEST  # what is no number is not
+            if not good:
+                _refuse_values(part, source, first)
+    steps = np.diff(part.time)
+    if steps.size == 0:
+        return
     if steps.min() <= 0:
-        k = int(np.argmin(steps))
+        k = int(np.argmin(steps)) + first
         raise RecordingError(f"{source}: time does not increase after sample {k}")
-    typical = float(np.median(steps))
     worst = int(np.argmax(np.abs(steps - typical)))
     if abs(steps[worst] - typical) > 0.01 * typical:
         raise RecordingError(
-            f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample {worst}, "
-            f"{typical:.6g} s elsewhere; resample the recording to a constant rate"
+            f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample "
+            f"{worst + first}, {typical:.6g} s elsewhere; resample the recording to a constant rate"
         )
+
+
+def _refuse_values(part: Recording, source: str, first: int) -> None:
+    for label, values in channels(part).items():
+        bad = np.flatnonzero(~(np.abs(values) < LARGEST))
+        if bad.size:
+            k = bad[0]
+            raise RecordingError(
+                f"{source}: channel '{label}' is {values[k]} at sample {k + first} "
+                f"(t = {part.time[k]:.6g} s), one of {bad.size} such among samples {first} to "
+                f"{first + part.samples - 1}; cut them out or repair the recording"
+            )
 
 
 def channels(recording: Recording) -> dict[str, Array]:

@@ -77,6 +77,11 @@ class MinimalSet:
         return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)
 
     @property
+    def known_zero(self) -> NDArray[np.bool_]:
+        """Barycentric parameters taken to be zero, (n, 10)."""
+        return self._known_zero
+
+    @property
     def never(self) -> tuple[str, ...]:
         """Barycentric parameters that are in no combination at all."""
         unseen = ~self.matrix.any(axis=0) & ~self._known_zero.ravel()

@@ -58,13 +58,12 @@ def estimate_table(estimates: Sequence[Estimate]) -> Table:
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
-    """One line an estimate: condition, rank, residual of each channel."""
+    """One line an estimate: number of unknowns, condition, residual of each channel."""
     lines = []
     for e in estimates:
         fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
         lines.append(
-            f"{e.method}: rank {e.rank} of {len(e.names)}, condition {e.condition:.1f}, "
-            f"residual rms {fits}"
+            f"{e.method}: {len(e.names)} unknowns, condition {e.condition:.1f}, residual rms {fits}"
         )
     return lines
 

@@ -1,0 +1,168 @@
+"""Filling rows: coordinates are read or smoothed, bodies move, entries go to their slots."""
+
+from __future__ import annotations
+
+from testbed.dynamics.kernel.recursion import (
+    BODY,
+    SCREW,
+    A,
+    C,
+    S,
+    carry_inclined,
+    carry_square,
+    carry_straight,
+    move_inclined,
+    move_square,
+    move_straight,
+    push,
+    rest,
+    sine_cosine,
+    slide,
+    slide_here,
+    turn_here,
+)
+from testbed.dynamics.kernel.target import NB, B, D, inline, plain
+
+
+@plain
+def prepare(robot, work):
+    """What of the workspace never changes: the bedplate's motion, its screws, resting turns."""
+    for d in range(3):
+        work.X[A + d * B : A + d * B + NB] = robot.ground[d]
+    for i in range(len(robot.parent)):
+        work.X[(i + 1) * BODY + C : (i + 1) * BODY + C + NB] = robot.joint[i, 6]
+        work.X[(i + 1) * BODY + S : (i + 1) * BODY + S + NB] = robot.joint[i, 7]
+    for k in range(6):
+        for d in range(6):
+            work.V[k * SCREW + d * B : k * SCREW + d * B + NB] = robot.seeds[k, d]
+
+
+@inline
+def load(source, first, count, column, U):
+    """Samples of one column; those past the end are zero."""
+    for k in range(count):
+        U[k] = source[first + k, column]
+    for k in range(count, NB):
+        U[k] = 0.0
+
+
+@inline
+def smooth(source, first, count, column, taps, N, U):
+    """Position and its two derivatives by symmetric convolution of the encoder's samples."""
+    half = taps.shape[1] // 2
+    for k in range(count + 2 * half):
+        N[k] = source[first - half + k, column]
+    for k in range(count + 2 * half, NB + 2 * half):
+        N[k] = 0.0
+    x, v, a = U[:NB], U[B : B + NB], U[2 * B : 2 * B + NB]
+    for k in range(NB):
+        x[k], v[k], a[k] = taps[0, half] * N[half + k], 0.0, taps[2, half] * N[half + k]
+    for t in range(1, half + 1):
+        before, after = N[half - t : half - t + NB], N[half + t : half + t + NB]
+        h0, h1, h2 = taps[0, half + t], taps[1, half + t], taps[2, half + t]
+        for k in range(NB):
+            even = before[k] + after[k]
+            x[k] += h0 * even
+            v[k] += h1 * (after[k] - before[k])
+            a[k] += h2 * even
+
+
+@inline
+def move_link(i, robot, signals, first, count, work):
+    """The motion of link i, and its coordinate's."""
+    X = work.X[(i + 1) * BODY : (i + 2) * BODY]
+    P = work.X[(robot.parent[i] + 1) * BODY : (robot.parent[i] + 2) * BODY]
+    U = work.U[i * 3 * B : (i + 1) * 3 * B]
+    q, qd, qdd = U[:B], U[B : 2 * B], U[2 * B :]
+    j, J = robot.coordinate[i], robot.joint[i]
+    if j >= 0:
+        if len(signals.velocity):
+            load(signals.position, first, count, j, q)
+            load(signals.velocity, first, count, j, qd)
+            load(signals.acceleration, first, count, j, qdd)
+        else:
+            smooth(signals.position, first, count, j, signals.taps, work.N, U)
+    turns = 0.0
+    if not robot.slides[i]:
+        turns = 1.0
+        sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
+    if robot.lean[i] == 0:
+        move_straight(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
+    elif robot.lean[i] == 1:
+        move_square(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
+    else:
+        move_inclined(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
+    if robot.slides[i] and j >= 0:
+        slide(X, q, qd, qdd)
+
+
+@inline
+def fill_link(i, robot, rows, work, Y, at):
+    """The entries of every row on link i, from column `at` of their slots on."""
+    X = work.X[(i + 1) * BODY : (i + 2) * BODY]
+    J = robot.joint[i]
+    for e in range(rows.first[i], rows.first[i + 1]):
+        V = work.V[rows.target[e] * SCREW : (rows.target[e] + 1) * SCREW]
+        y = rows.slot[e] * D + at
+        out = Y[y : y + 7 * D] if rows.direct[e] else work.T
+        source = rows.source[e]
+        P = work.V[max(source, 0) * SCREW : (source + 1) * SCREW]
+        if source < 0:
+            if robot.slides[i]:
+                slide_here(V, X, out)
+            else:
+                turn_here(V, X, out)
+        elif rows.force[e]:
+            push(J[0], J[1], P, V, X, out)
+        elif robot.lean[i] == 0:
+            carry_straight(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
+        elif robot.lean[i] == 1:
+            carry_square(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
+        else:
+            carry_inclined(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
+        if rows.rest[e]:
+            rest(0.0 if rows.force[e] else 1.0, V, X, work.T[7 * D :])
+        for t in range(rows.copies[e], rows.copies[e + 1]):
+            y = rows.copy_to[t] * D + at
+            T = work.T[rows.copy_from[t] * D :]
+            for k in range(NB):
+                Y[y + k] = T[k]
+
+
+@inline
+def term(kind, qd, qdd, Y):
+    """A column of one joint's own: dry friction, viscous friction, offset, rotor."""
+    for k in range(NB):
+        sign = 1.0 if qd[k] > 0.0 else (-1.0 if qd[k] < 0.0 else 0.0)
+        Y[k] = sign if kind == 0 else qd[k] if kind == 1 else 1.0 if kind == 2 else qdd[k]
+
+
+@inline
+def fill_own(rows, signals, first, count, work, Y, at):
+    """What rows hold besides bodies: own terms, the measurement, whether the joint moves."""
+    for t in range(len(rows.term_slot)):
+        U = work.U[rows.term_link[t] * 3 * B : (rows.term_link[t] + 1) * 3 * B]
+        y = rows.term_slot[t] * D + at
+        term(rows.term_kind[t], U[B : 2 * B], U[2 * B :], Y[y : y + NB])
+    for c in range(len(rows.measured)):
+        y = rows.measured[c] * D + at
+        load(signals.measured, first, count, c, Y[y : y + NB])
+        if signals.deadband > 0.0:
+            qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
+            y = (rows.slots + c) * D + at
+            for k in range(NB):
+                Y[y + k] = 1.0 if abs(qd[k]) > signals.deadband else 0.0
+
+
+@plain
+def fill(robot, rows, signals, first, count, work, Y):
+    """Rows at `count` samples from `first` on, unfiltered; zeros up to a full block."""
+    for at in range(0, count, NB):
+        some = min(NB, count - at)
+        for i in range(len(robot.parent)):
+            move_link(i, robot, signals, first + at, some, work)
+            fill_link(i, robot, rows, work, Y, at)
+        fill_own(rows, signals, first + at, some, work, Y, at)
+    if count % NB:
+        for s in range(rows.slots):
+            Y[s * D + count : s * D + count + NB - count % NB] = 0.0

@@ -1,0 +1,143 @@
+"""The plain arrays that the kernel works on, and its constants."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+
+ORDER = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
+"""The kernel's entries, as indices of COMPONENTS; an eleventh is mbar as carriers feel it."""
+
+USUAL = 7
+"""How many entries the kernel makes at once; `rest` makes the others."""
+
+PUSHED = (0, 1, 7, 9)
+"""Entries that a force has: first moments and mass."""
+
+CACHE = 1_800_000
+"""Bytes of slots that stay in a processor's second cache."""
+
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Robot(NamedTuple):
+    """Links outward; `joint` holds cos and sin of the lean, offset, turn, its cos and sin."""
+
+    coordinate: Ints
+    parent: Ints
+    slides: Bools
+    lean: Ints  # 0 straight, 1 square, 2 inclined
+    joint: Array
+    ground: Array  # the bedplate's acceleration less gravity
+    seeds: Array  # screws of the bedplate's channels
+
+
+class Rows(NamedTuple):
+    """Which screws meet which links, and where their entries go."""
+
+    first: Ints  # of a link's pairs with screws
+    source: Ints  # place of the screw on the carrier, a seed's, or -1: it starts here
+    target: Ints  # place of the screw here
+    force: Bools
+    slot: Ints
+    direct: Bools  # its first entries can be written where they belong
+    rest: Bools  # it has entries that few bodies have
+    copies: Ints  # first of a pair's entries that are to be copied
+    copy_from: Ints  # entry of the kernel
+    copy_to: Ints  # slot
+    term_slot: Ints
+    term_link: Ints
+    term_kind: Ints
+    start: Ints  # of a channel's slots
+    width: Ints  # of a channel, measurement and padding included
+    measured: Ints  # slot of a channel's measurement
+    link: Ints  # of a channel's joint
+    unknown: Ints  # column of every slot; -1 for measurements and padding
+    group_slot: Ints  # slots whose products are wanted
+    group_size: Ints  # how many they are
+    group_width: Ints  # and with the padding
+    group_gram: Ints  # where these go
+    slots: int
+    block: int  # rows taken at once
+
+
+class Signals(NamedTuple):
+    """A window of a recording, and which of its samples become rows."""
+
+    position: Array
+    velocity: Array  # empty where it is to be had from the positions
+    acceleration: Array
+    measured: Array
+    taps: Array  # convolution kernels of position, velocity, acceleration
+    weights: Array  # of the filter on rows; a single one for none
+    deadband: float
+    start: int  # sample of the first row
+    step: int  # samples from row to row
+    count: int  # of rows
+
+
+class Work(NamedTuple):
+    """What one thread of the kernel writes to."""
+
+    U: Array  # coordinates
+    N: Array  # one encoder's neighbourhood
+    X: Array  # bodies
+    V: Array  # screws
+    T: Array  # entries of one body, before some are picked
+    Y: Array  # rows
+    H: Array  # weights of the filter
+    Z: Array  # filtered rows
+    R: Array  # residuals
+
+
+class Sums(NamedTuple):
+    """What a sweep of a window finds.
+
+    Attributes:
+        used: Rows of each channel that count.
+        products: Of all pairs of a group's slots, lower triangles, group by group; or empty.
+        moments: Of the channels' residuals, lower triangle; or zero.
+        scores: Columns times weighted residuals, summed over bins of rows; or empty.
+    """
+
+    used: Array
+    products: Array
+    moments: Array
+    scores: Array
+
+
+class Question(NamedTuple):
+    """What to find: products, or, where factors are given, residuals.
+
+    Attributes:
+        factors: What each slot counts in a residual, (slots,); empty for products.
+        weights: Of the channels' residuals in the scores, (channels, channels).
+        bins: Rows of a score, a power of two up to 64.
+    """
+
+    factors: Array
+    weights: Array
+    bins: int
+
+
+def products_wanted(channels: int) -> Question:
+    """The question for products."""
+    return Question(np.empty(0), np.zeros((channels, channels)), 1)
+
+
+def sums_for(rows: Rows, signals: Signals, question: Question, columns: int) -> Sums:
+    """Room for the answer, zero."""
+    channels = len(rows.measured)
+    residuals = len(question.factors) > 0
+    bins = -(-signals.count // question.bins) if residuals else 0
+    return Sums(
+        used=np.zeros(channels),
+        products=np.zeros(0 if residuals else int((rows.group_width**2).sum())),
+        moments=np.zeros((channels, channels)),
+        scores=np.zeros((bins, columns)),
+    )

@@ -1,0 +1,202 @@
+"""One sweep over a window: rows, filtered or not, their products, their residuals."""
+
+from __future__ import annotations
+
+from testbed.dynamics.kernel.fill import fill, prepare
+from testbed.dynamics.kernel.target import CHUNK, WIDE, D, inline, outer, plain, summing
+
+
+@summing
+def tile(X, Y, n, G, at, ld):
+    """G[at + i ld + j] += X_i . Y_j for four slots of each."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * y0; a1 += x0 * y1; a2 += x0 * y2; a3 += x0 * y3
+        b0 += x1 * y0; b1 += x1 * y1; b2 += x1 * y2; b3 += x1 * y3
+        c0 += x2 * y0; c1 += x2 * y1; c2 += x2 * y2; c3 += x2 * y3
+        d0 += x3 * y0; d1 += x3 * y1; d2 += x3 * y2; d3 += x3 * y3
+    G[at] += a0; G[at + 1] += a1; G[at + 2] += a2; G[at + 3] += a3; at += ld
+    G[at] += b0; G[at + 1] += b1; G[at + 2] += b2; G[at + 3] += b3; at += ld
+    G[at] += c0; G[at + 1] += c1; G[at + 2] += c2; G[at + 3] += c3; at += ld
+    G[at] += d0; G[at + 1] += d1; G[at + 2] += d2; G[at + 3] += d3
+
+
+@summing
+def half_tile(X, Y, n, G, at, ld):
+    """`tile` for two slots with four."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1 = X[k], X[D + k]
+        a0 += x0 * y0; a1 += x0 * y1; a2 += x0 * y2; a3 += x0 * y3
+        b0 += x1 * y0; b1 += x1 * y1; b2 += x1 * y2; b3 += x1 * y3
+    G[at] += a0; G[at + 1] += a1; G[at + 2] += a2; G[at + 3] += a3; at += ld
+    G[at] += b0; G[at + 1] += b1; G[at + 2] += b2; G[at + 3] += b3
+
+
+@summing
+def diagonal_tile(X, n, G, at, ld):
+    """`tile` for four slots with themselves."""
+    a0 = b0 = b1 = c0 = c1 = c2 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * x0
+        b0 += x1 * x0; b1 += x1 * x1
+        c0 += x2 * x0; c1 += x2 * x1; c2 += x2 * x2
+        d0 += x3 * x0; d1 += x3 * x1; d2 += x3 * x2; d3 += x3 * x3
+    G[at] += a0; at += ld
+    G[at] += b0; G[at + 1] += b1; at += ld
+    G[at] += c0; G[at + 1] += c1; G[at + 2] += c2; at += ld
+    G[at] += d0; G[at + 1] += d1; G[at + 2] += d2; G[at + 3] += d3
+
+
+@plain
+def filter_rows(robot, rows, signals, first, count, work):
+    """`count` filtered rows from row `first` on, in Z: weighted sums of the rows around each."""
+    half, step = len(signals.weights) // 2, signals.step
+    centre = signals.start + first * step
+    last = centre + (count - 1) * step
+    work.Z[:] = 0.0
+    for at in range(centre - half, last + half + 1, CHUNK):
+        n = min(CHUNK, last + half + 1 - at)
+        fill(robot, rows, signals, at, n, work, work.Y)
+        lo = max(0, -((centre + half - at) // step)) // 4 * 4
+        hi = min(count, (at + n - 1 + half - centre) // step + 1)
+        for r in range(lo, lo + -((lo - hi) // 4) * 4):
+            behind = at - centre - r * step + half
+            H = work.H[(r - lo) * D : (r - lo) * D + CHUNK]
+            for k in range(CHUNK):
+                inside = 0 <= behind + k < len(signals.weights) and k < n and r < count
+                H[k] = signals.weights[behind + k] if inside else 0.0
+        for s in range(0, rows.slots, 4):
+            for r in range(lo, hi, 4):
+                Y, H = work.Y[s * D : (s + 4) * D], work.H[(r - lo) * D : (r - lo + 4) * D]
+                if WIDE:
+                    tile(Y, H, CHUNK, work.Z, s * D + r, D)
+                else:
+                    half_tile(Y, H, CHUNK, work.Z, s * D + r, D)
+                    half_tile(Y[2 * D :], H, CHUNK, work.Z, (s + 2) * D + r, D)
+        now = max(0, -((centre - at) // step))  # rows whose own sample is here
+        for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
+            for s in range(rows.slots, rows.slots + len(rows.measured)):
+                work.Z[s * D + r] = work.Y[s * D + centre + r * step - at]
+
+
+@plain
+def take(robot, rows, signals, first, work, used):
+    """The next rows, into Z, with those zero in which a joint rests; their number."""
+    count = min(rows.block, signals.count - first)
+    if len(signals.weights) > 1:
+        filter_rows(robot, rows, signals, first, count, work)
+    else:
+        fill(robot, rows, signals, signals.start + first, count, work, work.Z)
+    for c in range(len(rows.measured)):
+        moving = float(count)
+        if signals.deadband > 0.0:
+            U = work.Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+            moving = U.sum()
+            if moving < count:
+                for s in range(rows.start[c], rows.start[c] + rows.width[c]):
+                    for k in range(count):
+                        work.Z[s * D + k] *= U[k]
+        used[c] += moving
+    return count
+
+
+@plain
+def gram(rows, Z, count, G):
+    """Add the products of all pairs of slots, group by group of rows; lower triangles."""
+    n = -(-count // 8) * 8
+    for g in range(len(rows.group_slot)):
+        p, ld = rows.group_size[g], rows.group_width[g]
+        X = Z[rows.group_slot[g] * D : (rows.group_slot[g] + ld) * D]
+        for a in range(0, p, 4):
+            at = rows.group_gram[g] + a * ld
+            for b in range(0, a, 4):
+                if p - a > 2 and WIDE:
+                    tile(X[a * D : (a + 4) * D], X[b * D : (b + 4) * D], n, G, at + b, ld)
+                else:
+                    half_tile(X[a * D : (a + 2) * D], X[b * D : (b + 4) * D], n, G, at + b, ld)
+                    if p - a > 2:
+                        half_tile(X[(a + 2) * D : (a + 4) * D], X[b * D : (b + 4) * D], n, G,
+                                  at + 2 * ld + b, ld)
+            diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
+
+
+@inline
+def add(f, X, n, Y):
+    """Y += f X for four slots X."""
+    f0, f1, f2, f3 = f[0], f[1], f[2], f[3]
+    for k in range(n):
+        Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
+
+
+@summing
+def dots(E, X, n):
+    """E . X for four slots X."""
+    a = b = c = d = 0.0
+    for k in range(n):
+        e = E[k]
+        a += e * X[k]
+        b += e * X[D + k]
+        c += e * X[2 * D + k]
+        d += e * X[3 * D + k]
+    return a, b, c, d
+
+
+@summing
+def dot(X, Y, n):
+    total = 0.0
+    for k in range(n):
+        total += X[k] * Y[k]
+    return total
+
+
+@plain
+def residual(rows, work, count, factors, weights, bins, at, moments, scores):
+    """Residuals, the sums of slots times `factors`; their products; and scores.
+
+    A score is the sum over a bin of rows of columns times weighted residuals.
+    """
+    channels = len(rows.measured)
+    R = work.R
+    R[:] = 0.0
+    for c in range(channels):
+        for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+            add(factors[s : s + 4], work.Z[s * D : (s + 4) * D], count, R[c * D :])
+    for c in range(channels):
+        for d in range(c + 1):
+            moments[c, d] += dot(R[c * D :], R[d * D :], count)
+    E = R[channels * D :]
+    for c in range(channels):
+        E[:] = 0.0
+        for d in range(channels):
+            if weights[c, d] != 0.0:
+                for k in range(count):
+                    E[k] += weights[c, d] * R[d * D + k]
+        for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+            for k in range(0, count, bins):
+                some = min(bins, count - k)
+                found = dots(E[k:], work.Z[s * D + k : (s + 4) * D], some)
+                for i in range(4):
+                    u = rows.unknown[s + i]
+                    if u >= 0:
+                        scores[(at + k) // bins, u] += found[i]
+
+
+@outer
+def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, scores):
+    """All rows, block by block: their products if G is given, residuals if factors are.
+
+    The last block stays in work.Z.
+    """
+    prepare(robot, work)
+    for first in range(0, signals.count, rows.block):
+        count = take(robot, rows, signals, first, work, used)
+        if len(G):
+            gram(rows, work.Z, count, G)
+        if len(factors):
+            residual(rows, work, count, factors, weights, bins, first, moments, scores)

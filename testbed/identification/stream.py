@@ -1,0 +1,132 @@
+"""Passes over the samples: window by window, on several threads, in constant memory.
+
+Windows and the order in which their answers come are the same whatever the source and the
+number of threads, and so is, to the bit, all that is computed from them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from testbed.arrays import Array
+from testbed.dynamics.kernel import reference
+from testbed.dynamics.kernel.shapes import Question, Signals, Sums
+from testbed.identification.plan import Plan, Window
+from testbed.measurement.recording import check_part
+
+Progress = Callable[[int, int], None]
+"""Called with samples done and samples in all."""
+
+Answer = TypeVar("Answer")
+
+SMALL_JOB = 3e8
+"""Samples times squared number of joints, and a bit, that NumPy does sooner than the kernel loads."""
+
+
+def is_small(plan: Plan) -> bool:
+    """Whether the compiled kernel would not be worth loading."""
+    n = plan.layout.tree.n
+    return plan.source.samples * (n + 4) ** 2 * 4 < SMALL_JOB / 10
+
+
+class Sweeper:
+    """Answers questions about all rows of a plan, pass by pass."""
+
+    def __init__(
+        self, plan: Plan, threads: int | None, progress: Progress, compiled: bool | None = None
+    ) -> None:
+        """Args:
+        plan: The rows.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all; a pass counts once.
+        compiled: Whether to use the compiled kernel; default where it is worth it.
+        """
+        self.plan = plan
+        self.compiled = not is_small(plan) if compiled is None else compiled
+        self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
+        self.progress = progress
+        self.checked = False
+        self.done = 0
+        self._rooms: SimpleQueue[Any] = SimpleQueue()
+
+    def sums(self, question: Question) -> Iterator[Sums]:
+        """The answers of all windows, in order."""
+        return self._pass(lambda signals: self._sums(signals, question))
+
+    def rows(self) -> Iterator[Array]:
+        """All rows, a block at a time, (slots, rows)."""
+        for blocks in self._pass(self._rows):
+            yield from blocks
+
+    def _pass(self, ask: Callable[[Signals], Answer]) -> Iterator[Answer]:
+        plan, source = self.plan, self.plan.source
+
+        def answer(part: Any, window: Window) -> Answer:
+            if check:
+                check_part(part, "the recording", 1 / source.rate, window.first)
+            return ask(plan.signals(part, window))
+
+        check, self.checked = not self.checked, True
+        pending: deque[tuple[Future[Answer], Window]] = deque()
+        with threadpool_limits(1, "blas"), ThreadPoolExecutor(self.threads) as pool:
+            try:
+                for window in plan.windows():
+                    part = source.part(window.first, window.last)
+                    pending.append((pool.submit(answer, part, window), window))
+                    if len(pending) > self.threads:
+                        yield self._next(pending)
+                while pending:
+                    yield self._next(pending)
+            finally:
+                for future, _ in pending:
+                    future.cancel()
+
+    def _next(self, pending: deque[tuple[Future[Answer], Window]]) -> Answer:
+        future, window = pending.popleft()
+        found = future.result()
+        self.done += window.rows * self.plan.step
+        self.progress(self.done, 2 * self.plan.rows * self.plan.step)
+        return found
+
+    def _sums(self, signals: Signals, question: Question) -> Sums:
+        layout = self.plan.layout
+        if not self.compiled:
+            return reference.sweep(layout, signals, question)
+        from testbed.dynamics.kernel import compiled
+
+        work = self._room(signals)
+        try:
+            return compiled.sweep(layout, signals, question, work)
+        finally:
+            self._rooms.put(work)
+
+    def _rows(self, signals: Signals) -> list[Array]:
+        layout, found = self.plan.layout, []
+        for first in range(0, signals.count, layout.rows.block):
+            count = min(layout.rows.block, signals.count - first)
+            part = signals._replace(start=signals.start + first * signals.step, count=count)
+            if not self.compiled:
+                found.append(reference.rows(layout, part))
+                continue
+            from testbed.dynamics.kernel import compiled
+
+            work = self._room(signals)
+            found.append(compiled.rows(layout, part, work))
+            self._rooms.put(work)
+        return found
+
+    def _room(self, signals: Signals) -> Any:
+        """A workspace that no other thread is using."""
+        from testbed.dynamics.kernel import compiled
+
+        try:
+            return self._rooms.get_nowait()
+        except Empty:
+            return compiled.workspace(self.plan.layout, signals)

@@ -1,0 +1,102 @@
+"""Where samples come from: memory, memory maps, files, or a stream of parts."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.measurement.recording import Recording
+
+
+class Source(Protocol):
+    """Samples that can be had part by part: a `Recording`, or one that stays in its file."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+
+    @property
+    def tare(self) -> Array | None:
+        """As `Recording.tare`."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """As `Recording.facts`."""
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth."""
+
+
+def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:
+    """Samples from memory, from a Parquet file that stays there, or from parts in turn.
+
+    Args:
+        what: A recording, the path of one, or parts of one in the order of time.
+
+    Raises:
+        RecordingError: The file is no recording, or the parts do not belong together.
+    """
+    if isinstance(what, str | Path):
+        from testbed.measurement.parquet import StoredRecording
+
+        return StoredRecording(what)
+    if hasattr(what, "part"):
+        return what
+    return gathered(what)
+
+
+def gathered(parts: Iterable[Recording]) -> Recording:
+    """One recording of parts that need not fit into memory together.
+
+    It is kept in unnamed temporary files, which go when it goes.
+
+    Args:
+        parts: In the order of time, of one robot.
+
+    Raises:
+        RecordingError: There are none, or they do not belong together.
+    """
+    groups: list[str] = []
+    files: dict[str, Any] = {}
+    whole: Recording | None = None
+    for part in parts:
+        present = [name for name in _GROUPS if getattr(part, name) is not None]
+        if whole is None:
+            whole, groups = part, present
+            files = {name: tempfile.TemporaryFile() for name in groups}
+        if present != groups or part.names != whole.names:
+            raise RecordingError("the parts of the recording have different channels")
+        for name, file in files.items():
+            file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
+    if whole is None:
+        raise RecordingError("the recording has no parts")
+    return replace(whole, truth=None, **{name: _mapped(file, whole, name) for name, file in files.items()})
+
+
+_GROUPS = ("time", "position", "torque", "wrench", "velocity", "acceleration")
+
+
+def _mapped(file: Any, like: Recording, name: str) -> Array:
+    file.flush()
+    shape = (-1, *getattr(like, name).shape[1:])
+    found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
+    return found
