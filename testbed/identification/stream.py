@@ -26,14 +26,17 @@ Progress = Callable[[int, int], None]
 
 Answer = TypeVar("Answer")
 
-SMALL_JOB = 3e8
-"""Samples times squared number of joints, and a bit, that NumPy does sooner than the kernel loads."""
+SMALL = 2.0
+"""Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
+
+KEPT = 64e6
+"""Bytes of rows that are kept from the first pass to the next, in small jobs."""
 
 
 def is_small(plan: Plan) -> bool:
-    """Whether the compiled kernel would not be worth loading."""
-    n = plan.layout.tree.n
-    return plan.source.samples * (n + 4) ** 2 * 4 < SMALL_JOB / 10
+    """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
+    seconds = 12e-6 + 0.06e-6 * plan.layout.theta.size / 10  # a sample, measured
+    return plan.source.samples * seconds < SMALL
 
 
 class Sweeper:
@@ -55,23 +58,25 @@ class Sweeper:
         self.checked = False
         self.done = 0
         self._rooms: SimpleQueue[Any] = SimpleQueue()
+        self._kept: dict[int, list[reference.Block]] = {}
+        self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT
 
     def sums(self, question: Question) -> Iterator[Sums]:
         """The answers of all windows, in order."""
-        return self._pass(lambda signals: self._sums(signals, question))
+        return self._pass(lambda signals, window: self._sums(signals, window, question))
 
     def rows(self) -> Iterator[Array]:
         """All rows, a block at a time, (slots, rows)."""
         for blocks in self._pass(self._rows):
             yield from blocks
 
-    def _pass(self, ask: Callable[[Signals], Answer]) -> Iterator[Answer]:
+    def _pass(self, ask: Callable[[Signals, Window], Answer]) -> Iterator[Answer]:
         plan, source = self.plan, self.plan.source
 
         def answer(part: Any, window: Window) -> Answer:
             if check:
                 check_part(part, "the recording", 1 / source.rate, window.first)
-            return ask(plan.signals(part, window))
+            return ask(plan.signals(part, window), window)
 
         check, self.checked = not self.checked, True
         pending: deque[tuple[Future[Answer], Window]] = deque()
@@ -95,10 +100,10 @@ class Sweeper:
         self.progress(self.done, 2 * self.plan.rows * self.plan.step)
         return found
 
-    def _sums(self, signals: Signals, question: Question) -> Sums:
+    def _sums(self, signals: Signals, window: Window, question: Question) -> Sums:
         layout = self.plan.layout
         if not self.compiled:
-            return reference.sweep(layout, signals, question)
+            return reference.answer(layout, signals, self._blocks(signals, window), question)
         from testbed.dynamics.kernel import compiled
 
         work = self._room(signals)
@@ -107,19 +112,23 @@ class Sweeper:
         finally:
             self._rooms.put(work)
 
-    def _rows(self, signals: Signals) -> list[Array]:
-        layout, found = self.plan.layout, []
-        for first in range(0, signals.count, layout.rows.block):
-            count = min(layout.rows.block, signals.count - first)
-            part = signals._replace(start=signals.start + first * signals.step, count=count)
-            if not self.compiled:
-                found.append(reference.rows(layout, part))
-                continue
-            from testbed.dynamics.kernel import compiled
+    def _rows(self, signals: Signals, window: Window) -> list[Array]:
+        if not self.compiled:
+            return [block.rows for block in self._blocks(signals, window)]
+        from testbed.dynamics.kernel import compiled
 
-            work = self._room(signals)
-            found.append(compiled.rows(layout, part, work))
+        work = self._room(signals)
+        try:
+            return compiled.rows(self.plan.layout, signals, work)
+        finally:
             self._rooms.put(work)
+
+    def _blocks(self, signals: Signals, window: Window) -> list[reference.Block]:
+        if window.row in self._kept:
+            return self._kept[window.row]
+        found = reference.blocks(self.plan.layout, signals)
+        if self._keeps:
+            self._kept[window.row] = found
         return found
 
     def _room(self, signals: Signals) -> Any:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import AnyArray
 from testbed.dynamics.kernel.canonical import Canonical, Link
-from testbed.dynamics.kernel.shapes import CACHE, PUSHED, USUAL, Bools, Ints, Rows
+from testbed.dynamics.kernel.shapes import CACHE, KS, NB, PUSHED, USUAL, Bools, Ints, Rows
 
 
 class Pair(NamedTuple):
@@ -148,7 +148,7 @@ class Draft:
             group_width=ints(widths),
             group_gram=ints(np.cumsum([0, *(width**2 for width in widths[:-1])])),
             slots=self.slots,
-            block=int(np.clip(CACHE // (8 * self.slots) // 64 * 64, 64, 256)),
+            block=int(np.clip(CACHE // (8 * self.slots) // NB * NB, NB, KS)),
         )
 
 

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import config
 
 from testbed.arrays import Array
-from testbed.dynamics.kernel.layout import Layout
-from testbed.dynamics.kernel.recursion import BODY, SCREW
-from testbed.dynamics.kernel.shapes import Question, Signals, Sums, Work, sums_for
+from testbed.dynamics.kernel.layout import Layout, layout
+from testbed.dynamics.kernel.recursion import BODY, SCREW, A, C, S
+from testbed.dynamics.kernel.shapes import (
+    CHUNK,
+    B,
+    D,
+    Question,
+    Signals,
+    Sums,
+    Work,
+    products_wanted,
+    sums_for,
+)
 from testbed.dynamics.kernel.sweep import sweep as compiled
-from testbed.dynamics.kernel.target import CHUNK, B, D
+from testbed.parameters.minimal_set import minimal_set
+from testbed.tree.inertia import NOTHING
+from testbed.tree.tree import Joint, Tree
 
 
 def workspace(layout: Layout, signals: Signals) -> Work:
@@ -18,7 +31,7 @@ def workspace(layout: Layout, signals: Signals) -> Work:
     slots = rows.slots + layout.width + 1
     filtered = len(signals.weights) > 1
     reach = (CHUNK + len(signals.weights)) // signals.step + 12
-    return Work(
+    work = Work(
         U=np.zeros(3 * links * B),
         N=np.zeros(B + signals.taps.shape[1]),
         X=np.zeros((links + 1) * BODY),
@@ -29,6 +42,13 @@ def workspace(layout: Layout, signals: Signals) -> Work:
         Z=np.zeros(slots * D),
         R=np.zeros((layout.width + 1) * D),
     )
+    # what never changes: the bedplate's motion and screws, joints that do not turn
+    work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
+    for link, joint in enumerate(layout.robot.joint):
+        X = work.X[(link + 1) * BODY :]
+        X[C : C + B], X[S : S + B] = joint[6], joint[7]
+    work.V[: 6 * SCREW].reshape(6, 6, B)[:] = layout.robot.seeds[:, :, None]
+    return work
 
 
 def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> Sums:
@@ -45,14 +65,23 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
     return sums
 
 
-def rows(layout: Layout, signals: Signals, work: Work) -> Array:
-    """A window's rows, at most a block of them: (slots, rows)."""
-    assert signals.count <= layout.rows.block
-    nothing = Question(np.empty(0), np.zeros((layout.width, layout.width)), 1)
-    sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
-    sums = sums._replace(products=np.empty(0))
-    compiled(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
-    found: Array = work.Z.reshape(-1, D)[: layout.rows.slots, : signals.count].copy()
+def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
+    """A window's rows, block by block, (slots, rows) each.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+    """
+    nothing, found = products_wanted(layout.width), []
+    block, fixed = layout.rows.block, _fixed(signals)
+    for first in range(0, signals.count, block):
+        count = min(block, signals.count - first)
+        part = fixed._replace(start=signals.start + first * signals.step, count=count)
+        sums = sums_for(layout.rows, part, nothing, len(layout.basis))
+        sums = sums._replace(products=np.empty(0))
+        compiled(layout.robot, layout.rows, part, work, *_arguments(sums, nothing))
+        found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
     return found
 
 
@@ -68,3 +97,16 @@ def _fixed(signals: Signals) -> Signals:
         array.flags.writeable = False
         fixed[name] = array
     return signals._replace(**fixed)
+
+
+def warm_up() -> str:
+    """Compile ahead of the first use; returns where the compiled code is kept."""
+    axis, eye = np.array([0.0, 0.0, 1.0]), np.eye(3)
+    joint = Joint("joint", "body", "revolute", -1, axis, np.zeros(3), eye)
+    tree = Tree("one joint", (joint,), (NOTHING,))
+    rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
+    still = np.zeros((1, 1))
+    unit = np.array([[1.0], [0.0], [0.0]])
+    signals = Signals(still, still, still, still, unit, np.ones(1), 0.0, 0, 1, 1)
+    sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
+    return str(config.CACHE_DIR)

@@ -5,15 +5,12 @@ from __future__ import annotations
 from testbed.dynamics.kernel.recursion import (
     BODY,
     SCREW,
-    A,
     C,
     S,
     carry_inclined,
     carry_square,
     carry_straight,
-    move_inclined,
-    move_square,
-    move_straight,
+    move,
     push,
     rest,
     sine_cosine,
@@ -21,23 +18,11 @@ from testbed.dynamics.kernel.recursion import (
     slide_here,
     turn_here,
 )
-from testbed.dynamics.kernel.target import NB, B, D, inline, plain
+from testbed.dynamics.kernel.shapes import NB, B, D
+from testbed.dynamics.kernel.target import part, plain
 
 
-@plain
-def prepare(robot, work):
-    """What of the workspace never changes: the bedplate's motion, its screws, resting turns."""
-    for d in range(3):
-        work.X[A + d * B : A + d * B + NB] = robot.ground[d]
-    for i in range(len(robot.parent)):
-        work.X[(i + 1) * BODY + C : (i + 1) * BODY + C + NB] = robot.joint[i, 6]
-        work.X[(i + 1) * BODY + S : (i + 1) * BODY + S + NB] = robot.joint[i, 7]
-    for k in range(6):
-        for d in range(6):
-            work.V[k * SCREW + d * B : k * SCREW + d * B + NB] = robot.seeds[k, d]
-
-
-@inline
+@part
 def load(source, first, count, column, U):
     """Samples of one column; those past the end are zero."""
     for k in range(count):
@@ -46,7 +31,7 @@ def load(source, first, count, column, U):
         U[k] = 0.0
 
 
-@inline
+@part
 def smooth(source, first, count, column, taps, N, U):
     """Position and its two derivatives by symmetric convolution of the encoder's samples."""
     half = taps.shape[1] // 2
@@ -67,7 +52,7 @@ def smooth(source, first, count, column, taps, N, U):
             a[k] += h2 * even
 
 
-@inline
+@part
 def move_link(i, robot, signals, first, count, work):
     """The motion of link i, and its coordinate's."""
     X = work.X[(i + 1) * BODY : (i + 2) * BODY]
@@ -86,17 +71,12 @@ def move_link(i, robot, signals, first, count, work):
     if not robot.slides[i]:
         turns = 1.0
         sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
-    if robot.lean[i] == 0:
-        move_straight(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
-    elif robot.lean[i] == 1:
-        move_square(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
-    else:
-        move_inclined(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
+    move(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
     if robot.slides[i] and j >= 0:
         slide(X, q, qd, qdd)
 
 
-@inline
+@part
 def fill_link(i, robot, rows, work, Y, at):
     """The entries of every row on link i, from column `at` of their slots on."""
     X = work.X[(i + 1) * BODY : (i + 2) * BODY]
@@ -129,7 +109,7 @@ def fill_link(i, robot, rows, work, Y, at):
                 Y[y + k] = T[k]
 
 
-@inline
+@part
 def term(kind, qd, qdd, Y):
     """A column of one joint's own: dry friction, viscous friction, offset, rotor."""
     for k in range(NB):
@@ -137,7 +117,7 @@ def term(kind, qd, qdd, Y):
         Y[k] = sign if kind == 0 else qd[k] if kind == 1 else 1.0 if kind == 2 else qdd[k]
 
 
-@inline
+@part
 def fill_own(rows, signals, first, count, work, Y, at):
     """What rows hold besides bodies: own terms, the measurement, whether the joint moves."""
     for t in range(len(rows.term_slot)):

@@ -11,7 +11,8 @@ Witness   `dynamics.regressor`, which shares no code with this package
 
 from __future__ import annotations
 
-from testbed.dynamics.kernel.target import NB, B, D, inline
+from testbed.dynamics.kernel.shapes import NB, B, D
+from testbed.dynamics.kernel.target import inline
 
 # Slots of a body's motion.
 C, S = 0, B  # cosine and sine of the joint's turn
@@ -65,40 +66,56 @@ def sine_cosine(q, shift, s, c):
         c[k] = sign * (1.0 - 0.5 * z + z * z * g)
 
 
-def leaning(lean):
-    """`move` and `carry` for joints that lean about x in one of three ways.
+@inline
+def straight(ca, sa, y, z):
+    return y, z
 
-    Half of all joints stand square on the one before, or straight: no product is spent on them.
+
+@inline
+def square(ca, sa, y, z):
+    return z, -y
+
+
+@inline
+def inclined(ca, sa, y, z):
+    return ca * y + sa * z, ca * z - sa * y
+
+
+@inline
+def move(ca, sa, r0, r1, r2, turns, P, X, qd, qdd):
+    """The motion of a body from its carrier's, P, without what slides."""
+    for k in range(NB):
+        c, s = X[C + k], X[S + k]
+        a0, a1, a2 = P[A + k], P[A + B + k], P[A + 2 * B + k]
+        a0 += P[O + k] * r0 + P[O + B + k] * r1 + P[O + 2 * B + k] * r2
+        a1 += P[O + 3 * B + k] * r0 + P[O + 4 * B + k] * r1 + P[O + 5 * B + k] * r2
+        a2 += P[O + 6 * B + k] * r0 + P[O + 7 * B + k] * r1 + P[O + 8 * B + k] * r2
+        w1, w2 = inclined(ca, sa, P[W + B + k], P[W + 2 * B + k])
+        e1, e2 = inclined(ca, sa, P[E + B + k], P[E + 2 * B + k])
+        a1, a2 = inclined(ca, sa, a1, a2)
+        w0, w1, w2 = turn(c, s, P[W + k], w1, w2)
+        e0, e1, e2 = turn(c, s, P[E + k], e1, e2)
+        a0, a1, a2 = turn(c, s, a0, a1, a2)
+        speed = turns * qd[k]
+        w2 += speed
+        e0 += w1 * speed
+        e1 -= w0 * speed
+        e2 += turns * qdd[k]
+        X[W + k], X[W + B + k], X[W + 2 * B + k] = w0, w1, w2
+        X[E + k], X[E + B + k], X[E + 2 * B + k] = e0, e1, e2
+        X[A + k], X[A + B + k], X[A + 2 * B + k] = a0, a1, a2
+        xx, yy, zz = w0 * w0, w1 * w1, w2 * w2
+        X[O + k], X[O + 4 * B + k], X[O + 8 * B + k] = -yy - zz, -xx - zz, -xx - yy
+        X[O + B + k], X[O + 3 * B + k] = w0 * w1 - e2, w0 * w1 + e2
+        X[O + 2 * B + k], X[O + 6 * B + k] = w0 * w2 + e1, w0 * w2 - e1
+        X[O + 5 * B + k], X[O + 7 * B + k] = w1 * w2 - e0, w1 * w2 + e0
+
+
+def carrier(lean):
+    """`carry` for joints that lean about x in one of three ways.
+
+    Most joints stand square on the one before, or straight: no product is spent on them.
     """
-
-    @inline
-    def move(ca, sa, r0, r1, r2, turns, P, X, qd, qdd):
-        """The motion of a body from its carrier's, P, without what slides."""
-        for k in range(NB):
-            c, s = X[C + k], X[S + k]
-            a0, a1, a2 = P[A + k], P[A + B + k], P[A + 2 * B + k]
-            a0 += P[O + k] * r0 + P[O + B + k] * r1 + P[O + 2 * B + k] * r2
-            a1 += P[O + 3 * B + k] * r0 + P[O + 4 * B + k] * r1 + P[O + 5 * B + k] * r2
-            a2 += P[O + 6 * B + k] * r0 + P[O + 7 * B + k] * r1 + P[O + 8 * B + k] * r2
-            w1, w2 = lean(ca, sa, P[W + B + k], P[W + 2 * B + k])
-            e1, e2 = lean(ca, sa, P[E + B + k], P[E + 2 * B + k])
-            a1, a2 = lean(ca, sa, a1, a2)
-            w0, w1, w2 = turn(c, s, P[W + k], w1, w2)
-            e0, e1, e2 = turn(c, s, P[E + k], e1, e2)
-            a0, a1, a2 = turn(c, s, a0, a1, a2)
-            speed = turns * qd[k]
-            w2 += speed
-            e0 += w1 * speed
-            e1 -= w0 * speed
-            e2 += turns * qdd[k]
-            X[W + k], X[W + B + k], X[W + 2 * B + k] = w0, w1, w2
-            X[E + k], X[E + B + k], X[E + 2 * B + k] = e0, e1, e2
-            X[A + k], X[A + B + k], X[A + 2 * B + k] = a0, a1, a2
-            xx, yy, zz = w0 * w0, w1 * w1, w2 * w2
-            X[O + k], X[O + 4 * B + k], X[O + 8 * B + k] = -yy - zz, -xx - zz, -xx - yy
-            X[O + B + k], X[O + 3 * B + k] = w0 * w1 - e2, w0 * w1 + e2
-            X[O + 2 * B + k], X[O + 6 * B + k] = w0 * w2 + e1, w0 * w2 - e1
-            X[O + 5 * B + k], X[O + 7 * B + k] = w1 * w2 - e0, w1 * w2 + e0
 
     @inline
     def carry(ca, sa, r0, r1, r2, P, V, X, Y):
@@ -134,27 +151,10 @@ def leaning(lean):
             Y[5 * D + k] = u0 * (o11 - o22) - u1 * o01 + u2 * o02
             Y[6 * D + k] = u0 * wyz - u1 * wxz + u2 * e2
 
-    return move, carry
+    return carry
 
 
-@inline
-def straight(ca, sa, y, z):
-    return y, z
-
-
-@inline
-def square(ca, sa, y, z):
-    return z, -y
-
-
-@inline
-def inclined(ca, sa, y, z):
-    return ca * y + sa * z, ca * z - sa * y
-
-
-move_straight, carry_straight = leaning(straight)
-move_square, carry_square = leaning(square)
-move_inclined, carry_inclined = leaning(inclined)
+carry_straight, carry_square, carry_inclined = map(carrier, (straight, square, inclined))
 
 
 @inline

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from testbed.arrays import Array
@@ -14,30 +16,55 @@ SAMPLES = 1024
 """Samples taken at once."""
 
 
-def sweep(layout: Layout, signals: Signals, question: Question) -> Sums:
+class Block(NamedTuple):
+    """Consecutive rows of a window.
+
+    Attributes:
+        first: Number of the first.
+        rows: (slots, rows).
+        used: How many of each channel count, (channels,).
+    """
+
+    first: int
+    rows: Array
+    used: Array
+
+
+def blocks(layout: Layout, signals: Signals) -> list[Block]:
+    """A window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+    """
+    found = []
+    for first in range(0, signals.count, layout.rows.block):
+        count = min(layout.rows.block, signals.count - first)
+        start = signals.start + first * signals.step
+        found.append(_block(layout, signals._replace(start=start, count=count), first))
+    return found
+
+
+def answer(layout: Layout, signals: Signals, given: list[Block], question: Question) -> Sums:
     """Products or residuals of a window's rows.
 
     Args:
         layout: The rows.
         signals: The window.
+        given: Its `blocks`.
         question: What to find.
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
-    block = layout.rows.block
-    for first in range(0, signals.count, block):
-        part = signals._replace(
-            start=signals.start + first * signals.step, count=min(block, signals.count - first)
-        )
-        z = rows(layout, part, sums.used)
+    for block in given:
+        sums.used[...] += block.used
         if len(question.factors):
-            _residuals(layout, z, question, first, sums)
+            _residuals(layout, block, question, sums)
         else:
-            _products(layout, z, sums)
+            _products(layout, block.rows, sums)
     return sums
 
 
-def rows(layout: Layout, signals: Signals, used: Array | None = None) -> Array:
-    """A window's rows, (slots, rows); adds to `used` how many of them count."""
+def _block(layout: Layout, signals: Signals, number: int) -> Block:
     half = len(signals.weights) // 2
     begin, span = signals.start - half, (signals.count - 1) * signals.step + 2 * half + 1
     z = np.zeros((layout.rows.slots, signals.count))
@@ -48,17 +75,15 @@ def rows(layout: Layout, signals: Signals, used: Array | None = None) -> Array:
         offset = np.arange(some)[None] + at - np.arange(signals.count)[:, None] * signals.step
         inside = (offset >= 0) & (offset < len(signals.weights))
         z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
-    counts = np.full(layout.width, signals.count, dtype=np.float64)
+    used = np.full(layout.width, signals.count, dtype=np.float64)
     if signals.deadband > 0:
         centres = signals.start + np.arange(signals.count) * signals.step
         for c, speed in enumerate(_speeds(signals, centres).T):
             moving = np.abs(speed) > signals.deadband
             first, width = layout.rows.start[c], layout.rows.width[c]
             z[first : first + width] *= moving
-            counts[c] = moving.sum()
-    if used is not None:
-        used += counts
-    return z
+            used[c] = moving.sum()
+    return Block(number, z, used)
 
 
 def _motion(signals: Signals, first: int, count: int) -> Motion:
@@ -110,8 +135,9 @@ def _products(layout: Layout, z: Array, sums: Sums) -> None:
         sums.products[at : at + width**2] += (group @ group.T).ravel()
 
 
-def _residuals(layout: Layout, z: Array, question: Question, first: int, sums: Sums) -> None:
-    rows = layout.rows
+def _residuals(layout: Layout, block: Block, question: Question, sums: Sums) -> None:
+    rows, z = layout.rows, block.rows
+    first = block.first // question.bins
     spans = [slice(a, a + b) for a, b in zip(rows.start, rows.width, strict=True)]
     residual = np.stack([question.factors[span] @ z[span] for span in spans])
     sums.moments[...] += np.tril(residual @ residual.T)
@@ -120,4 +146,4 @@ def _residuals(layout: Layout, z: Array, question: Question, first: int, sums: S
     for c, columns in enumerate(layout.channels):
         parts = z[rows.start[c] : rows.start[c] + len(columns)] * weighted[c]
         summed = np.add.reduceat(parts, bins, axis=1).T
-        sums.scores[first // question.bins : first // question.bins + len(bins), columns] += summed
+        sums.scores[first : first + len(bins), columns] += summed

@@ -18,8 +18,20 @@ USUAL = 7
 PUSHED = (0, 1, 7, 9)
 """Entries that a force has: first moments and mass."""
 
+NB = 64
+"""Samples of a block of the recursion: a body's slots stay in the first cache."""
+
+KS = 320
+"""Most rows of a block of the Gram matrices."""
+
+CHUNK = 128
+"""Samples taken at once by the filter."""
+
+B, D = NB + 8, KS + 8
+"""Distances of slots; powers of two would make all slots share a few cache lines."""
+
 CACHE = 1_800_000
-"""Bytes of slots that stay in a processor's second cache."""
+"""Bytes of slots that a block of rows may take; the fastest, measured."""
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

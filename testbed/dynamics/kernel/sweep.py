@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from testbed.dynamics.kernel.fill import fill, prepare
-from testbed.dynamics.kernel.target import CHUNK, WIDE, D, inline, outer, plain, summing
+from testbed.dynamics.kernel.fill import fill
+from testbed.dynamics.kernel.shapes import CHUNK, D
+from testbed.dynamics.kernel.target import WIDE, inline, outer, plain, summing
 
 
 @summing
@@ -53,57 +54,51 @@ def diagonal_tile(X, n, G, at, ld):
     G[at] += d0; G[at + 1] += d1; G[at + 2] += d2; G[at + 3] += d3
 
 
+@summing
+def dot(X, Y, n):
+    total = 0.0
+    for k in range(n):
+        total += X[k] * Y[k]
+    return total
+
+
 @plain
-def filter_rows(robot, rows, signals, first, count, work):
-    """`count` filtered rows from row `first` on, in Z: weighted sums of the rows around each."""
+def weigh(rows, signals, centre, count, at, n, work):
+    """Add what a chunk of samples gives to the filtered rows that it reaches.
+
+    centre: sample of the block's first row; at, n: the chunk's samples.
+    """
     half, step = len(signals.weights) // 2, signals.step
-    centre = signals.start + first * step
-    last = centre + (count - 1) * step
-    work.Z[:] = 0.0
-    for at in range(centre - half, last + half + 1, CHUNK):
-        n = min(CHUNK, last + half + 1 - at)
-        fill(robot, rows, signals, at, n, work, work.Y)
-        lo = max(0, -((centre + half - at) // step)) // 4 * 4
-        hi = min(count, (at + n - 1 + half - centre) // step + 1)
-        for r in range(lo, lo + -((lo - hi) // 4) * 4):
-            behind = at - centre - r * step + half
-            H = work.H[(r - lo) * D : (r - lo) * D + CHUNK]
-            for k in range(CHUNK):
-                inside = 0 <= behind + k < len(signals.weights) and k < n and r < count
-                H[k] = signals.weights[behind + k] if inside else 0.0
-        for s in range(0, rows.slots, 4):
-            for r in range(lo, hi, 4):
-                Y, H = work.Y[s * D : (s + 4) * D], work.H[(r - lo) * D : (r - lo + 4) * D]
-                if WIDE:
-                    tile(Y, H, CHUNK, work.Z, s * D + r, D)
-                else:
-                    half_tile(Y, H, CHUNK, work.Z, s * D + r, D)
-                    half_tile(Y[2 * D :], H, CHUNK, work.Z, (s + 2) * D + r, D)
-        now = max(0, -((centre - at) // step))  # rows whose own sample is here
-        for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
-            for s in range(rows.slots, rows.slots + len(rows.measured)):
-                work.Z[s * D + r] = work.Y[s * D + centre + r * step - at]
+    lo = max(0, -((centre + half - at) // step)) // 4 * 4
+    hi = min(count, (at + n - 1 + half - centre) // step + 1)
+    for r in range(lo, lo + -((lo - hi) // 4) * 4):
+        behind = at - centre - r * step + half
+        H = work.H[(r - lo) * D : (r - lo) * D + CHUNK]
+        for k in range(CHUNK):
+            inside = 0 <= behind + k < len(signals.weights) and k < n and r < count
+            H[k] = signals.weights[behind + k] if inside else 0.0
+    for s in range(0, rows.slots, 4):
+        for r in range(lo, hi, 4):
+            Y, H = work.Y[s * D : (s + 4) * D], work.H[(r - lo) * D : (r - lo + 4) * D]
+            half_tile(Y, H, CHUNK, work.Z, s * D + r, D)
+            half_tile(Y[2 * D :], H, CHUNK, work.Z, (s + 2) * D + r, D)
+    now = max(0, -((centre - at) // step))  # rows whose own sample is here
+    for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
+        for s in range(rows.slots, rows.slots + len(rows.measured)):
+            work.Z[s * D + r] = work.Y[s * D + centre + r * step - at]
 
 
 @plain
-def take(robot, rows, signals, first, work, used):
-    """The next rows, into Z, with those zero in which a joint rests; their number."""
-    count = min(rows.block, signals.count - first)
-    if len(signals.weights) > 1:
-        filter_rows(robot, rows, signals, first, count, work)
-    else:
-        fill(robot, rows, signals, signals.start + first, count, work, work.Z)
+def rest_joints(rows, count, Z, used):
+    """Zero rows of joints that rest; count the others."""
     for c in range(len(rows.measured)):
-        moving = float(count)
-        if signals.deadband > 0.0:
-            U = work.Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
-            moving = U.sum()
-            if moving < count:
-                for s in range(rows.start[c], rows.start[c] + rows.width[c]):
-                    for k in range(count):
-                        work.Z[s * D + k] *= U[k]
+        U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+        moving = dot(U, U, count)
         used[c] += moving
-    return count
+        if moving < count:
+            for s in range(rows.start[c], rows.start[c] + rows.width[c]):
+                for k in range(count):
+                    Z[s * D + k] *= U[k]
 
 
 @plain
@@ -147,14 +142,6 @@ def dots(E, X, n):
     return a, b, c, d
 
 
-@summing
-def dot(X, Y, n):
-    total = 0.0
-    for k in range(n):
-        total += X[k] * Y[k]
-    return total
-
-
 @plain
 def residual(rows, work, count, factors, weights, bins, at, moments, scores):
     """Residuals, the sums of slots times `factors`; their products; and scores.
@@ -193,9 +180,22 @@ def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, 
 
     The last block stays in work.Z.
     """
-    prepare(robot, work)
+    half = len(signals.weights) // 2
     for first in range(0, signals.count, rows.block):
-        count = take(robot, rows, signals, first, work, used)
+        count = min(rows.block, signals.count - first)
+        centre = signals.start + first * signals.step
+        begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
+        if half > 0:
+            work.Z[:] = 0.0
+        for at in range(begin, end, CHUNK if half > 0 else rows.block):
+            n = min(CHUNK, end - at) if half > 0 else count
+            fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
+            if half > 0:
+                weigh(rows, signals, centre, count, at, n, work)
+        if signals.deadband > 0.0:
+            rest_joints(rows, count, work.Z, used)
+        else:
+            used += count
         if len(G):
             gram(rows, work.Z, count, G)
         if len(factors):

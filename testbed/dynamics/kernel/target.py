@@ -1,4 +1,4 @@
-"""How the kernel is compiled: options, block sizes, what fits the processor, and the cache."""
+"""How the kernel is compiled: options, what fits the processor, and the cache."""
 
 from __future__ import annotations
 
@@ -12,18 +12,6 @@ import llvmlite
 import numba
 from llvmlite import binding
 from numba import njit
-
-NB = 64
-"""Samples of a block of the recursion: a body's slots stay in the first cache."""
-
-KS = 256
-"""Most rows of a block of the Gram matrices."""
-
-CHUNK = 128
-"""Samples taken at once by the filter."""
-
-B, D = NB + 8, KS + 8
-"""Distances of slots; powers of two would make all slots share a few cache lines."""
 
 _FEATURES = numba.config.CPU_FEATURES or binding.get_host_cpu_features().flatten()
 
@@ -65,6 +53,7 @@ if not numba.config.CACHE_DIR:
 # Without Numba's reference counts, of which every slice takes one, the recursion is a quarter
 # faster; nothing here makes or keeps arrays.
 inline = njit(fastmath={"contract"}, forceinline=True, _nrt=False)
-plain = njit(_nrt=False)
+plain = njit(fastmath={"contract"}, _nrt=False)
+part = njit(inline="always", fastmath={"contract"}, _nrt=False)
 summing = njit(fastmath={"contract", "reassoc", "nsz"}, forceinline=True, _nrt=False)
 outer = njit(nogil=True, cache=True, _nrt=False)
