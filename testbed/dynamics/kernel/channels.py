@@ -9,7 +9,19 @@ import numpy as np
 
 from testbed.arrays import AnyArray
 from testbed.dynamics.kernel.canonical import Canonical, Link
-from testbed.dynamics.kernel.shapes import CACHE, KS, NB, PUSHED, USUAL, Bools, Ints, Rows
+from testbed.dynamics.kernel.shapes import (
+    CACHE,
+    KS,
+    NB,
+    PUSHED,
+    SEEDS,
+    SLIDING,
+    TURNING,
+    USUAL,
+    Bools,
+    Ints,
+    Rows,
+)
 
 
 class Pair(NamedTuple):
@@ -24,20 +36,17 @@ class Pair(NamedTuple):
 
 
 class Shelf:
-    """Places for screws, used again once all bodies outward have seen them."""
+    """Places in the workspace, used again once all links outward have been seen."""
 
-    def __init__(self, links: Sequence[Link]) -> None:
-        self.links = links
+    def __init__(self, links: Sequence[Link], first: int) -> None:
+        self.links, self.count = links, first
         self.carried = np.bincount([link.parent + 1 for link in links], minlength=len(links) + 1)
         self.places: dict[tuple[int, int], int] = {}
         self.left: dict[tuple[int, int], int] = {}
         self.free: list[int] = []
-        self.count = 6  # the bedplate's seeds come first
-
-    def find(self, channel: int, link: int) -> int:
-        return self.places.get((channel, link), channel)
 
     def put(self, channel: int, link: int) -> int:
+        """A place for what a channel holds of a link."""
         if not self.free:
             self.free.append(self.count)
             self.count += 1
@@ -107,12 +116,17 @@ class Draft:
 
     def rows(self, joined: bool) -> Rows:
         """All channels as arrays."""
-        shelf = Shelf(self.links)
+        shelf = Shelf(self.links, SEEDS)
         source, target, pairs, first = [], [], list[Pair](), [0]
         for k, link in enumerate(self.links):
             for pair in self.pairs[k]:
-                source.append(-1 if pair.own else shelf.find(pair.channel, link.parent))
-                target.append(shelf.put(pair.channel, k))
+                if pair.own:
+                    shelf.places[pair.channel, k] = SLIDING if link.slides else TURNING
+                    target.append(shelf.places[pair.channel, k])
+                    source.append(target[-1])
+                else:
+                    source.append(shelf.places.get((pair.channel, link.parent), pair.channel))
+                    target.append(shelf.put(pair.channel, k))
                 pairs.append(pair)
             first.append(len(pairs))
         unknown = np.full(self.slots, -1)

@@ -7,9 +7,10 @@ from numba import config
 
 from testbed.arrays import Array
 from testbed.dynamics.kernel.layout import Layout, layout
-from testbed.dynamics.kernel.recursion import BODY, SCREW, A, C, S
+from testbed.dynamics.kernel.recursion import BODY, SCREW, A
 from testbed.dynamics.kernel.shapes import (
     CHUNK,
+    SEEDS,
     B,
     D,
     Question,
@@ -27,27 +28,24 @@ from testbed.tree.tree import Joint, Tree
 
 def workspace(layout: Layout, signals: Signals) -> Work:
     """Room for one thread; serves every window of these filters."""
-    rows, links = layout.rows, len(layout.robot.parent)
+    rows, links = layout.rows, len(layout.robot.place)
     slots = rows.slots + layout.width + 1
     filtered = len(signals.weights) > 1
     reach = (CHUNK + len(signals.weights)) // signals.step + 12
     work = Work(
         U=np.zeros(3 * links * B),
         N=np.zeros(B + signals.taps.shape[1]),
-        X=np.zeros((links + 1) * BODY),
-        V=np.zeros((int(rows.target.max(initial=5)) + 1) * SCREW),
+        X=np.zeros((int(layout.robot.place.max(initial=0)) + 1) * BODY),
+        V=np.zeros((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
         T=np.zeros(11 * D),
         Y=np.zeros(slots * D if filtered else 0),
         H=np.zeros(reach * D if filtered else 0),
         Z=np.zeros(slots * D),
         R=np.zeros((layout.width + 1) * D),
     )
-    # what never changes: the bedplate's motion and screws, joints that do not turn
+    # what never changes: the bedplate's motion, and screws
     work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
-    for link, joint in enumerate(layout.robot.joint):
-        X = work.X[(link + 1) * BODY :]
-        X[C : C + B], X[S : S + B] = joint[6], joint[7]
-    work.V[: 6 * SCREW].reshape(6, 6, B)[:] = layout.robot.seeds[:, :, None]
+    work.V[: SEEDS * SCREW].reshape(SEEDS, 6, B)[:] = layout.robot.seeds[:, :, None]
     return work
 
 
@@ -65,6 +63,20 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
     return sums
 
 
+def fill_only(layout: Layout, signals: Signals, work: Work) -> None:
+    """Rows alone, nothing made of them; the last block stays in the workspace.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+    """
+    nothing = products_wanted(layout.width)
+    sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
+    sums = sums._replace(products=np.empty(0))
+    compiled(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
+
+
 def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
     """A window's rows, block by block, (slots, rows) each.
 
@@ -73,14 +85,11 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         signals: The window.
         work: Room to work in.
     """
-    nothing, found = products_wanted(layout.width), []
-    block, fixed = layout.rows.block, _fixed(signals)
+    found, block = [], layout.rows.block
     for first in range(0, signals.count, block):
         count = min(block, signals.count - first)
-        part = fixed._replace(start=signals.start + first * signals.step, count=count)
-        sums = sums_for(layout.rows, part, nothing, len(layout.basis))
-        sums = sums._replace(products=np.empty(0))
-        compiled(layout.robot, layout.rows, part, work, *_arguments(sums, nothing))
+        start = signals.start + first * signals.step
+        fill_only(layout, signals._replace(start=start, count=count), work)
         found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
     return found
 

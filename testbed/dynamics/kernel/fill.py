@@ -7,6 +7,7 @@ from testbed.dynamics.kernel.recursion import (
     SCREW,
     C,
     S,
+    Z,
     carry_inclined,
     carry_square,
     carry_straight,
@@ -25,8 +26,9 @@ from testbed.dynamics.kernel.target import part, plain
 @part
 def load(source, first, count, column, U):
     """Samples of one column; those past the end are zero."""
+    values = source[first : first + count, column]
     for k in range(count):
-        U[k] = source[first + k, column]
+        U[k] = values[k]
     for k in range(count, NB):
         U[k] = 0.0
 
@@ -55,8 +57,8 @@ def smooth(source, first, count, column, taps, N, U):
 @part
 def move_link(i, robot, signals, first, count, work):
     """The motion of link i, and its coordinate's."""
-    X = work.X[(i + 1) * BODY : (i + 2) * BODY]
-    P = work.X[(robot.parent[i] + 1) * BODY : (robot.parent[i] + 2) * BODY]
+    X = work.X[robot.place[i] * BODY : (robot.place[i] + 1) * BODY]
+    P = work.X[robot.carrier[i] * BODY : (robot.carrier[i] + 1) * BODY]
     U = work.U[i * 3 * B : (i + 1) * 3 * B]
     q, qd, qdd = U[:B], U[B : 2 * B], U[2 * B :]
     j, J = robot.coordinate[i], robot.joint[i]
@@ -67,8 +69,11 @@ def move_link(i, robot, signals, first, count, work):
             load(signals.acceleration, first, count, j, qdd)
         else:
             smooth(signals.position, first, count, j, signals.taps, work.N, U)
-    turns = 0.0
-    if not robot.slides[i]:
+    X[Z : Z + B] = 0.0
+    if robot.slides[i]:
+        turns = 0.0
+        X[C : C + B], X[S : S + B] = J[6], J[7]
+    else:
         turns = 1.0
         sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
     move(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
@@ -79,19 +84,18 @@ def move_link(i, robot, signals, first, count, work):
 @part
 def fill_link(i, robot, rows, work, Y, at):
     """The entries of every row on link i, from column `at` of their slots on."""
-    X = work.X[(i + 1) * BODY : (i + 2) * BODY]
+    X = work.X[robot.place[i] * BODY : (robot.place[i] + 1) * BODY]
     J = robot.joint[i]
     for e in range(rows.first[i], rows.first[i + 1]):
         V = work.V[rows.target[e] * SCREW : (rows.target[e] + 1) * SCREW]
+        P = work.V[rows.source[e] * SCREW : (rows.source[e] + 1) * SCREW]
         y = rows.slot[e] * D + at
         out = Y[y : y + 7 * D] if rows.direct[e] else work.T
-        source = rows.source[e]
-        P = work.V[max(source, 0) * SCREW : (source + 1) * SCREW]
-        if source < 0:
+        if rows.source[e] == rows.target[e]:
             if robot.slides[i]:
-                slide_here(V, X, out)
+                slide_here(X, out)
             else:
-                turn_here(V, X, out)
+                turn_here(X, out)
         elif rows.force[e]:
             push(J[0], J[1], P, V, X, out)
         elif robot.lean[i] == 0:
@@ -139,7 +143,7 @@ def fill(robot, rows, signals, first, count, work, Y):
     """Rows at `count` samples from `first` on, unfiltered; zeros up to a full block."""
     for at in range(0, count, NB):
         some = min(NB, count - at)
-        for i in range(len(robot.parent)):
+        for i in range(len(robot.place)):
             move_link(i, robot, signals, first + at, some, work)
             fill_link(i, robot, rows, work, Y, at)
         fill_own(rows, signals, first + at, some, work, Y, at)

@@ -16,8 +16,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.kernel.canonical import Canonical, canonical
-from testbed.dynamics.kernel.channels import Draft, ints
-from testbed.dynamics.kernel.shapes import ORDER, Ints, Robot, Rows
+from testbed.dynamics.kernel.channels import Draft, Shelf, ints
+from testbed.dynamics.kernel.shapes import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.tree.tree import Tree
@@ -116,11 +116,17 @@ def _theta(frames: Canonical, picked: list[int]) -> Array:
 
 def _robot(frames: Canonical, gravity: Array) -> Robot:
     links = frames.links
-    seeds = np.zeros((6, 6))
-    seeds[:3, 3:] = seeds[3:, :3] = frames.bedplate  # row k: the bedplate's axis k
+    places = [0]  # the bedplate's
+    shelf = Shelf(links, 1)
+    for k in range(len(links)):
+        places.append(shelf.put(0, k))
+    seeds = np.zeros((SEEDS, 6))
+    seeds[:3, 3:] = seeds[3:6, :3] = frames.bedplate  # row k: the bedplate's axis k
+    seeds[TURNING, 2] = seeds[SLIDING, 5] = 1.0
     return Robot(
         coordinate=np.array([link.joint for link in links]),
-        parent=np.array([link.parent for link in links]),
+        place=ints(places[1:]),
+        carrier=ints([places[link.parent + 1] for link in links]),
         slides=np.array([link.slides for link in links]),
         lean=ints([_leaning(*link.lean) for link in links]),
         joint=np.array(

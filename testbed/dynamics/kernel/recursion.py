@@ -183,11 +183,9 @@ def push(ca, sa, P, V, X, Y):
 
 
 @inline
-def turn_here(V, X, Y):
-    """The screw of a revolute joint on its own body: u = z. Entries as of `carry`."""
+def turn_here(X, Y):
+    """The row of a revolute joint's screw, u = z, on its own body. Entries as of `carry`."""
     for k in range(NB):
-        V[k], V[B + k], V[2 * B + k] = 0.0, 0.0, 1.0
-        V[3 * B + k], V[4 * B + k], V[5 * B + k] = 0.0, 0.0, 0.0
         Y[k], Y[D + k] = X[A + B + k], -X[A + k]
         Y[2 * D + k] = -X[O + B + k] - X[E + 2 * B + k]
         Y[3 * D + k] = X[O + k] - X[O + 4 * B + k]
@@ -196,11 +194,9 @@ def turn_here(V, X, Y):
 
 
 @inline
-def slide_here(V, X, Y):
-    """The screw of a prismatic joint on its own body: v = z. Entries as of `push`."""
+def slide_here(X, Y):
+    """The row of a prismatic joint's screw, v = z, on its own body. Entries as of `push`."""
     for k in range(NB):
-        V[k], V[B + k], V[2 * B + k] = 0.0, 0.0, 0.0
-        V[3 * B + k], V[4 * B + k], V[5 * B + k] = 0.0, 0.0, 1.0
         Y[k], Y[D + k] = X[O + 6 * B + k], X[O + 7 * B + k]
 
 

@@ -18,6 +18,9 @@ USUAL = 7
 PUSHED = (0, 1, 7, 9)
 """Entries that a force has: first moments and mass."""
 
+TURNING, SLIDING, SEEDS = 6, 7, 8
+"""Places of screws that never change, after the bedplate's six: a joint's on its own body."""
+
 NB = 64
 """Samples of a block of the recursion: a body's slots stay in the first cache."""
 
@@ -41,20 +44,21 @@ class Robot(NamedTuple):
     """Links outward; `joint` holds cos and sin of the lean, offset, turn, its cos and sin."""
 
     coordinate: Ints
-    parent: Ints
+    place: Ints  # of the link's motion in the workspace; places are used again
+    carrier: Ints  # of its carrier's
     slides: Bools
     lean: Ints  # 0 straight, 1 square, 2 inclined
     joint: Array
     ground: Array  # the bedplate's acceleration less gravity
-    seeds: Array  # screws of the bedplate's channels
+    seeds: Array  # screws that never change
 
 
 class Rows(NamedTuple):
     """Which screws meet which links, and where their entries go."""
 
     first: Ints  # of a link's pairs with screws
-    source: Ints  # place of the screw on the carrier, a seed's, or -1: it starts here
-    target: Ints  # place of the screw here
+    source: Ints  # place of the screw on the carrier, or a seed's
+    target: Ints  # place of the screw here; the source's if it starts here
     force: Bools
     slot: Ints
     direct: Bools  # its first entries can be written where they belong

@@ -55,6 +55,19 @@ def diagonal_tile(X, n, G, at, ld):
 
 
 @summing
+def dots(E, X, n):
+    """E . X for four slots X."""
+    a = b = c = d = 0.0
+    for k in range(n):
+        e = E[k]
+        a += e * X[k]
+        b += e * X[D + k]
+        c += e * X[2 * D + k]
+        d += e * X[3 * D + k]
+    return a, b, c, d
+
+
+@summing
 def dot(X, Y, n):
     total = 0.0
     for k in range(n):
@@ -111,13 +124,17 @@ def gram(rows, Z, count, G):
         for a in range(0, p, 4):
             at = rows.group_gram[g] + a * ld
             for b in range(0, a, 4):
-                if p - a > 2 and WIDE:
-                    tile(X[a * D : (a + 4) * D], X[b * D : (b + 4) * D], n, G, at + b, ld)
+                here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
+                if p - a == 1:
+                    found = dots(here, there, n)
+                    for i in range(4):
+                        G[at + b + i] += found[i]
+                elif p - a > 2 and WIDE:
+                    tile(here, there, n, G, at + b, ld)
                 else:
-                    half_tile(X[a * D : (a + 2) * D], X[b * D : (b + 4) * D], n, G, at + b, ld)
+                    half_tile(here, there, n, G, at + b, ld)
                     if p - a > 2:
-                        half_tile(X[(a + 2) * D : (a + 4) * D], X[b * D : (b + 4) * D], n, G,
-                                  at + 2 * ld + b, ld)
+                        half_tile(here[2 * D :], there, n, G, at + 2 * ld + b, ld)
             diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
 
 
@@ -127,19 +144,6 @@ def add(f, X, n, Y):
     f0, f1, f2, f3 = f[0], f[1], f[2], f[3]
     for k in range(n):
         Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
-
-
-@summing
-def dots(E, X, n):
-    """E . X for four slots X."""
-    a = b = c = d = 0.0
-    for k in range(n):
-        e = E[k]
-        a += e * X[k]
-        b += e * X[D + k]
-        c += e * X[2 * D + k]
-        d += e * X[3 * D + k]
-    return a, b, c, d
 
 
 @plain

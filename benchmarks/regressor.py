@@ -1,0 +1,147 @@
+"""Rows and fits against what users do today: Pinocchio in a Python loop, then lstsq."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+import testbed as tb
+from benchmarks.robots import load, robots
+from benchmarks.timing import least, peak_flops, peak_rss
+from testbed.arrays import Array
+from testbed.dynamics.kernel import compiled
+from testbed.dynamics.kernel.layout import Layout, layout
+from testbed.dynamics.kernel.shapes import Question, Signals, products_wanted
+from testbed.measurement.recording import Recording
+from testbed.parameters.rules import Model
+
+SAMPLES = 8192
+LOOP = 300
+"""Samples of a Pinocchio loop: the same each, so that few are enough."""
+
+STACK = {"arm3": 4000, "puma6": 4000, "tree30": 900}
+"""Samples of an lstsq problem."""
+
+# Vector operations of the kernel's functions, a multiplication with an addition counted as one.
+LINK, SINE, CARRY, INCLINED, PUSH, HERE = 53, 32, 47, 8, 14, 4
+
+
+@dataclass(frozen=True)
+class Case:
+    """One robot, its samples, and the loop of its users."""
+
+    name: str
+    tree: tb.Tree
+    urdf: str
+    recording: Recording
+
+    def signals(self, found: Layout) -> Signals:
+        r = self.recording
+        assert r.velocity is not None
+        assert r.acceleration is not None
+        unit = np.array([[1.0], [0.0], [0.0]])
+        measured = r.torque if found.model == "dynamic" else r.wrench
+        return Signals(
+            r.position, r.velocity, r.acceleration, measured, unit, np.ones(1), 0.0, 0, 1, r.samples
+        )
+
+    def loop(self, model: Model) -> Any:
+        """`computeJointTorqueRegressor` sample by sample, copied into one array."""
+        n, r = self.tree.n, self.recording
+        floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
+        robot = pin.buildModelFromXML(self.urdf, *floating)
+        data, regressor = robot.createData(), pin.computeJointTorqueRegressor
+        if model == "dynamic":
+            q, qd, qdd = r.position, r.velocity, r.acceleration
+            rows, out = n, np.empty((LOOP, n, 10 * n))
+        else:
+            q = np.zeros((LOOP, n + 7))
+            q[:, 6], q[:, 7:] = 1.0, r.position[:LOOP]
+            qd, qdd = np.zeros((2, LOOP, n + 6))
+            qd[:, 6:], qdd[:, 6:] = r.velocity[:LOOP], r.acceleration[:LOOP]
+            rows, out = 6, np.empty((LOOP, 6, 10 * (n + 1)))
+
+        def run() -> None:
+            for k in range(LOOP):
+                out[k] = regressor(robot, data, q[k], qd[k], qdd[k])[:rows]
+
+        return run
+
+
+def cases() -> list[Case]:
+    """Three robots with random states, torques and wrenches."""
+    found = []
+    for name, urdf in robots().items():
+        tree, rng = load(urdf), np.random.default_rng(0)
+        q, qd, qdd, torque = rng.uniform(-2, 2, (4, SAMPLES, tree.n))
+        wrench = rng.uniform(-2, 2, (SAMPLES, 6))
+        recording = Recording(
+            tree.names, np.arange(SAMPLES) / 1000, q, torque, wrench, qd, qdd, tare=np.zeros(6)
+        )
+        found.append(Case(name, tree, urdf, recording))
+    return found
+
+
+def operations(found: Layout) -> tuple[float, float]:
+    """Vector operations of a sample's rows, and of their products."""
+    robot, rows = found.robot, found.rows
+    own = rows.source == rows.target
+    links = np.repeat(np.arange(len(robot.place)), np.diff(rows.first))
+    inclined = (robot.lean[links] == 2) & ~rows.force & ~own
+    count = LINK * len(robot.place) + SINE * np.sum(~robot.slides)
+    count += HERE * own.sum() + PUSH * np.sum(rows.force & ~own)
+    count += CARRY * np.sum(~rows.force & ~own) + INCLINED * inclined.sum()
+    return float(count), float(np.sum(rows.group_size * (rows.group_size + 1)) / 2)
+
+
+def stack(case: Case, minimal: tb.MinimalSet) -> tuple[Array, Array]:
+    """A dense problem for lstsq, as users set it up, ready in memory."""
+    rng, samples = np.random.default_rng(1), STACK[case.name]
+    rows = samples * (case.tree.n if minimal.model == "dynamic" else 6)
+    return rng.normal(size=(rows, minimal.count)), rng.normal(size=rows)
+
+
+def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
+    """Kernel, fused pass and complete answer against loop and lstsq, one core each."""
+    minimal = tb.minimal_set(case.tree, model)
+    found = layout(case.tree, minimal)
+    signals = case.signals(found)
+    work = compiled.workspace(found, signals)
+    a, b = stack(case, minimal)
+    nothing = Question(np.zeros(found.rows.slots), np.zeros((found.width, found.width)), 64)
+    exact = tb.Pipeline(None, None, deadband=0.0, terms=())
+    method = "internal" if model == "dynamic" else "external"
+    tasks = {
+        "loop": case.loop(model),
+        "kernel": lambda: compiled.fill_only(found, signals, work),
+        "fused": lambda: compiled.sweep(found, signals, products_wanted(found.width), work),
+        "second": lambda: compiled.sweep(found, signals, nothing, work),
+    }
+    best = least(tasks, rounds)
+    solver = {
+        "lstsq": lambda: np.linalg.lstsq(a, b, rcond=None),
+        "answer": lambda: tb.identify(case.tree, case.recording, method, pipeline=exact, threads=1),
+    }
+    best |= least(solver, max(3, rounds // 8), wall=True)
+    samples = dict.fromkeys(best, SAMPLES) | {"loop": LOOP, "lstsq": STACK[case.name]}
+    ns = {name: 1e9 * best[name] / samples[name] for name in best}
+    today, peak = ns["loop"] + ns["lstsq"], peak_flops()
+    recursion, products = operations(found)
+    return {
+        "benchmark": model,
+        "robot": case.name,
+        "joints": case.tree.n,
+        "parameters": minimal.count,
+        "ns_per_sample": {name: round(value, 1) for name, value in ns.items()},
+        "kernel_ratio": round(ns["loop"] / ns["kernel"], 1),
+        "fused_ratio": round(today / ns["fused"], 1),
+        "two_passes_ratio": round(today / (ns["fused"] + ns["second"]), 1),
+        "answer_ratio": round(today / ns["answer"], 1),
+        "limit_ns": round(2e9 * (recursion + products) / peak, 1),
+        "over_limit": round(ns["fused"] * peak / (2e9 * (recursion + products)), 2),
+        "peak_gflops": round(peak / 1e9, 1),
+        "peak_rss_mb": round(peak_rss()),
+    }
