@@ -1,12 +1,16 @@
-"""Benchmarks: `python -m benchmarks minimal [--trees N]`; for people, and JSON lines.
+"""Benchmarks: `python -m benchmarks COMMAND`; for people, and a JSON line each.
 
-Times are the least of several runs in one process; machines are noisy, so compare ratios.
+Times are the least of several runs, rivals in turns in one process; machines are noisy, so
+compare ratios.
 """
 
 from __future__ import annotations
 
 import json
-from typing import Annotated
+import os
+from typing import Annotated, Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core against one core
 
 import typer
 
@@ -18,6 +22,10 @@ def main() -> None:
     """Benchmarks and large checks that are too slow for the tests."""
 
 
+def _print(line: dict[str, Any]) -> None:
+    print(json.dumps(line), flush=True)
+
+
 @app.command()
 def minimal(
     trees: Annotated[int, typer.Option(help="Random trees to verify besides.")] = 0,
@@ -25,9 +33,54 @@ def minimal(
     """Cost of a minimal set over the number of joints; and, asked, agreement of witnesses."""
     from benchmarks.minimal import agreement, scaling
 
-    print(json.dumps(scaling()))
+    _print(scaling())
     if trees:
-        print(json.dumps(agreement(trees)))
+        _print(agreement(trees))
+
+
+@app.command()
+def regressor(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 60) -> None:
+    """Rows, and sums of their products, against Pinocchio in a loop and lstsq."""
+    from benchmarks.regressor import cases, compare
+
+    for case in cases():
+        for model in ("dynamic", "reaction"):
+            _print(compare(case, model, rounds if case.tree.n < 10 else rounds // 4))
+
+
+@app.command()
+def identify(
+    rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 8,
+    gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
+) -> None:
+    """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
+    from benchmarks.identify import answer, memory, stored
+    from benchmarks.regressor import cases
+
+    known = {case.name: case for case in cases()}
+    if gigabytes:  # first: what a process once held stays in its peak
+        _print(stored(known["puma6"], gigabytes))
+    _print(memory(known["puma6"]))
+    for case in known.values():
+        for model in ("dynamic", "reaction"):
+            _print(answer(case, model, rounds))
+
+
+@app.command()
+def simulate() -> None:
+    """A recorded run against MuJoCo's bare steps."""
+    from benchmarks.simulate import simulate as measure
+
+    _print(measure())
+
+
+@app.command(name="all")
+def everything() -> None:
+    """All of them."""
+    minimal()
+    regressor()
+    identify()
+    simulate()
 
 
 if __name__ == "__main__":

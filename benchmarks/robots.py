@@ -44,7 +44,7 @@ def _arm(joints: int) -> str:
 
 
 def _tree() -> str:
-    """Torso of 3, head of 2, arms of 7 with a sliding gripper, legs of 6 and 5; some axes oblique."""
+    """Torso of 3, head of 2, arms of 7 with sliding grippers, legs of 6 and 5; oblique axes."""
     rng = np.random.default_rng(3)
     parents = [0, 1, 2, 3, 4]
     for root, length in ((3, 7), (3, 7), (0, 6), (0, 5)):

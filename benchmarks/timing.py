@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import resource
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 from numba import njit
 
 
-def least(tasks: Mapping[str, Callable[[], object]], rounds: int, wall: bool = False) -> dict[str, float]:
+def least(
+    tasks: Mapping[str, Callable[[], object]], rounds: int, wall: bool = False
+) -> dict[str, float]:
     """Least time of each task [s]; the tasks take turns, so that all see the same weather."""
     clock = time.perf_counter if wall else time.thread_time
     best = dict.fromkeys(tasks, np.inf)
@@ -22,12 +24,18 @@ def least(tasks: Mapping[str, Callable[[], object]], rounds: int, wall: bool = F
     return best
 
 
+def forget_peak() -> None:
+    """Start anew to watch how much memory this process holds."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
 def peak_rss() -> float:
-    """Most memory this process ever held [MB]."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    """Most memory this process held since `forget_peak` [MB]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
-@njit(fastmath={"contract"})  # type: ignore[untyped-decorator]
+@njit(fastmath={"contract"})
 def _horner(x, y, repeats):  # type: ignore[no-untyped-def]
     for _ in range(repeats):
         for k in range(256):

@@ -6,21 +6,18 @@ at fault, with one message on standard error.
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
 from testbed.errors import TestbedError
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
-    from testbed.identification.identify import Estimate
+    pass
 
 app = typer.Typer(
     add_completion=False,
@@ -55,6 +52,18 @@ class _Method(StrEnum):
     both = "both"
 
 
+class _Term(StrEnum):
+    coulomb = "coulomb"
+    viscous = "viscous"
+    offset = "offset"
+    rotor = "rotor"
+
+
+class _Weights(StrEnum):
+    channels = "channels"
+    full = "full"
+
+
 @app.command()
 def run(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
@@ -69,18 +78,19 @@ def run(
     from testbed.campaign.archive import check_folder, result, run_folder, write_run
     from testbed.campaign.carry_out import carry_out
     from testbed.campaign.experiment import Experiment
+    from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
     if out is not None:
         check_folder(out)
-    with _Progress("simulating") as progress:
+    with terminal.Progress("simulating") as progress:
         outcome = carry_out(experiment, progress)
     folder = out or run_folder(experiment)
     write_run(outcome, folder)
     if as_json:
-        _print_json(result(outcome) | {"folder": str(folder)})
+        terminal.print_json(result(outcome) | {"folder": str(folder)})
     else:
-        _print_outcome(outcome, folder)
+        terminal.print_outcome(outcome, folder)
     raise typer.Exit(0 if outcome.as_expected else 1)
 
 
@@ -96,12 +106,13 @@ def simulate(
     """
     from testbed.campaign.carry_out import simulate as simulated
     from testbed.campaign.experiment import Experiment
+    from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
-    with _Progress("simulating") as progress:
+    with terminal.Progress("simulating") as progress:
         recording = simulated(experiment, progress)
     recording.save(out)
-    _console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
+    terminal.console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
 
 
 @app.command()
@@ -116,31 +127,67 @@ def identify(
     position_cutoff: Annotated[str, typer.Option(help="Low-pass on encoders [Hz], or off.")] = "40",
     cutoff: Annotated[str, typer.Option(help="Parallel low-pass [Hz], or off.")] = "5",
     deadband: Annotated[float, typer.Option(help="Slower joint rows are dropped.")] = 0.02,
+    term: Annotated[
+        list[_Term] | None,
+        typer.Option(help="In a joint's torque besides the robot; again for more."),
+    ] = None,
+    weights: Annotated[_Weights, typer.Option(help="Noise: each channel's, or all together.")] = (
+        _Weights.channels
+    ),
+    threads: Annotated[int | None, typer.Option(min=1, help="Default one a processor.")] = None,
     as_json: _Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
 
+    The recording may be larger than memory.
+
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
     from testbed.campaign.archive import estimate_as_json
+    from testbed.dynamics.kernel.layout import TERMS
     from testbed.identification.identify import identify as identified
     from testbed.identification.pipeline import Pipeline
-    from testbed.measurement.recording import Recording
+    from testbed.report import terminal
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    data = Recording.load(recording)
-    pipeline = Pipeline(_hertz(position_cutoff), _hertz(cutoff), deadband)
+    terms = tuple(TERMS[list(_Term).index(t)] for t in term or (_Term.coulomb, _Term.viscous))
+    pipeline = Pipeline(_hertz(position_cutoff), _hertz(cutoff), deadband, terms, weights.value)
     names: tuple[Literal["external", "internal"], ...] = ("external", "internal")
-    estimates = [
-        identified(tree, data, name, zeros=zeros, gravity=gravity, pipeline=pipeline)
-        for name in names
-        if method in (name, _Method.both)
-    ]
+    estimates = []
+    for name in names:
+        if method not in (name, _Method.both):
+            continue
+        with terminal.Progress(f"identifying, {name}") as progress:
+            estimate = identified(
+                tree,
+                recording,
+                name,
+                zeros=zeros,
+                gravity=gravity,
+                pipeline=pipeline,
+                threads=threads,
+                progress=progress,
+            )
+        estimates.append(estimate)
     if as_json:
-        _print_json({e.method: estimate_as_json(e) for e in estimates})
+        terminal.print_json({e.method: estimate_as_json(e) for e in estimates})
     else:
-        _print_estimates(estimates, tree.doubts)
+        terminal.print_estimates(estimates, tree.doubts)
+
+
+@app.command()
+def warmup() -> None:
+    """Compile the fast kernel ahead of its first use.
+
+    Example: testbed warmup
+    """
+    from testbed.dynamics.kernel.compiled import warm_up
+    from testbed.report import terminal
+
+    with terminal.Progress("compiling"):
+        folder = warm_up()
+    terminal.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 
 @app.command()
@@ -176,6 +223,7 @@ def minimal(
     from testbed.dynamics.rank import verify
     from testbed.parameters.identifiability import identifiability
     from testbed.parameters.minimal_set import minimal_set
+    from testbed.report import terminal
     from testbed.report.minimal import as_document, print_sets
     from testbed.tree.load import load_tree
 
@@ -191,10 +239,10 @@ def minimal(
         ]
     seen = identifiability(tree, gravity, known) if show_map or as_json else ()
     if as_json:
-        _print_json(as_document(tree, dynamic, reaction, seen, agreements))
+        terminal.print_json(as_document(tree, dynamic, reaction, seen, agreements))
     else:
-        console = _console()
-        _print_doubts(console, tree.doubts)
+        console = terminal.console()
+        terminal.print_doubts(console, tree.doubts)
         lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
         print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
     raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
@@ -237,77 +285,6 @@ def _hertz(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise PipelineError(f"a cutoff is a frequency [Hz] or off, found '{text}'") from None
-
-
-class _Progress:
-    """A progress bar on standard error, if that is a terminal."""
-
-    def __init__(self, label: str) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        self._bar = Progress(console=Console(stderr=True), transient=True)
-        self._bar.disable = not sys.stderr.isatty()
-        self._task = self._bar.add_task(label)
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, done: int, total: int) -> None:
-        self._bar.update(self._task, completed=done, total=total)
-
-
-def _console() -> Console:
-    from rich.console import Console
-
-    console = Console(markup=False, highlight=False)
-    return console if console.is_terminal else Console(markup=False, highlight=False, width=120)
-
-
-def _print_json(value: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
-
-
-def _print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None:
-    from testbed.report.tables import estimate_table, quality_lines
-
-    console = _console()
-    console.print(estimate_table(estimates))
-    for line in quality_lines(estimates):
-        console.print(line, soft_wrap=True)
-    _print_doubts(console, (*doubts, *(d for e in estimates for d in e.doubts)))
-
-
-def _print_outcome(outcome: Any, folder: Path) -> None:
-    from testbed.report.tables import quality_lines, result_table, truths_by_name
-
-    console = _console()
-    external, internal, compared = outcome.external, outcome.internal, outcome.comparison
-    truths = truths_by_name(external, compared.external.truth) | truths_by_name(
-        internal, compared.internal.truth
-    )
-    console.print(result_table(external, internal, truths, f"{outcome.experiment.name}"))
-    for line in quality_lines((external, internal)):
-        console.print(line, soft_wrap=True)
-    _print_doubts(console, outcome.doubts)
-    verdicts = outcome.verdicts
-    for name, value in compared.metrics.items():
-        claim = ""
-        if name in verdicts:
-            bound = outcome.experiment.expect[name].model_dump(exclude_none=True)
-            wanted = ", ".join(f"{k.replace('_', ' ')} {v:g}" for k, v in bound.items())
-            claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
-        console.print(f"{name:30s} {value:9.3g}{claim}")
-    console.print(f"run folder: {folder}", soft_wrap=True)
-
-
-def _print_doubts(console: Console, doubts: tuple[str, ...]) -> None:
-    for doubt in doubts:
-        console.print(f"note: {doubt}", style="yellow", soft_wrap=True)
 
 
 if __name__ == "__main__":

@@ -95,12 +95,10 @@ def test_rows_are_the_minimal_regressor(seed: int, model: Model) -> None:
     q, qd, qdd = rng.uniform(-2, 2, (3, 100, tree.n))
     for zeros in (False, True):
         minimal = tb.minimal_set(tree, model, zeros=zeros)
-        expected = tb.regressor(tree, Motion(np.arange(100), q, qd, qdd), minimal)
+        expected = tb.regressor(tree, Motion(np.arange(100.0), q, qd, qdd), minimal)
         found = layout(tree, minimal)
         one = np.array([[1.0], [0.0], [0.0]])
-        signals = Signals(
-            q, qd, qdd, np.zeros((100, found.width)), one, np.ones(1), 0.0, 0, 1, 100
-        )
+        signals = Signals(q, qd, qdd, np.zeros((100, found.width)), one, np.ones(1), 0.0, 0, 1, 100)
         blocks = compiled.rows(found, signals, compiled.workspace(found, signals))
         z = np.hstack(blocks)
         scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))

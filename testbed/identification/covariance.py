@@ -38,9 +38,11 @@ class ScoreSquares:
     """Sum over all pairs of scores of one window, with Bartlett's weights, as they come."""
 
     def __init__(self, columns: int, rate: float) -> None:
-        """Args:
-        columns: Number p of columns.
-        rate: Rows a second [Hz].
+        """Nothing yet.
+
+        Args:
+            columns: Number p of columns.
+            rate: Rows a second [Hz].
         """
         self.lags = max(int(WINDOW * rate / bin_size(rate)), 1)
         self.total = np.zeros(columns)

@@ -23,7 +23,7 @@ from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
 from testbed.identification.pipeline import Pipeline
 from testbed.identification.plan import Plan, make_plan
 from testbed.identification.products import Products, gather
-from testbed.identification.solve import SQUARED, Fit, noise_weights, solved, triangular
+from testbed.identification.solve import SQUARED, Fit, noise_weights, orthogonal, solved
 from testbed.identification.stream import Progress, Sweeper
 from testbed.measurement.recording import AXES, Recording, check_robot
 from testbed.measurement.source import Source, open_source
@@ -141,7 +141,7 @@ def identify(
     sweeper = Sweeper(plan, threads, progress)
     products = gather(rows, names, channels, sweeper.sums(products_wanted(rows.width)))
     first = _solution(plan, products, pipeline, sweeper)
-    found = _second_pass(plan, first, sweeper)
+    found = _refined(plan, first, sweeper)
     if not np.isfinite(found.covariance).all():
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))
@@ -165,21 +165,21 @@ def _tare(
 
 
 def _solution(plan: Plan, products: Products, pipeline: Pipeline, sweeper: Sweeper) -> Fit:
-    """By normal equations, or by QR where these have lost too much."""
+    """By normal equations, or from orthonormal columns where products have lost too much."""
     full = pipeline.joined and pipeline.covariance is None
     weights = noise_weights(products, pipeline.covariance, full)
     try:
         found = solved(products, weights)
-    except UnseenParameters:  # to product's precision; the rows may know better
-        return triangular(plan.layout, products, weights, sweeper.rows())
+    except UnseenParameters:  # to the products' precision; the rows may know better
+        return orthogonal(plan.layout, products, weights, sweeper.rows)
     if np.isnan(found.values).any() or found.condition > SQUARED:
-        return triangular(plan.layout, products, weights, sweeper.rows())
+        return orthogonal(plan.layout, products, weights, sweeper.rows)
     return found
 
 
 @dataclass(frozen=True, eq=False)
 class _Refined:
-    """A solution after the second pass, which looks at the residuals themselves."""
+    """A solution after the pass that looks at the residuals themselves."""
 
     fit: Fit
     values: Array
@@ -187,7 +187,8 @@ class _Refined:
     squares: Array  # of each channel's residuals
 
 
-def _second_pass(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
+def _refined(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
+    """Residuals, their covariance, and what they correct."""
     rows, basis = plan.layout.rows, plan.layout.basis
     factors = np.zeros(rows.slots)
     columns = rows.unknown >= 0
@@ -198,7 +199,9 @@ def _second_pass(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
     for sums in sweeper.sums(Question(factors, fit.weights, bin_size(plan.rate))):
         squares += np.diagonal(sums.moments)
         scores.add(sums.scores)
-    values = fit.values + fit.inverse @ (basis.T @ scores.total)
+    values = fit.values
+    if fit.condition <= SQUARED:  # else the solution is better than the residuals know
+        values = values + fit.inverse @ (basis.T @ scores.total)
     covariance = sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
     return _Refined(fit, values, covariance, squares)
 
@@ -255,8 +258,8 @@ def _doubts(estimate: Estimate) -> list[str]:
     doubts = []
     if estimate.condition > ILL_CONDITIONED:
         doubts.append(
-            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): errors "
-            "of the instrument grow by up to that factor"
+            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
+            "errors of the instrument grow by up to that factor"
         )
     every = zip(estimate.names, estimate.values, estimate.sigma, strict=True)
     loose = [

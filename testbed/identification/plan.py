@@ -71,7 +71,7 @@ class Plan:
     @property
     def reach(self) -> int:
         """Samples that a row needs to either side."""
-        return self.taps.shape[1] // 2 + len(self.weights) // 2
+        return int(self.taps.shape[1]) // 2 + len(self.weights) // 2
 
     @property
     def rate(self) -> float:
@@ -104,7 +104,7 @@ class Plan:
             deadband=self.deadband,
             start=self.reach,
             step=self.step,
-            count=window.rows,
+            number=window.rows,
         )
 
 

@@ -5,7 +5,7 @@ Source    [FRS96] eq. (14); columns are scaled to unit length first
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +19,11 @@ from testbed.identification.products import Products
 REWEIGHTINGS = 4
 """Times that the channels' noise is estimated anew from the residuals."""
 
-SQUARED = 1e6
-"""Condition up to which normal equations and one refinement are as good as a QR."""
+SQUARED = 1e4
+"""Condition up to which normal equations and one correction are as good as a QR."""
+
+TRIANGLE = 1e6
+"""Condition up to which products tell how to make columns orthonormal."""
 
 RANK_TOLERANCE = 1e-10
 """Singular values of the scaled equations below this share of the largest count as zero."""
@@ -102,7 +105,7 @@ def noise_weights(products: Products, covariance: Array | None, full: bool = Fal
         full: Whether channels are taken as correlated.
     """
     if covariance is not None:
-        return np.linalg.inv(covariance)
+        return np.asarray(np.linalg.inv(covariance))
     rms = np.sqrt(np.diagonal(products.square) if products.joined else products.square)
     rms = rms / np.sqrt(np.maximum(products.used, 1.0))
     floor = np.maximum(PRECISION * rms, PRECISION**2 * (rms.max() or 1.0))
@@ -135,47 +138,74 @@ def _rough(products: Products, weights: Array) -> Array:
     return values
 
 
-def triangular(layout: Layout, products: Products, weights: Array, rows: Iterator[Array]) -> Fit:
-    """The solution by QR of the rows themselves, block after block onto one triangle.
+def orthogonal(
+    layout: Layout, products: Products, weights: Array, rows: Callable[[], Iterator[Array]]
+) -> Fit:
+    """The solution from columns made orthonormal before they are summed.
 
-    For equations whose products have lost what tells parameters apart.
+    For equations whose products have lost what tells parameters apart: errors grow with the
+    condition, not with its square. The triangle that makes the columns orthonormal comes from
+    the products, or, above TRIANGLE, from a QR of all rows.
 
     Args:
         layout: The rows.
-        products: Of all rows; only their names and scale.
+        products: Of all rows.
         weights: W, (C, C).
-        rows: Blocks of (slots, rows).
+        rows: Starts a pass over blocks of (slots, rows).
 
     Raises:
         UnseenParameters: The equations do not determine all unknowns; names them.
     """
-    p, root = len(products.unknowns), np.linalg.cholesky(weights)
-    scale = np.sqrt(np.diagonal(products.matrix(weights)))
+    matrix: Array = products.matrix(weights)
+    root: Array = np.asarray(np.linalg.cholesky(weights), dtype=np.float64)
+    scale = np.sqrt(np.diagonal(matrix))
     scale[scale == 0] = 1.0
-    lead = layout.basis / scale
-    triangle = np.zeros((0, p + 1))
-    for block in rows:
-        stack = np.zeros((len(layout.channels), block.shape[1], p + 1))
-        for c, columns in enumerate(layout.channels):
-            at = layout.rows.start[c]
-            stack[c, :, :p] = block[at : at + len(columns)].T @ lead[columns]
-            stack[c, :, p] = block[layout.rows.measured[c]]
-        white = np.tensordot(root.T, stack, 1).reshape(-1, p + 1)
-        triangle = np.linalg.qr(np.vstack([triangle, white]), mode="r")
-    r = np.zeros((p, p))
-    r[: min(p, len(triangle))] = triangle[:p, :p]
-    _, spread, directions = np.linalg.svd(r)
+    unit = matrix / np.outer(scale, scale)
+    if np.linalg.cond(unit) < TRIANGLE**2:
+        triangle = linalg.cholesky(unit)
+    else:
+        triangle = _triangle(layout, root, scale, rows())
+    _, spread, directions = np.linalg.svd(triangle)
     lost = spread <= RANK_TOLERANCE * spread[0]
     if lost.any():
         refuse(products.unknowns, directions[lost], int(products.used.sum()))
-    inverse = np.linalg.inv(r)
-    values = inverse @ triangle[:p, p] / scale
-    return Fit(
-        values,
-        inverse @ inverse.T / np.outer(scale, scale),
-        weights,
-        float(spread[0] / spread[-1]),
-    )
+    lead = linalg.inv(triangle) / scale[:, None]
+    values = np.zeros(len(scale))
+    for _ in range(2):  # the second time on what the first has left
+        gram, vector = np.zeros_like(matrix), np.zeros(len(scale))
+        for columns, left in _dense(
+            layout, root, layout.basis @ lead, layout.basis @ values, rows()
+        ):
+            gram += columns.T @ columns
+            vector += columns.T @ left
+        values = values + lead @ np.linalg.solve(gram, vector)
+    inverse = lead @ np.linalg.inv(gram) @ lead.T
+    return Fit(values, inverse, weights, float(spread[0] / spread[-1]))
+
+
+def _triangle(layout: Layout, root: Array, scale: Array, rows: Iterator[Array]) -> Array:
+    """R of a QR of all rows, block after block onto one triangle, (p, p)."""
+    triangle = np.zeros((0, len(scale)))
+    lead = layout.basis / scale
+    for columns, _ in _dense(layout, root, lead, np.zeros(len(lead)), rows):
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, columns]), mode="r"))
+    missing = len(scale) - len(triangle)
+    return np.vstack([triangle, np.zeros((missing, len(scale)))])
+
+
+def _dense(
+    layout: Layout, root: Array, lead: Array, values: Array, rows: Iterator[Array]
+) -> Iterator[tuple[Array, Array]]:
+    """Rows with noise of unit covariance: columns @ lead, (k, p), and what values leave, (k,)."""
+    for block in rows:
+        stack = np.empty((len(layout.channels), block.shape[1], lead.shape[1] + 1))
+        for c, columns in enumerate(layout.channels):
+            at = layout.rows.start[c]
+            own = block[at : at + len(columns)].T
+            stack[c, :, :-1] = own @ lead[columns]
+            stack[c, :, -1] = block[layout.rows.measured[c]] - own @ values[columns]
+        white = np.tensordot(root.T, stack, 1).reshape(-1, lead.shape[1] + 1)
+        yield white[:, :-1], white[:, -1]
 
 
 def refuse(names: tuple[str, ...], directions: Array, rows: int) -> None:

@@ -42,17 +42,16 @@ def is_small(plan: Plan) -> bool:
 class Sweeper:
     """Answers questions about all rows of a plan, pass by pass."""
 
-    def __init__(
-        self, plan: Plan, threads: int | None, progress: Progress, compiled: bool | None = None
-    ) -> None:
-        """Args:
-        plan: The rows.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all; a pass counts once.
-        compiled: Whether to use the compiled kernel; default where it is worth it.
+    def __init__(self, plan: Plan, threads: int | None, progress: Progress) -> None:
+        """Ready for the first pass.
+
+        Args:
+            plan: The rows.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all, of two passes.
         """
         self.plan = plan
-        self.compiled = not is_small(plan) if compiled is None else compiled
+        self.compiled = not is_small(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.checked = False

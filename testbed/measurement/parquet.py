@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -38,22 +38,45 @@ _UNITS = {
 
 def write(recording: Recording, path: Path) -> None:
     """Write all columns, truth included, to `path`."""
-    columns = channels(recording) | _truth_columns(recording)
+    write_parts([recording], path)
+
+
+def write_parts(parts: Iterable[Recording], path: Path) -> None:
+    """Write parts of one recording, in the order of time, one at a time.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    writer: pq.ParquetWriter | None = None
+    try:
+        for part in parts:
+            columns = channels(part) | _truth_columns(part)
+            if writer is None:
+                writer = pq.ParquetWriter(
+                    path,
+                    _schema(part, columns),
+                    compression="zstd",
+                    compression_level=1,
+                    use_dictionary=False,
+                    use_byte_stream_split=True,
+                )
+            if list(columns) != writer.schema.names:
+                raise RecordingError("the parts of the recording have different channels")
+            arrays = [pa.array(values) for values in columns.values()]
+            writer.write_table(pa.table(arrays, schema=writer.schema), ROW_GROUP)
+    finally:
+        if writer is not None:
+            writer.close()
+    if writer is None:
+        raise RecordingError("the recording has no parts")
+
+
+def _schema(recording: Recording, columns: dict[str, Array]) -> pa.Schema:
     geometry = recording.facts.get("geometry", {})
     fields = [pa.field(k, pa.float64(), metadata={"unit": _unit(k, geometry)}) for k in columns]
     tare = None if recording.tare is None else recording.tare.tolist()
     about = {"format": FORMAT, "tare": tare, "facts": dict(recording.facts)}
-    schema = pa.schema(fields, metadata={"testbed": json.dumps(about, sort_keys=True)})
-    table = pa.table([pa.array(values) for values in columns.values()], schema=schema)
-    pq.write_table(
-        table,
-        path,
-        compression="zstd",
-        compression_level=1,
-        use_dictionary=False,
-        use_byte_stream_split=True,
-        row_group_size=ROW_GROUP,
-    )
+    return pa.schema(fields, metadata={"testbed": json.dumps(about, sort_keys=True)})
 
 
 def read(path: Path) -> Recording:
@@ -122,7 +145,9 @@ class StoredRecording:
     def _restart(self, first: int) -> None:
         """Read on from the row group that holds a sample."""
         groups, start, group = self._file.metadata, 0, 0
-        while group + 1 < groups.num_row_groups and first >= start + groups.row_group(group).num_rows:
+        while (
+            group + 1 < groups.num_row_groups and first >= start + groups.row_group(group).num_rows
+        ):
             start += groups.row_group(group).num_rows
             group += 1
         wanted = range(group, groups.num_row_groups)

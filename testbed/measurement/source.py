@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import IO, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from testbed.errors import RecordingError
 from testbed.measurement.recording import Recording
 
 
+@runtime_checkable
 class Source(Protocol):
     """Samples that can be had part by part: a `Recording`, or one that stays in its file."""
 
@@ -59,7 +61,7 @@ def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> 
         from testbed.measurement.parquet import StoredRecording
 
         return StoredRecording(what)
-    if hasattr(what, "part"):
+    if isinstance(what, Source):
         return what
     return gathered(what)
 
@@ -76,26 +78,28 @@ def gathered(parts: Iterable[Recording]) -> Recording:
         RecordingError: There are none, or they do not belong together.
     """
     groups: list[str] = []
-    files: dict[str, Any] = {}
     whole: Recording | None = None
-    for part in parts:
-        present = [name for name in _GROUPS if getattr(part, name) is not None]
+    with ExitStack() as open_files:
+        files: dict[str, IO[bytes]] = {}
+        for part in parts:
+            present = [name for name in _GROUPS if getattr(part, name) is not None]
+            if whole is None:
+                whole, groups = part, present
+                files = {n: open_files.enter_context(tempfile.TemporaryFile()) for n in groups}
+            if present != groups or part.names != whole.names:
+                raise RecordingError("the parts of the recording have different channels")
+            for name, file in files.items():
+                file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
         if whole is None:
-            whole, groups = part, present
-            files = {name: tempfile.TemporaryFile() for name in groups}
-        if present != groups or part.names != whole.names:
-            raise RecordingError("the parts of the recording have different channels")
-        for name, file in files.items():
-            file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
-    if whole is None:
-        raise RecordingError("the recording has no parts")
-    return replace(whole, truth=None, **{name: _mapped(file, whole, name) for name, file in files.items()})
+            raise RecordingError("the recording has no parts")
+        mapped: dict[str, Any] = {name: _mapped(file, whole, name) for name, file in files.items()}
+    return replace(whole, truth=None, **mapped)
 
 
 _GROUPS = ("time", "position", "torque", "wrench", "velocity", "acceleration")
 
 
-def _mapped(file: Any, like: Recording, name: str) -> Array:
+def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
     file.flush()
     shape = (-1, *getattr(like, name).shape[1:])
     found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)

@@ -114,21 +114,25 @@ class Draft:
             outer = self.links[outer].parent
         return outer == inner
 
-    def rows(self, joined: bool) -> Rows:
-        """All channels as arrays."""
+    def _paths(self) -> tuple[list[Pair], list[int], list[int]]:
+        """All pairs, link by link; where their screws come from, and where they go."""
         shelf = Shelf(self.links, SEEDS)
-        source, target, pairs, first = [], [], list[Pair](), [0]
+        pairs, source, target = list[Pair](), list[int](), list[int]()
         for k, link in enumerate(self.links):
             for pair in self.pairs[k]:
                 if pair.own:
                     shelf.places[pair.channel, k] = SLIDING if link.slides else TURNING
+                    source.append(shelf.places[pair.channel, k])
                     target.append(shelf.places[pair.channel, k])
-                    source.append(target[-1])
                 else:
                     source.append(shelf.places.get((pair.channel, link.parent), pair.channel))
                     target.append(shelf.put(pair.channel, k))
                 pairs.append(pair)
-            first.append(len(pairs))
+        return pairs, source, target
+
+    def rows(self, joined: bool) -> Rows:
+        """All channels as arrays."""
+        pairs, source, target = self._paths()
         unknown = np.full(self.slots, -1)
         for start, columns in zip(self.starts, self.columns, strict=True):
             unknown[start : start + len(columns)] = columns
@@ -139,7 +143,7 @@ class Draft:
             for pair in pairs
         ]
         return Rows(
-            first=ints(first),
+            first=ints(np.cumsum([0, *map(len, self.pairs)])),
             source=ints(source),
             target=ints(target),
             force=bools([pair.force for pair in pairs]),
@@ -167,8 +171,10 @@ class Draft:
 
 
 def ints(values: AnyArray | list[int]) -> Ints:
+    """The kernel's integers."""
     return np.array(values, dtype=np.int64)
 
 
 def bools(values: list[bool]) -> Bools:
+    """The kernel's booleans."""
     return np.array(values, dtype=np.bool_)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import config
 
 from testbed.arrays import Array
 from testbed.dynamics.kernel.layout import Layout, layout
@@ -21,6 +20,7 @@ from testbed.dynamics.kernel.shapes import (
     sums_for,
 )
 from testbed.dynamics.kernel.sweep import sweep as compiled
+from testbed.dynamics.kernel.target import settings
 from testbed.parameters.minimal_set import minimal_set
 from testbed.tree.inertia import NOTHING
 from testbed.tree.tree import Joint, Tree
@@ -86,10 +86,10 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         work: Room to work in.
     """
     found, block = [], layout.rows.block
-    for first in range(0, signals.count, block):
-        count = min(block, signals.count - first)
+    for first in range(0, signals.number, block):
+        count = min(block, signals.number - first)
         start = signals.start + first * signals.step
-        fill_only(layout, signals._replace(start=start, count=count), work)
+        fill_only(layout, signals._replace(start=start, number=count), work)
         found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
     return found
 
@@ -100,12 +100,20 @@ def _arguments(sums: Sums, question: Question) -> tuple[object, ...]:
 
 def _fixed(signals: Signals) -> Signals:
     """The same arrays, contiguous and read-only: one type, compiled once."""
-    fixed = {}
-    for name in ("position", "velocity", "acceleration", "measured", "taps", "weights"):
-        array = np.ascontiguousarray(getattr(signals, name), dtype=np.float64).view()
+
+    def fixed(value: Array) -> Array:
+        array = np.ascontiguousarray(value, dtype=np.float64).view()
         array.flags.writeable = False
-        fixed[name] = array
-    return signals._replace(**fixed)
+        return array
+
+    return signals._replace(
+        position=fixed(signals.position),
+        velocity=fixed(signals.velocity),
+        acceleration=fixed(signals.acceleration),
+        measured=fixed(signals.measured),
+        taps=fixed(signals.taps),
+        weights=fixed(signals.weights),
+    )
 
 
 def warm_up() -> str:
@@ -118,4 +126,4 @@ def warm_up() -> str:
     unit = np.array([[1.0], [0.0], [0.0]])
     signals = Signals(still, still, still, still, unit, np.ones(1), 0.0, 0, 1, 1)
     sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
-    return str(config.CACHE_DIR)
+    return str(settings.CACHE_DIR)

@@ -28,6 +28,7 @@ ROUND = 6755399441055744.0  # 1.5 2^52: adding and subtracting it rounds to an i
 
 @inline
 def cross(a0, a1, a2, b0, b1, b2):
+    """A x b."""
     return a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0
 
 
@@ -68,16 +69,19 @@ def sine_cosine(q, shift, s, c):
 
 @inline
 def straight(ca, sa, y, z):
+    """Leaning by nothing."""
     return y, z
 
 
 @inline
 def square(ca, sa, y, z):
+    """Leaning by a right angle."""
     return z, -y
 
 
 @inline
 def inclined(ca, sa, y, z):
+    """Leaning by any angle."""
     return ca * y + sa * z, ca * z - sa * y
 
 
@@ -209,8 +213,9 @@ def rest(turns, V, X, Y):
         a0, a1, a2 = X[A + k], X[A + B + k], X[A + 2 * B + k]
         e0, e1, e2 = X[E + k], X[E + B + k], X[E + 2 * B + k]
         z = X[Z + k]
-        Y[k] = a0 * u1 - a1 * u0 + v0 * X[O + 2 * B + k] + v1 * X[O + 5 * B + k] + v2 * X[O + 8 * B + k]
-        Y[D + k] = u1 * e1 - u0 * (X[O + 5 * B + k] + e0) + u2 * (X[O + B + k] + e2)
+        o02, o12, o22 = X[O + 2 * B + k], X[O + 5 * B + k], X[O + 8 * B + k]
+        Y[k] = a0 * u1 - a1 * u0 + v0 * o02 + v1 * o12 + v2 * o22
+        Y[D + k] = u1 * e1 - u0 * (o12 + e0) + u2 * (X[O + B + k] + e2)
         Y[2 * D + k] = v0 * a0 + v1 * a1 + v2 * a2
         # a sliding body's mass is known to its carriers already: they feel what the slide adds
         z0, z1, z2 = X[ZZ + k], X[ZZ + B + k], X[ZZ + 2 * B + k]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import linear
@@ -38,10 +39,10 @@ def blocks(layout: Layout, signals: Signals) -> list[Block]:
         signals: The window.
     """
     found = []
-    for first in range(0, signals.count, layout.rows.block):
-        count = min(layout.rows.block, signals.count - first)
+    for first in range(0, signals.number, layout.rows.block):
+        count = min(layout.rows.block, signals.number - first)
         start = signals.start + first * signals.step
-        found.append(_block(layout, signals._replace(start=start, count=count), first))
+        found.append(_block(layout, signals._replace(start=start, number=count), first))
     return found
 
 
@@ -66,18 +67,18 @@ def answer(layout: Layout, signals: Signals, given: list[Block], question: Quest
 
 def _block(layout: Layout, signals: Signals, number: int) -> Block:
     half = len(signals.weights) // 2
-    begin, span = signals.start - half, (signals.count - 1) * signals.step + 2 * half + 1
-    z = np.zeros((layout.rows.slots, signals.count))
+    begin, span = signals.start - half, (signals.number - 1) * signals.step + 2 * half + 1
+    z = np.zeros((layout.rows.slots, signals.number))
     for at in range(0, span, SAMPLES):
         some = min(SAMPLES, span - at)
         motion = _motion(signals, begin + at, some)
         y = _unfiltered(layout, signals, begin + at, motion)
-        offset = np.arange(some)[None] + at - np.arange(signals.count)[:, None] * signals.step
+        offset = np.arange(some)[None] + at - np.arange(signals.number)[:, None] * signals.step
         inside = (offset >= 0) & (offset < len(signals.weights))
         z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
-    used = np.full(layout.width, signals.count, dtype=np.float64)
+    used = np.full(layout.width, signals.number, dtype=np.float64)
     if signals.deadband > 0:
-        centres = signals.start + np.arange(signals.count) * signals.step
+        centres = signals.start + np.arange(signals.number) * signals.step
         for c, speed in enumerate(_speeds(signals, centres).T):
             moving = np.abs(speed) > signals.deadband
             first, width = layout.rows.start[c], layout.rows.width[c]
@@ -88,7 +89,7 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
 
 def _motion(signals: Signals, first: int, count: int) -> Motion:
     """Coordinates at `count` samples."""
-    time, part = np.arange(count), slice(first, first + count)
+    time, part = np.arange(count, dtype=np.float64), slice(first, first + count)
     if len(signals.velocity):
         found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
         return Motion(time, *found)
@@ -98,10 +99,11 @@ def _motion(signals: Signals, first: int, count: int) -> Motion:
     return Motion(time, *(windows @ taps for taps in signals.taps))
 
 
-def _speeds(signals: Signals, centres: Array) -> Array:
+def _speeds(signals: Signals, centres: NDArray[np.int64]) -> Array:
     """Joint velocities at single samples."""
     if len(signals.velocity):
-        return signals.velocity[centres]
+        found: Array = signals.velocity[centres]
+        return found
     half = signals.taps.shape[1] // 2
     windows = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
     speeds: Array = windows[centres - half] @ signals.taps[1]

@@ -94,7 +94,7 @@ class Signals(NamedTuple):
     deadband: float
     start: int  # sample of the first row
     step: int  # samples from row to row
-    count: int  # of rows
+    number: int  # of rows
 
 
 class Work(NamedTuple):
@@ -150,7 +150,7 @@ def sums_for(rows: Rows, signals: Signals, question: Question, columns: int) -> 
     """Room for the answer, zero."""
     channels = len(rows.measured)
     residuals = len(question.factors) > 0
-    bins = -(-signals.count // question.bins) if residuals else 0
+    bins = -(-signals.number // question.bins) if residuals else 0
     return Sums(
         used=np.zeros(channels),
         products=np.zeros(0 if residuals else int((rows.group_width**2).sum())),

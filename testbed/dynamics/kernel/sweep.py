@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from testbed.dynamics.kernel.fill import fill
 from testbed.dynamics.kernel.shapes import CHUNK, D
-from testbed.dynamics.kernel.target import WIDE, inline, outer, plain, summing
+from testbed.dynamics.kernel.target import WIDE, inline, outer, part, plain, summing
 
 
 @summing
@@ -15,14 +15,41 @@ def tile(X, Y, n, G, at, ld):
     for k in range(n):
         y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
         x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
-        a0 += x0 * y0; a1 += x0 * y1; a2 += x0 * y2; a3 += x0 * y3
-        b0 += x1 * y0; b1 += x1 * y1; b2 += x1 * y2; b3 += x1 * y3
-        c0 += x2 * y0; c1 += x2 * y1; c2 += x2 * y2; c3 += x2 * y3
-        d0 += x3 * y0; d1 += x3 * y1; d2 += x3 * y2; d3 += x3 * y3
-    G[at] += a0; G[at + 1] += a1; G[at + 2] += a2; G[at + 3] += a3; at += ld
-    G[at] += b0; G[at + 1] += b1; G[at + 2] += b2; G[at + 3] += b3; at += ld
-    G[at] += c0; G[at + 1] += c1; G[at + 2] += c2; G[at + 3] += c3; at += ld
-    G[at] += d0; G[at + 1] += d1; G[at + 2] += d2; G[at + 3] += d3
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+        c0 += x2 * y0
+        c1 += x2 * y1
+        c2 += x2 * y2
+        c3 += x2 * y3
+        d0 += x3 * y0
+        d1 += x3 * y1
+        d2 += x3 * y2
+        d3 += x3 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    G[at + 3] += c3
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
 
 
 @summing
@@ -32,10 +59,23 @@ def half_tile(X, Y, n, G, at, ld):
     for k in range(n):
         y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
         x0, x1 = X[k], X[D + k]
-        a0 += x0 * y0; a1 += x0 * y1; a2 += x0 * y2; a3 += x0 * y3
-        b0 += x1 * y0; b1 += x1 * y1; b2 += x1 * y2; b3 += x1 * y3
-    G[at] += a0; G[at + 1] += a1; G[at + 2] += a2; G[at + 3] += a3; at += ld
-    G[at] += b0; G[at + 1] += b1; G[at + 2] += b2; G[at + 3] += b3
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
 
 
 @summing
@@ -45,13 +85,28 @@ def diagonal_tile(X, n, G, at, ld):
     for k in range(n):
         x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
         a0 += x0 * x0
-        b0 += x1 * x0; b1 += x1 * x1
-        c0 += x2 * x0; c1 += x2 * x1; c2 += x2 * x2
-        d0 += x3 * x0; d1 += x3 * x1; d2 += x3 * x2; d3 += x3 * x3
-    G[at] += a0; at += ld
-    G[at] += b0; G[at + 1] += b1; at += ld
-    G[at] += c0; G[at + 1] += c1; G[at + 2] += c2; at += ld
-    G[at] += d0; G[at + 1] += d1; G[at + 2] += d2; G[at + 3] += d3
+        b0 += x1 * x0
+        b1 += x1 * x1
+        c0 += x2 * x0
+        c1 += x2 * x1
+        c2 += x2 * x2
+        d0 += x3 * x0
+        d1 += x3 * x1
+        d2 += x3 * x2
+        d3 += x3 * x3
+    G[at] += a0
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
 
 
 @summing
@@ -69,6 +124,7 @@ def dots(E, X, n):
 
 @summing
 def dot(X, Y, n):
+    """X . Y."""
     total = 0.0
     for k in range(n):
         total += X[k] * Y[k]
@@ -146,36 +202,53 @@ def add(f, X, n, Y):
         Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
 
 
-@plain
-def residual(rows, work, count, factors, weights, bins, at, moments, scores):
-    """Residuals, the sums of slots times `factors`; their products; and scores.
+@part
+def subtract(rows, Z, c, at, n, factors, E):
+    """E = residual of a channel: the sum of its slots times `factors`."""
+    E[:n] = 0.0
+    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+        add(factors[s : s + 4], Z[s * D + at : (s + 4) * D], n, E)
 
-    A score is the sum over a bin of rows of columns times weighted residuals.
+
+@part
+def score(rows, Z, c, at, n, E, bin, scores):
+    """Add columns of a channel times E to a bin of scores."""
+    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+        found = dots(E, Z[s * D + at : (s + 4) * D], n)
+        for i in range(4):
+            u = rows.unknown[s + i]
+            if u >= 0:
+                scores[bin, u] += found[i]
+
+
+@plain
+def residual(rows, work, count, factors, weights, bins, first, moments, scores):
+    """Residuals, their products, and scores: columns times weighted residuals, by bins of rows.
+
+    Bin by bin, and channel by channel where noise is not correlated across channels, so that
+    slots come from memory once.
     """
-    channels = len(rows.measured)
-    R = work.R
-    R[:] = 0.0
+    channels, R, Z = len(rows.measured), work.R, work.Z
+    E, wait = R[channels * D :], 0
     for c in range(channels):
-        for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
-            add(factors[s : s + 4], work.Z[s * D : (s + 4) * D], count, R[c * D :])
-    for c in range(channels):
-        for d in range(c + 1):
-            moments[c, d] += dot(R[c * D :], R[d * D :], count)
-    E = R[channels * D :]
-    for c in range(channels):
-        E[:] = 0.0
-        for d in range(channels):
+        for d in range(c):
             if weights[c, d] != 0.0:
-                for k in range(count):
-                    E[k] += weights[c, d] * R[d * D + k]
-        for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
-            for k in range(0, count, bins):
-                some = min(bins, count - k)
-                found = dots(E[k:], work.Z[s * D + k : (s + 4) * D], some)
-                for i in range(4):
-                    u = rows.unknown[s + i]
-                    if u >= 0:
-                        scores[(at + k) // bins, u] += found[i]
+                wait = channels  # scores need the residuals of all channels
+    for at in range(0, count, bins):
+        n = min(bins, count - at)
+        for turn in range(channels + wait):
+            if turn < channels:
+                subtract(rows, Z, turn, at, n, factors, R[turn * D :])
+                for d in range(turn + 1):
+                    moments[turn, d] += dot(R[turn * D :], R[d * D :], n)
+            c = turn - wait
+            if c >= 0:
+                E[:n] = 0.0
+                for d in range(channels):
+                    if weights[c, d] != 0.0:
+                        for k in range(n):
+                            E[k] += weights[c, d] * R[d * D + k]
+                score(rows, Z, c, at, n, E, (first + at) // bins, scores)
 
 
 @outer
@@ -185,8 +258,8 @@ def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, 
     The last block stays in work.Z.
     """
     half = len(signals.weights) // 2
-    for first in range(0, signals.count, rows.block):
-        count = min(rows.block, signals.count - first)
+    for first in range(0, signals.number, rows.block):
+        count = min(rows.block, signals.number - first)
         centre = signals.start + first * signals.step
         begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
         if half > 0:

@@ -6,14 +6,19 @@ import hashlib
 import os
 import stat
 import tempfile
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import llvmlite
 import numba
 from llvmlite import binding
 from numba import njit
+from numba.core import config
 
-_FEATURES = numba.config.CPU_FEATURES or binding.get_host_cpu_features().flatten()
+settings: Any = config  # whose names Numba makes while it loads
+
+_FEATURES = settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
 
 WIDE = "+avx512f" in _FEATURES
 """Whether there are 32 vector registers, enough for tiles of four slots by four."""
@@ -47,13 +52,14 @@ def _is_private(folder: Path) -> bool:
     return state.st_uid == os.getuid() and not state.st_mode & others
 
 
-if not numba.config.CACHE_DIR:
-    numba.config.CACHE_DIR = str(cache_folder())
+if not settings.CACHE_DIR:
+    settings.CACHE_DIR = str(cache_folder())
 
 # Without Numba's reference counts, of which every slice takes one, the recursion is a quarter
 # faster; nothing here makes or keeps arrays.
-inline = njit(fastmath={"contract"}, forceinline=True, _nrt=False)
-plain = njit(fastmath={"contract"}, _nrt=False)
-part = njit(inline="always", fastmath={"contract"}, _nrt=False)
-summing = njit(fastmath={"contract", "reassoc", "nsz"}, forceinline=True, _nrt=False)
-outer = njit(nogil=True, cache=True, _nrt=False)
+_compiled: Any = partial(njit, _nrt=False)
+inline = _compiled(fastmath={"contract"}, forceinline=True)
+plain = _compiled(fastmath={"contract"})
+part = _compiled(fastmath={"contract"}, inline="always")
+summing = _compiled(fastmath={"contract", "reassoc", "nsz"}, forceinline=True)
+outer = _compiled(nogil=True, cache=True)

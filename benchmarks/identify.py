@@ -1,0 +1,140 @@
+"""The complete answer: passes, solution, covariance; threads; memory; files."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import testbed as tb
+from benchmarks.regressor import Case, stack
+from benchmarks.timing import forget_peak, least, peak_rss
+from testbed.identification.identify import Method
+from testbed.measurement.recording import Recording
+from testbed.parameters.rules import Model
+
+EXACT = tb.Pipeline(None, None, deadband=0.0, terms=())
+REPEATS = {"arm3": 64, "puma6": 64, "tree30": 8}
+"""How many times the samples of a case make a long recording."""
+
+
+class Endless:
+    """Samples made as they are asked for: a recording of any length that takes no memory."""
+
+    def __init__(self, recording: Recording, samples: int) -> None:
+        self.recording, self.samples = recording, samples
+        self.names, self.tare, self.facts = recording.names, recording.tare, recording.facts
+        self.rate, self.senses_kinematics = 1000.0, True
+
+    def part(self, first: int, last: int) -> Recording:
+        """The recording over and over."""
+        r = self.recording
+        assert r.velocity is not None
+        assert r.acceleration is not None
+        k = np.arange(first, last) % r.samples
+        return Recording(
+            r.names,
+            np.arange(first, last) / self.rate,
+            r.position[k],
+            r.torque[k],
+            r.wrench[k],
+            r.velocity[k],
+            r.acceleration[k],
+            tare=self.tare,
+        )
+
+
+def long(case: Case) -> Recording:
+    """Enough samples to forget what starting costs."""
+    r, times = case.recording, REPEATS[case.name]
+    assert r.velocity is not None
+    assert r.acceleration is not None
+    return Recording(
+        r.names,
+        np.arange(times * r.samples) / 1000,
+        np.tile(r.position, (times, 1)),
+        np.tile(r.torque, (times, 1)),
+        np.tile(r.wrench, (times, 1)),
+        np.tile(r.velocity, (times, 1)),
+        np.tile(r.acceleration, (times, 1)),
+        tare=np.zeros(6),
+    )
+
+
+def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
+    """`identify` on sensed kinematics, unfiltered, against loop and lstsq."""
+    minimal, recording = tb.minimal_set(case.tree, model), long(case)
+    method: Method = "internal" if model == "dynamic" else "external"
+    a, b = stack(case, minimal)
+    tasks: dict[str, Callable[[], object]] = {
+        "loop": case.loop(model),
+        "lstsq": lambda: np.linalg.lstsq(a, b, rcond=None),
+    }
+    for threads in (1, 2):
+        tasks[f"answer_{threads}"] = partial(
+            tb.identify, case.tree, recording, method, pipeline=EXACT, threads=threads
+        )
+    best = least(tasks, rounds, wall=True)
+    rows = len(b) // (case.tree.n if model == "dynamic" else 6)
+    samples = {"loop": case.loop_samples, "lstsq": rows}
+    ns = {name: 1e9 * t / samples.get(name, recording.samples) for name, t in best.items()}
+    return {
+        "benchmark": f"answer {model}",
+        "robot": case.name,
+        "ns_per_sample": {name: round(value, 1) for name, value in ns.items()},
+        "ratio": round((ns["loop"] + ns["lstsq"]) / ns["answer_1"], 1),
+        "two_threads": round(ns["answer_1"] / ns["answer_2"], 2),
+        "peak_rss_mb": round(peak_rss()),
+    }
+
+
+def memory(case: Case, sizes: tuple[int, ...] = (100_000, 1_000_000, 10_000_000)) -> dict[str, Any]:
+    """Peak memory over the number of samples."""
+    found = {}
+    for samples in sizes:
+        source = Endless(case.recording, samples)
+        forget_peak()
+        tb.identify(case.tree, source, "internal", pipeline=EXACT)
+        found[samples] = round(peak_rss(), 1)
+    return {
+        "benchmark": "memory",
+        "robot": case.name,
+        "peak_rss_mb": found,
+        "growth_mb": round(found[sizes[-1]] - found[sizes[0]], 1),
+    }
+
+
+def stored(case: Case, gigabytes: float) -> dict[str, Any]:
+    """A Parquet recording larger than memory should need, encoders only, default pipeline."""
+    import time
+
+    from testbed.measurement.parquet import write_parts
+
+    bytes_per_sample = 8 * (1 + 2 * case.tree.n + 6)
+    samples = int(gigabytes * 1e9 / bytes_per_sample)
+    with tempfile.TemporaryDirectory(dir=".") as folder:
+        path = Path(folder) / "long.parquet"
+        source = Endless(case.recording, samples)
+        slow = (source.part(k, min(k + 250_000, samples)) for k in range(0, samples, 250_000))
+        write_parts((_encoders(part) for part in slow), path)
+        size = path.stat().st_size
+        forget_peak()
+        start = time.perf_counter()
+        tb.identify(case.tree, path, "external")
+        seconds = time.perf_counter() - start
+    return {
+        "benchmark": "stored",
+        "robot": case.name,
+        "samples": samples,
+        "file_gb": round(size / 1e9, 2),
+        "seconds": round(seconds, 1),
+        "peak_rss_mb": round(peak_rss()),
+    }
+
+
+def _encoders(part: Recording) -> Recording:
+    return Recording(part.names, part.time, part.position, part.torque, part.wrench, tare=part.tare)
