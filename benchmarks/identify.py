@@ -18,8 +18,11 @@ from testbed.measurement.recording import Recording
 from testbed.parameters.rules import Model
 
 EXACT = tb.Pipeline(None, None, deadband=0.0, terms=())
-REPEATS = {"arm3": 64, "puma6": 64, "tree30": 8}
+REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
 """How many times the samples of a case make a long recording."""
+
+LOOP = {"arm3": 16_000, "puma6": 16_000, "tree30": 1600}
+"""Samples of a loop whose rows do not fit into a cache: nor do those of a long recording."""
 
 
 class Endless:
@@ -71,7 +74,7 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     method: Method = "internal" if model == "dynamic" else "external"
     a, b = stack(case, minimal)
     tasks: dict[str, Callable[[], object]] = {
-        "loop": case.loop(model),
+        "loop": case.loop(model, LOOP[case.name]),
         "lstsq": lambda: np.linalg.lstsq(a, b, rcond=None),
     }
     for threads in (1, 2):
@@ -80,7 +83,7 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
         )
     best = least(tasks, rounds, wall=True)
     rows = len(b) // (case.tree.n if model == "dynamic" else 6)
-    samples = {"loop": case.loop_samples, "lstsq": rows}
+    samples = {"loop": LOOP[case.name], "lstsq": rows}
     ns = {name: 1e9 * t / samples.get(name, recording.samples) for name, t in best.items()}
     return {
         "benchmark": f"answer {model}",

@@ -38,7 +38,6 @@ class Case:
     tree: tb.Tree
     urdf: str
     recording: Recording
-    loop_samples: int = LOOP
 
     def signals(self, found: Layout) -> Signals:
         """All samples, unfiltered, their kinematics sensed."""
@@ -51,8 +50,8 @@ class Case:
             r.position, r.velocity, r.acceleration, measured, unit, np.ones(1), 0.0, 0, 1, r.samples
         )
 
-    def loop(self, model: Model) -> Any:
-        """`computeJointTorqueRegressor` sample by sample, copied into one array."""
+    def loop(self, model: Model, samples: int = LOOP) -> Any:
+        """`computeJointTorqueRegressor` sample by sample, copied into one new array."""
         n, r = self.tree.n, self.recording
         assert r.velocity is not None
         assert r.acceleration is not None
@@ -61,16 +60,17 @@ class Case:
         data, regressor = robot.createData(), pin.computeJointTorqueRegressor
         if model == "dynamic":
             q, qd, qdd = r.position, r.velocity, r.acceleration
-            rows, out = n, np.empty((LOOP, n, 10 * n))
+            shape = (samples, n, 10 * n)
         else:
-            q = np.zeros((LOOP, n + 7))
-            q[:, 6], q[:, 7:] = 1.0, r.position[:LOOP]
-            qd, qdd = np.zeros((2, LOOP, n + 6))
-            qd[:, 6:], qdd[:, 6:] = r.velocity[:LOOP], r.acceleration[:LOOP]
-            rows, out = 6, np.empty((LOOP, 6, 10 * (n + 1)))
+            q = np.zeros((samples, n + 7))
+            q[:, 6], q[:, 7:] = 1.0, r.position[:samples]
+            qd, qdd = np.zeros((2, samples, n + 6))
+            qd[:, 6:], qdd[:, 6:] = r.velocity[:samples], r.acceleration[:samples]
+            shape = (samples, 6, 10 * (n + 1))
 
         def run() -> None:
-            for k in range(LOOP):
+            out, rows = np.empty(shape), shape[1]
+            for k in range(samples):
                 out[k] = regressor(robot, data, q[k], qd[k], qdd[k])[:rows]
 
         return run

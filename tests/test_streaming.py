@@ -344,7 +344,7 @@ def test_sliding_windows_are_bartletts_weights(cuts: tuple[int, ...]) -> None:
         overlap = scores[lag:].T @ scores[:-lag]
         expected += (1 - lag / (lags + 1)) * (overlap + overlap.T)
     np.testing.assert_allclose(squares.finish(), expected, rtol=1e-12, atol=1e-12)
-    assert [bin_size(rate) for rate in (20.0, 100.0, 1000.0, 1e5)] == [1, 4, 32, 64]
+    assert [bin_size(rate) for rate in (20.0, 100.0, 1000.0, 1e5)] == [1, 8, 64, 64]
 
 
 # The compiled code.

@@ -15,7 +15,7 @@ from testbed.arrays import Array
 WINDOW = 0.5
 """Longest time over which residuals are taken to be correlated [s]."""
 
-BINS = 8
+BINS = 6
 """Least number of bins in a window."""
 
 SMALL_SAMPLE = 1.1

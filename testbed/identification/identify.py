@@ -197,7 +197,7 @@ def _refined(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
     squares = np.zeros(len(rows.measured))
     scores = ScoreSquares(len(basis), plan.rate)
     for sums in sweeper.sums(Question(factors, fit.weights, bin_size(plan.rate))):
-        squares += np.diagonal(sums.moments)
+        squares += sums.moments
         scores.add(sums.scores)
     values = fit.values
     if fit.condition <= SQUARED:  # else the solution is better than the residuals know

@@ -9,17 +9,18 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from testbed.arrays import Array
 from testbed.dynamics.kernel import reference
 from testbed.dynamics.kernel.shapes import Question, Signals, Sums
 from testbed.identification.plan import Plan, Window
-from testbed.measurement.recording import check_part
+from testbed.measurement.recording import LARGEST, Recording, check_times, check_values
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
@@ -37,6 +38,12 @@ def is_small(plan: Plan) -> bool:
     """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
     seconds = 12e-6 + 0.06e-6 * plan.layout.theta.size / 10  # a sample, measured
     return plan.source.samples * seconds < SMALL
+
+
+@cache
+def _threadpools() -> ThreadpoolController:
+    """The BLAS libraries that are loaded."""
+    return ThreadpoolController()
 
 
 class Sweeper:
@@ -61,45 +68,49 @@ class Sweeper:
         self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT
 
     def sums(self, question: Question) -> Iterator[Sums]:
-        """The answers of all windows, in order."""
-        return self._pass(lambda signals, window: self._sums(signals, window, question))
+        """The answers of all windows, in order; the first time, what was read is checked."""
+        check, self.checked = not self.checked, True
+        return self._pass(lambda part, window: self._sums(part, window, question, check))
 
     def rows(self) -> Iterator[Array]:
         """All rows, a block at a time, (slots, rows)."""
         for blocks in self._pass(self._rows):
             yield from blocks
 
-    def _pass(self, ask: Callable[[Signals, Window], Answer]) -> Iterator[Answer]:
-        plan, source = self.plan, self.plan.source
-
-        def answer(part: Any, window: Window) -> Answer:
-            if check:
-                check_part(part, "the recording", 1 / source.rate, window.first)
-            return ask(plan.signals(part, window), window)
-
-        check, self.checked = not self.checked, True
-        pending: deque[tuple[Future[Answer], Window]] = deque()
-        with threadpool_limits(1, "blas"), ThreadPoolExecutor(self.threads) as pool:
+    def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
+        alone = _threadpools().limit(limits=1, user_api="blas")
+        with alone, ThreadPoolExecutor(self.threads) as pool:
+            pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
             try:
-                for window in plan.windows():
-                    part = source.part(window.first, window.last)
-                    pending.append((pool.submit(answer, part, window), window))
-                    if len(pending) > self.threads:
+                for window in self.plan.windows():
+                    part = self.plan.source.part(window.first, window.last)
+                    if self.threads == 1:
+                        pending.append((window, partial(ask, part, window)))
+                    else:
+                        pending.append((window, pool.submit(ask, part, window).result))
+                    if len(pending) > self.threads or self.threads == 1:
                         yield self._next(pending)
                 while pending:
                     yield self._next(pending)
             finally:
-                for future, _ in pending:
-                    future.cancel()
+                pool.shutdown(cancel_futures=True)
 
-    def _next(self, pending: deque[tuple[Future[Answer], Window]]) -> Answer:
-        future, window = pending.popleft()
-        found = future.result()
+    def _next(self, pending: deque[tuple[Window, Callable[[], Answer]]]) -> Answer:
+        window, answer = pending.popleft()
+        found = answer()
         self.done += window.rows * self.plan.step
         self.progress(self.done, 2 * self.plan.rows * self.plan.step)
         return found
 
-    def _sums(self, signals: Signals, window: Window, question: Question) -> Sums:
+    def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
+        if check:
+            check_times(part, "the recording", 1 / self.plan.source.rate, window.first)
+        found = self._answer(self.plan.signals(part, window), window, question)
+        if check and not found.squares[0] < LARGEST**2:  # what is no number is not
+            check_values(part, "the recording", window.first)
+        return found
+
+    def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
         layout = self.plan.layout
         if not self.compiled:
             return reference.answer(layout, signals, self._blocks(signals, window), question)
@@ -111,7 +122,8 @@ class Sweeper:
         finally:
             self._rooms.put(work)
 
-    def _rows(self, signals: Signals, window: Window) -> list[Array]:
+    def _rows(self, part: Recording, window: Window) -> list[Array]:
+        signals = self.plan.signals(part, window)
         if not self.compiled:
             return [block.rows for block in self._blocks(signals, window)]
         from testbed.dynamics.kernel import compiled

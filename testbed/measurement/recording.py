@@ -239,16 +239,16 @@ def check(recording: Recording, source: str) -> None:
     """
     if recording.samples < 2:
         raise RecordingError(f"{source}: {recording.samples} samples are no recording")
-    check_part(recording, source, float(np.median(np.diff(recording.time))))
+    check_values(recording, source)
+    check_times(recording, source, float(np.median(np.diff(recording.time))))
 
 
-def check_part(part: Recording, source: str, typical: float, first: int = 0) -> None:
-    """`check` of a part of a recording.
+def check_values(part: Recording, source: str, first: int = 0) -> None:
+    """Whether every value of a part of a recording is a measurement.
 
     Args:
         part: Consecutive samples.
         source: What the recording is called.
-        typical: Its sampling time [s].
         first: Number of the part's first sample.
 
     Raises:
@@ -259,14 +259,29 @@ def check_part(part: Recording, source: str, typical: float, first: int = 0) -> 
         # one pass: a sum of squares that is small holds nothing large, and only numbers
         if values is not None and not np.vdot(values, values) < LARGEST**2:
             _refuse_values(part, source, first)
+
+
+def check_times(part: Recording, source: str, typical: float, first: int = 0) -> None:
+    """Whether the sampling of a part of a recording is uniform.
+
+    Args:
+        part: Consecutive samples.
+        source: What the recording is called.
+        typical: Its sampling time [s].
+        first: Number of the part's first sample.
+
+    Raises:
+        RecordingError: Names the first bad sample.
+    """
     steps = np.diff(part.time)
     if steps.size == 0:
         return
-    if steps.min() <= 0:
+    least, most = steps.min(), steps.max()
+    if not least > 0:  # what is no number is not
         k = int(np.argmin(steps)) + first
         raise RecordingError(f"{source}: time does not increase after sample {k}")
-    worst = int(np.argmax(np.abs(steps - typical)))
-    if abs(steps[worst] - typical) > 0.01 * typical:
+    if max(most - typical, typical - least) > 0.01 * typical:
+        worst = int(np.argmax(np.abs(steps - typical)))
         raise RecordingError(
             f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample "
             f"{worst + first}, {typical:.6g} s elsewhere; resample the recording to a constant rate"

@@ -24,6 +24,9 @@ STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 """Units of either."""
 
+UPPER = np.triu_indices(3)
+"""Where the six numbers of a tensor stand in it, row by row."""
+
 TENSOR_INDEX = ((0, 1, 2), (1, 3, 4), (2, 4, 5))
 """Where the component (a, b) of a tensor stands among its six numbers, barycentric order."""
 
@@ -36,8 +39,7 @@ _TO_STANDARD_ORDER = (0, 1, 2, 3, 4, 5, 7, 6, 8, 9)  # swaps Kxz and Kyy; its ow
 def standard(tree: Tree) -> Array:
     """Standard parameters of every body, (n, 10) in the order STANDARD [kg, kg m, kg m^2]."""
     rows = [
-        (inertia.mass, *inertia.first_moment, *inertia.tensor[np.triu_indices(3)])
-        for inertia in tree.inertias
+        (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER]) for inertia in tree.inertias
     ]
     return readonly(np.array(rows)[:, _TO_STANDARD_ORDER], (tree.n, 10), "standard")
 
@@ -106,4 +108,4 @@ def parameter_name(component: str, body: int, star: str = "") -> str:
 def _point_mass(offset: Array) -> Array:
     """Ten barycentric parameters of a unit point mass at `offset`, (10,)."""
     tensor = -skew(offset) @ skew(offset)
-    return np.concatenate([[1.0], offset, tensor[np.triu_indices(3)]])
+    return np.concatenate([[1.0], offset, tensor[UPPER]])

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, skew
-from testbed.parameters.barycentric import STANDARD, TENSOR, to_standard
+from testbed.parameters.barycentric import STANDARD, TENSOR, UPPER, to_standard
 from testbed.parameters.rules import Model
 from testbed.parameters.space import Space, row_space
 from testbed.tree.tree import Joint, Tree
@@ -30,7 +30,6 @@ NEW = 1e-8
 
 
 _INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-_UPPER = np.triu_indices(3)
 
 
 def recursive_space(
@@ -118,12 +117,12 @@ def _composite_into(joint: Joint) -> Array:
     moved = np.zeros((10, 10))
     moved[0, 0] = 1.0
     moved[1:4, 0], moved[1:4, 1:4] = l, turn
-    moved[4:, 0] = (-skew(l) @ skew(l))[_UPPER]
+    moved[4:, 0] = (-skew(l) @ skew(l))[UPPER]
     for k in range(3):
         lever = skew(turn[:, k])
-        moved[4:, 1 + k] = -(skew(l) @ lever + lever @ skew(l))[_UPPER]
+        moved[4:, 1 + k] = -(skew(l) @ lever + lever @ skew(l))[UPPER]
     for k in range(6):
-        moved[4:, 4 + k] = (turn @ TENSOR[:, :, k] @ turn.T)[_UPPER]
+        moved[4:, 4 + k] = (turn @ TENSOR[:, :, k] @ turn.T)[UPPER]
     return moved
 
 
@@ -135,12 +134,12 @@ def _rate(joint: Joint) -> Array:
         rate[1:4, 1:4] = e
         for k in range(6):
             unit = TENSOR[:, :, k]
-            rate[4:, 4 + k] = (e @ unit - unit @ e)[_UPPER]
+            rate[4:, 4 + k] = (e @ unit - unit @ e)[UPPER]
         return rate
     rate[1:4, 0] = joint.axis
     for k in range(3):
         lever = skew(np.eye(3)[k])
-        rate[4:, 1 + k] = -(e @ lever + lever @ e)[_UPPER]
+        rate[4:, 1 + k] = -(e @ lever + lever @ e)[UPPER]
     return rate
 
 

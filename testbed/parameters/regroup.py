@@ -16,12 +16,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import TENSOR
+from testbed.parameters.barycentric import TENSOR, UPPER
 from testbed.parameters.mobility import mobilities
 from testbed.parameters.rules import Model, Row, rule
 from testbed.tree.tree import Joint, Tree
 
-_UPPER = tuple(zip(*np.triu_indices(3), strict=True))
+_UPPER = tuple(zip(*UPPER, strict=True))
 
 
 @dataclass(frozen=True, eq=False)

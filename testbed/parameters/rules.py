@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import TENSOR_INDEX
+from testbed.parameters.barycentric import TENSOR_INDEX, UPPER
 from testbed.parameters.mobility import ALIGNED, Mobility
 from testbed.tree.tree import Joint
 
@@ -215,4 +215,4 @@ def _tensor_form(a: Array, b: Array) -> Array:
 def _tensor_part(a: Array, b: Array) -> Array:
     """Ten parameters whose tensor is the symmetric part of a b', doubled if a is not b, (10,)."""
     tensor = (np.outer(a, b) + np.outer(b, a)) / 2
-    return np.concatenate([np.zeros(4), tensor[np.triu_indices(3)]])
+    return np.concatenate([np.zeros(4), tensor[UPPER]])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import TENSOR
+from testbed.parameters.barycentric import TENSOR, UPPER
 from testbed.parameters.rules import across
 from testbed.tree.tree import Tree
 
@@ -132,6 +132,6 @@ def _turned(frame: Array) -> Array:
     matrix[1:4, 1:4] = frame.T
     for k in range(6):
         tensor = frame.T @ TENSOR[:, :, k] @ frame
-        matrix[4:, 4 + k] = tensor[np.triu_indices(3)]
+        matrix[4:, 4 + k] = tensor[UPPER]
     matrix[np.abs(matrix) < STRAIGHT] = 0.0
     return matrix

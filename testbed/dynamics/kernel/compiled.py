@@ -42,6 +42,7 @@ def workspace(layout: Layout, signals: Signals) -> Work:
         H=np.zeros(reach * D if filtered else 0),
         Z=np.zeros(slots * D),
         R=np.zeros((layout.width + 1) * D),
+        squares=np.zeros(1),
     )
     # what never changes: the bedplate's motion, and screws
     work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
@@ -59,6 +60,7 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
         work: Room to work in.
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    work = work._replace(squares=sums.squares)
     compiled(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, question))
     return sums
 

@@ -20,7 +20,16 @@ from testbed.dynamics.kernel.recursion import (
     turn_here,
 )
 from testbed.dynamics.kernel.shapes import NB, B, D
-from testbed.dynamics.kernel.target import part, plain
+from testbed.dynamics.kernel.target import part, plain, summing
+
+
+@summing
+def norm(X, n):
+    """X . X."""
+    total = 0.0
+    for k in range(n):
+        total += X[k] * X[k]
+    return total
 
 
 @part
@@ -55,20 +64,27 @@ def smooth(source, first, count, column, taps, N, U):
 
 
 @part
-def move_link(i, robot, signals, first, count, work):
-    """The motion of link i, and its coordinate's."""
+def read_link(i, robot, signals, first, count, work):
+    """The coordinate of link i and its two derivatives."""
+    j = robot.coordinate[i]
+    U = work.U[i * 3 * B : (i + 1) * 3 * B]
+    if len(signals.velocity):
+        load(signals.position, first, count, j, U[:B])
+        load(signals.velocity, first, count, j, U[B : 2 * B])
+        load(signals.acceleration, first, count, j, U[2 * B :])
+    else:
+        smooth(signals.position, first, count, j, signals.taps, work.N, U)
+    work.squares[0] += norm(U, 3 * B)
+
+
+@part
+def move_link(i, robot, work):
+    """The motion of link i."""
     X = work.X[robot.place[i] * BODY : (robot.place[i] + 1) * BODY]
     P = work.X[robot.carrier[i] * BODY : (robot.carrier[i] + 1) * BODY]
     U = work.U[i * 3 * B : (i + 1) * 3 * B]
     q, qd, qdd = U[:B], U[B : 2 * B], U[2 * B :]
-    j, J = robot.coordinate[i], robot.joint[i]
-    if j >= 0:
-        if len(signals.velocity):
-            load(signals.position, first, count, j, q)
-            load(signals.velocity, first, count, j, qd)
-            load(signals.acceleration, first, count, j, qdd)
-        else:
-            smooth(signals.position, first, count, j, signals.taps, work.N, U)
+    J = robot.joint[i]
     X[Z : Z + B] = 0.0
     if robot.slides[i]:
         turns = 0.0
@@ -77,7 +93,7 @@ def move_link(i, robot, signals, first, count, work):
         turns = 1.0
         sine_cosine(q, J[5], X[S : S + B], X[C : C + B])
     move(J[0], J[1], J[2], J[3], J[4], turns, P, X, qd, qdd)
-    if robot.slides[i] and j >= 0:
+    if robot.slides[i] and robot.coordinate[i] >= 0:
         slide(X, q, qd, qdd)
 
 
@@ -131,6 +147,7 @@ def fill_own(rows, signals, first, count, work, Y, at):
     for c in range(len(rows.measured)):
         y = rows.measured[c] * D + at
         load(signals.measured, first, count, c, Y[y : y + NB])
+        work.squares[0] += norm(Y[y : y + NB], NB)
         if signals.deadband > 0.0:
             qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
             y = (rows.slots + c) * D + at
@@ -143,8 +160,11 @@ def fill(robot, rows, signals, first, count, work, Y):
     """Rows at `count` samples from `first` on, unfiltered; zeros up to a full block."""
     for at in range(0, count, NB):
         some = min(NB, count - at)
+        for i in range(len(robot.place)):  # all at once: their samples share cache lines
+            if robot.coordinate[i] >= 0:
+                read_link(i, robot, signals, first + at, some, work)
         for i in range(len(robot.place)):
-            move_link(i, robot, signals, first + at, some, work)
+            move_link(i, robot, work)
             fill_link(i, robot, rows, work, Y, at)
         fill_own(rows, signals, first + at, some, work, Y, at)
     if count % NB:

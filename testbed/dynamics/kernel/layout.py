@@ -75,7 +75,8 @@ def layout(
         joined: Whether products across channels are wanted.
     """
     frames = canonical(tree)
-    picked, lead = _columns(frames, minimal)
+    turns = frames.to_canonical()
+    picked, lead = _columns(turns, minimal)
     own = len(terms) * tree.n
     basis = np.zeros((len(picked) + own, minimal.count + own))
     basis[: len(picked), : minimal.count] = lead
@@ -99,15 +100,15 @@ def layout(
         terms=tuple(terms),
         robot=_robot(frames, minimal.gravity),
         rows=draft.rows(joined),
-        theta=_theta(frames, picked),
+        theta=_theta(turns, picked),
         basis=basis,
         channels=tuple(draft.columns),
     )
 
 
-def _theta(frames: Canonical, picked: list[int]) -> Array:
+def _theta(turns: Array, picked: list[int]) -> Array:
     """Barycentric parameters, about the bodies' own axes, of canonical units, (n, 10, P)."""
-    back = np.linalg.inv(frames.to_canonical())
+    back = np.linalg.inv(turns)
     theta = np.zeros((*back.shape[:2], len(picked)))
     for column, parameter in enumerate(picked):
         theta[parameter // 10, :, column] = back[parameter // 10, :, parameter % 10]
@@ -146,13 +147,12 @@ def _leaning(c: float, s: float) -> int:
     return 1 if abs(c) < TINY and s > 0 else 2
 
 
-def _columns(frames: Canonical, minimal: MinimalSet) -> tuple[list[int], Array]:
+def _columns(turn: Array, minimal: MinimalSet) -> tuple[list[int], Array]:
     """Canonical parameters to take as columns, and how they make up the minimal ones.
 
     As many as there are minimal parameters where their span allows it, else all that the
     lift needs. Returns indices among the 10 n, and (P, N).
     """
-    turn = frames.to_canonical()
     lift = np.einsum("jab,jbn->jan", turn, minimal.lift.reshape(len(turn), 10, -1))
     lift = lift.reshape(10 * len(turn), -1)
     needed = np.flatnonzero(np.abs(lift).max(axis=1) > TINY)
@@ -173,7 +173,7 @@ def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
     picked: list[int] = []
     basis = np.zeros((len(matrix), 0))
     for threshold in (0.3, 0.03, 1e-3, 1e-6):
-        for k in order:
+        for k in order if len(picked) < len(matrix) else ():
             rest = matrix[:, k]
             for _ in range(2):  # twice is enough against rounding
                 rest = rest - basis @ (basis.T @ rest)

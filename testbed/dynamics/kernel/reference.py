@@ -56,6 +56,8 @@ def answer(layout: Layout, signals: Signals, given: list[Block], question: Quest
         question: What to find.
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    for values in (signals.position, signals.velocity, signals.acceleration, signals.measured):
+        sums.squares[0] += np.vdot(values, values)
     for block in given:
         sums.used[...] += block.used
         if len(question.factors):
@@ -142,7 +144,7 @@ def _residuals(layout: Layout, block: Block, question: Question, sums: Sums) -> 
     first = block.first // question.bins
     spans = [slice(a, a + b) for a, b in zip(rows.start, rows.width, strict=True)]
     residual = np.stack([question.factors[span] @ z[span] for span in spans])
-    sums.moments[...] += np.tril(residual @ residual.T)
+    sums.moments[...] += np.sum(residual**2, axis=1)
     weighted = question.weights @ residual
     bins = np.arange(0, z.shape[1], question.bins)
     for c, columns in enumerate(layout.channels):

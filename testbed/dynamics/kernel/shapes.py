@@ -109,6 +109,7 @@ class Work(NamedTuple):
     H: Array  # weights of the filter
     Z: Array  # filtered rows
     R: Array  # residuals
+    squares: Array  # sum of the squares of all that was read, one number
 
 
 class Sums(NamedTuple):
@@ -117,14 +118,16 @@ class Sums(NamedTuple):
     Attributes:
         used: Rows of each channel that count.
         products: Of all pairs of a group's slots, lower triangles, group by group; or empty.
-        moments: Of the channels' residuals, lower triangle; or zero.
+        moments: Sums of the channels' squared residuals, (channels,); or zero.
         scores: Columns times weighted residuals, summed over bins of rows; or empty.
+        squares: Sum of the squares of all that was read, (1,): small only if all are numbers.
     """
 
     used: Array
     products: Array
     moments: Array
     scores: Array
+    squares: Array
 
 
 class Question(NamedTuple):
@@ -154,6 +157,7 @@ def sums_for(rows: Rows, signals: Signals, question: Question, columns: int) -> 
     return Sums(
         used=np.zeros(channels),
         products=np.zeros(0 if residuals else int((rows.group_width**2).sum())),
-        moments=np.zeros((channels, channels)),
+        moments=np.zeros(channels),
         scores=np.zeros((bins, columns)),
+        squares=np.zeros(1),
     )

@@ -213,7 +213,7 @@ def subtract(rows, Z, c, at, n, factors, E):
 @part
 def score(rows, Z, c, at, n, E, bin, scores):
     """Add columns of a channel times E to a bin of scores."""
-    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+    for s in range(rows.start[c], rows.measured[c], 4):
         found = dots(E, Z[s * D + at : (s + 4) * D], n)
         for i in range(4):
             u = rows.unknown[s + i]
@@ -239,8 +239,7 @@ def residual(rows, work, count, factors, weights, bins, first, moments, scores):
         for turn in range(channels + wait):
             if turn < channels:
                 subtract(rows, Z, turn, at, n, factors, R[turn * D :])
-                for d in range(turn + 1):
-                    moments[turn, d] += dot(R[turn * D :], R[d * D :], n)
+                moments[turn] += dot(R[turn * D :], R[turn * D :], n)
             c = turn - wait
             if c >= 0:
                 E[:n] = 0.0
