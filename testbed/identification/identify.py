@@ -24,7 +24,7 @@ from testbed.identification.pipeline import Pipeline
 from testbed.identification.plan import Plan, make_plan
 from testbed.identification.products import Products, gather
 from testbed.identification.solve import SQUARED, Fit, noise_weights, orthogonal, solved
-from testbed.identification.stream import Progress, Sweeper
+from testbed.identification.stream import Progress, Sweeper, one_blas_thread
 from testbed.measurement.recording import AXES, Recording, check_robot
 from testbed.measurement.source import Source, open_source
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
@@ -139,9 +139,9 @@ def identify(
     names = (*minimal.names, *(f"{term}/{joint}" for term in terms for joint in tree.names))
     channels = AXES if method == "external" else tree.names
     sweeper = Sweeper(plan, threads, progress)
-    products = gather(rows, names, channels, sweeper.sums(products_wanted(rows.width)))
-    first = _solution(plan, products, pipeline, sweeper)
-    found = _refined(plan, first, sweeper)
+    with one_blas_thread():
+        products = gather(rows, names, channels, sweeper.sums(products_wanted(rows.width)))
+        found = _refined(plan, _solution(plan, products, pipeline, sweeper), sweeper)
     if not np.isfinite(found.covariance).all():
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))

@@ -23,7 +23,7 @@ from testbed.measurement.source import Source
 ROWS_PER_CUTOFF = 4.0
 """Rows kept a second per Hz of the parallel filter's cutoff."""
 
-WINDOW = 32_768
+WINDOW = 65_536
 """Samples of a window, about."""
 
 

@@ -10,6 +10,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from functools import cache, partial
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
@@ -40,9 +41,14 @@ def is_small(plan: Plan) -> bool:
     return plan.source.samples * seconds < SMALL
 
 
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """While it lasts, BLAS uses one thread: the order of its sums depends on their number."""
+    found: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    return found
+
+
 @cache
-def _threadpools() -> ThreadpoolController:
-    """The BLAS libraries that are loaded."""
+def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
 
 
@@ -78,8 +84,7 @@ class Sweeper:
             yield from blocks
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
-        alone = _threadpools().limit(limits=1, user_api="blas")
-        with alone, ThreadPoolExecutor(self.threads) as pool:
+        with ThreadPoolExecutor(self.threads) as pool:
             pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
             try:
                 for window in self.plan.windows():

@@ -74,7 +74,8 @@ def read_link(i, robot, signals, first, count, work):
         load(signals.acceleration, first, count, j, U[2 * B :])
     else:
         smooth(signals.position, first, count, j, signals.taps, work.N, U)
-    work.squares[0] += norm(U, 3 * B)
+    if len(work.squares):
+        work.squares[0] += norm(U, 3 * B)
 
 
 @part
@@ -147,7 +148,8 @@ def fill_own(rows, signals, first, count, work, Y, at):
     for c in range(len(rows.measured)):
         y = rows.measured[c] * D + at
         load(signals.measured, first, count, c, Y[y : y + NB])
-        work.squares[0] += norm(Y[y : y + NB], NB)
+        if len(work.squares):
+            work.squares[0] += norm(Y[y : y + NB], NB)
         if signals.deadband > 0.0:
             qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
             y = (rows.slots + c) * D + at

@@ -57,7 +57,7 @@ def answer(layout: Layout, signals: Signals, given: list[Block], question: Quest
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
     for values in (signals.position, signals.velocity, signals.acceleration, signals.measured):
-        sums.squares[0] += np.vdot(values, values)
+        sums.squares[...] += np.vdot(values, values)
     for block in given:
         sums.used[...] += block.used
         if len(question.factors):

@@ -109,7 +109,7 @@ class Work(NamedTuple):
     H: Array  # weights of the filter
     Z: Array  # filtered rows
     R: Array  # residuals
-    squares: Array  # sum of the squares of all that was read, one number
+    squares: Array  # sum of the squares of all that was read, one number or none
 
 
 class Sums(NamedTuple):
@@ -120,7 +120,8 @@ class Sums(NamedTuple):
         products: Of all pairs of a group's slots, lower triangles, group by group; or empty.
         moments: Sums of the channels' squared residuals, (channels,); or zero.
         scores: Columns times weighted residuals, summed over bins of rows; or empty.
-        squares: Sum of the squares of all that was read, (1,): small only if all are numbers.
+        squares: Sum of the squares of all that was read, (1,): small only if all are numbers;
+            empty beside residuals.
     """
 
     used: Array
@@ -159,5 +160,5 @@ def sums_for(rows: Rows, signals: Signals, question: Question, columns: int) -> 
         products=np.zeros(0 if residuals else int((rows.group_width**2).sum())),
         moments=np.zeros(channels),
         scores=np.zeros((bins, columns)),
-        squares=np.zeros(1),
+        squares=np.zeros(0 if residuals else 1),
     )
