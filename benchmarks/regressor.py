@@ -95,7 +95,7 @@ def operations(found: Layout) -> tuple[float, float]:
     robot, rows = found.robot, found.rows
     own = rows.source == rows.target
     links = np.repeat(np.arange(len(robot.place)), np.diff(rows.first))
-    inclined = (robot.lean[links] == 2) & ~rows.force & ~own
+    inclined = ~robot.square[links] & ~rows.force & ~own
     count = LINK * len(robot.place) + SINE * np.sum(~robot.slides)
     count += HERE * own.sum() + PUSH * np.sum(rows.force & ~own)
     count += CARRY * np.sum(~rows.force & ~own) + INCLINED * inclined.sum()

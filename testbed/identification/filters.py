@@ -7,7 +7,6 @@ recording can be cut anywhere without a trace.
 from __future__ import annotations
 
 import numpy as np
-from scipy import signal
 
 from testbed.arrays import Array
 
@@ -36,9 +35,11 @@ def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
         attenuation: Beyond cutoff (1 + TRANSITION / 2), and how flat it is below
             cutoff (1 - TRANSITION / 2) [dB].
     """
-    taps, beta = signal.kaiserord(attenuation, TRANSITION * cutoff / (rate / 2))
-    weights: Array = signal.firwin(taps | 1, cutoff, window=("kaiser", beta), fs=rate)
-    return weights
+    width = 2 * np.pi * TRANSITION * cutoff / rate
+    reach = int(np.ceil((attenuation - 7.95) / (2.285 * width) / 2))  # Kaiser's rules
+    window = np.kaiser(2 * reach + 1, 0.1102 * (attenuation - 8.7))
+    weights = window * np.sinc(2 * cutoff / rate * np.arange(-reach, reach + 1))
+    return np.asarray(weights / weights.sum())
 
 
 def motion_taps(rate: float, cutoff: float | None) -> Array:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from rich.table import Table
 
 from testbed.arrays import Array
-from testbed.identification.identify import Estimate
 
 _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
+
+if TYPE_CHECKING:
+    from testbed.identification.identify import Estimate
 
 
 def result_table(

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import Progress as Bar
 
-from testbed.identification.identify import Estimate
 from testbed.report.tables import (
     estimate_table,
     quality_lines,
     result_table,
     truths_by_name,
 )
+
+if TYPE_CHECKING:
+    from testbed.identification.identify import Estimate
 
 
 class Progress:

@@ -10,7 +10,6 @@ from testbed.dynamics.kernel.recursion import (
     Z,
     carry_inclined,
     carry_square,
-    carry_straight,
     move,
     push,
     rest,
@@ -115,9 +114,7 @@ def fill_link(i, robot, rows, work, Y, at):
                 turn_here(X, out)
         elif rows.force[e]:
             push(J[0], J[1], P, V, X, out)
-        elif robot.lean[i] == 0:
-            carry_straight(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
-        elif robot.lean[i] == 1:
+        elif robot.square[i]:
             carry_square(J[0], J[1], J[2], J[3], J[4], P, V, X, out)
         else:
             carry_inclined(J[0], J[1], J[2], J[3], J[4], P, V, X, out)

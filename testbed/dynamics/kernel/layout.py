@@ -16,7 +16,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.kernel.canonical import Canonical, canonical
-from testbed.dynamics.kernel.channels import Draft, Shelf, ints
+from testbed.dynamics.kernel.channels import Draft, Shelf, bools, ints
 from testbed.dynamics.kernel.shapes import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
@@ -129,7 +129,7 @@ def _robot(frames: Canonical, gravity: Array) -> Robot:
         place=ints(places[1:]),
         carrier=ints([places[link.parent + 1] for link in links]),
         slides=np.array([link.slides for link in links]),
-        lean=ints([_leaning(*link.lean) for link in links]),
+        square=bools([abs(link.lean[0]) < TINY and link.lean[1] > 0 for link in links]),
         joint=np.array(
             [
                 (*link.lean, *link.offset, link.turn, np.cos(link.turn), np.sin(link.turn))
@@ -139,12 +139,6 @@ def _robot(frames: Canonical, gravity: Array) -> Robot:
         ground=-frames.bedplate.T @ gravity,
         seeds=seeds,
     )
-
-
-def _leaning(c: float, s: float) -> int:
-    if abs(s) < TINY and c > 0:
-        return 0
-    return 1 if abs(c) < TINY and s > 0 else 2
 
 
 def _columns(turn: Array, minimal: MinimalSet) -> tuple[list[int], Array]:

@@ -68,12 +68,6 @@ def sine_cosine(q, shift, s, c):
 
 
 @inline
-def straight(ca, sa, y, z):
-    """Leaning by nothing."""
-    return y, z
-
-
-@inline
 def square(ca, sa, y, z):
     """Leaning by a right angle."""
     return z, -y
@@ -116,9 +110,9 @@ def move(ca, sa, r0, r1, r2, turns, P, X, qd, qdd):
 
 
 def carrier(lean):
-    """`carry` for joints that lean about x in one of three ways.
+    """`carry` for joints that lean about x by a right angle, or by any.
 
-    Most joints stand square on the one before, or straight: no product is spent on them.
+    Most joints stand square on the one before: no product is spent on them.
     """
 
     @inline
@@ -158,7 +152,7 @@ def carrier(lean):
     return carry
 
 
-carry_straight, carry_square, carry_inclined = map(carrier, (straight, square, inclined))
+carry_square, carry_inclined = map(carrier, (square, inclined))
 
 
 @inline

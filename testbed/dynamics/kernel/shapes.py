@@ -47,7 +47,7 @@ class Robot(NamedTuple):
     place: Ints  # of the link's motion in the workspace; places are used again
     carrier: Ints  # of its carrier's
     slides: Bools
-    lean: Ints  # 0 straight, 1 square, 2 inclined
+    square: Bools  # leans by a right angle
     joint: Array
     ground: Array  # the bedplate's acceleration less gravity
     seeds: Array  # screws that never change

@@ -78,6 +78,16 @@ def half_tile(X, Y, n, G, at, ld):
     G[at + 3] += b3
 
 
+@inline
+def two_halves(X, Y, n, G, at, ld):
+    """`tile` for processors with only sixteen vector registers."""
+    half_tile(X, Y, n, G, at, ld)
+    half_tile(X[2 * D :], Y, n, G, at + 2 * ld, ld)
+
+
+fitting_tile = tile if WIDE else two_halves
+
+
 @summing
 def diagonal_tile(X, n, G, at, ld):
     """`tile` for four slots with themselves."""
@@ -132,65 +142,62 @@ def dot(X, Y, n):
 
 
 @plain
-def weigh(rows, signals, centre, count, at, n, work):
+def weigh(weights, step, centre, count, at, n, slots, flags, Y, H, Z):
     """Add what a chunk of samples gives to the filtered rows that it reaches.
 
     centre: sample of the block's first row; at, n: the chunk's samples.
     """
-    half, step = len(signals.weights) // 2, signals.step
+    half = len(weights) // 2
     lo = max(0, -((centre + half - at) // step)) // 4 * 4
     hi = min(count, (at + n - 1 + half - centre) // step + 1)
     for r in range(lo, lo + -((lo - hi) // 4) * 4):
         behind = at - centre - r * step + half
-        H = work.H[(r - lo) * D : (r - lo) * D + CHUNK]
+        row = H[(r - lo) * D : (r - lo) * D + CHUNK]
         for k in range(CHUNK):
-            inside = 0 <= behind + k < len(signals.weights) and k < n and r < count
-            H[k] = signals.weights[behind + k] if inside else 0.0
-    for s in range(0, rows.slots, 4):
+            inside = 0 <= behind + k < len(weights) and k < n and r < count
+            row[k] = weights[behind + k] if inside else 0.0
+    for s in range(0, slots, 4):
         for r in range(lo, hi, 4):
-            Y, H = work.Y[s * D : (s + 4) * D], work.H[(r - lo) * D : (r - lo + 4) * D]
-            half_tile(Y, H, CHUNK, work.Z, s * D + r, D)
-            half_tile(Y[2 * D :], H, CHUNK, work.Z, (s + 2) * D + r, D)
+            y, h = Y[s * D : (s + 4) * D], H[(r - lo) * D : (r - lo + 4) * D]
+            fitting_tile(y, h, CHUNK, Z, s * D + r, D)
     now = max(0, -((centre - at) // step))  # rows whose own sample is here
     for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
-        for s in range(rows.slots, rows.slots + len(rows.measured)):
-            work.Z[s * D + r] = work.Y[s * D + centre + r * step - at]
+        for s in range(slots, slots + flags):
+            Z[s * D + r] = Y[s * D + centre + r * step - at]
 
 
 @plain
-def rest_joints(rows, count, Z, used):
+def rest_joints(slots, start, width, count, Z, used):
     """Zero rows of joints that rest; count the others."""
-    for c in range(len(rows.measured)):
-        U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+    for c in range(len(start)):
+        U = Z[(slots + c) * D : (slots + c) * D + count]
         moving = dot(U, U, count)
         used[c] += moving
         if moving < count:
-            for s in range(rows.start[c], rows.start[c] + rows.width[c]):
+            for s in range(start[c], start[c] + width[c]):
                 for k in range(count):
                     Z[s * D + k] *= U[k]
 
 
 @plain
-def gram(rows, Z, count, G):
+def gram(slot, size, width, place, Z, count, G):
     """Add the products of all pairs of slots, group by group of rows; lower triangles."""
     n = -(-count // 8) * 8
-    for g in range(len(rows.group_slot)):
-        p, ld = rows.group_size[g], rows.group_width[g]
-        X = Z[rows.group_slot[g] * D : (rows.group_slot[g] + ld) * D]
+    for g in range(len(slot)):
+        p, ld = size[g], width[g]
+        X = Z[slot[g] * D : (slot[g] + ld) * D]
         for a in range(0, p, 4):
-            at = rows.group_gram[g] + a * ld
+            at = place[g] + a * ld
             for b in range(0, a, 4):
                 here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
                 if p - a == 1:
                     found = dots(here, there, n)
                     for i in range(4):
                         G[at + b + i] += found[i]
-                elif p - a > 2 and WIDE:
-                    tile(here, there, n, G, at + b, ld)
-                else:
+                elif p - a == 2:
                     half_tile(here, there, n, G, at + b, ld)
-                    if p - a > 2:
-                        half_tile(here[2 * D :], there, n, G, at + 2 * ld + b, ld)
+                else:
+                    fitting_tile(here, there, n, G, at + b, ld)
             diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
 
 
@@ -203,32 +210,34 @@ def add(f, X, n, Y):
 
 
 @part
-def subtract(rows, Z, c, at, n, factors, E):
+def subtract(start, width, Z, c, at, n, factors, E):
     """E = residual of a channel: the sum of its slots times `factors`."""
     E[:n] = 0.0
-    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+    for s in range(start[c], start[c] + width[c], 4):
         add(factors[s : s + 4], Z[s * D + at : (s + 4) * D], n, E)
 
 
 @part
-def score(rows, Z, c, at, n, E, bin, scores):
+def score(start, measured, unknown, Z, c, at, n, E, bin, scores):
     """Add columns of a channel times E to a bin of scores."""
-    for s in range(rows.start[c], rows.measured[c], 4):
+    for s in range(start[c], measured[c], 4):
         found = dots(E, Z[s * D + at : (s + 4) * D], n)
         for i in range(4):
-            u = rows.unknown[s + i]
+            u = unknown[s + i]
             if u >= 0:
                 scores[bin, u] += found[i]
 
 
 @plain
-def residual(rows, work, count, factors, weights, bins, first, moments, scores):
+def residual(
+    start, width, measured, unknown, Z, R, count, factors, weights, bins, first, moments, scores
+):  # fmt: skip
     """Residuals, their products, and scores: columns times weighted residuals, by bins of rows.
 
     Bin by bin, and channel by channel where noise is not correlated across channels, so that
     slots come from memory once.
     """
-    channels, R, Z = len(rows.measured), work.R, work.Z
+    channels = len(measured)
     E, wait = R[channels * D :], 0
     for c in range(channels):
         for d in range(c):
@@ -238,7 +247,7 @@ def residual(rows, work, count, factors, weights, bins, first, moments, scores):
         n = min(bins, count - at)
         for turn in range(channels + wait):
             if turn < channels:
-                subtract(rows, Z, turn, at, n, factors, R[turn * D :])
+                subtract(start, width, Z, turn, at, n, factors, R[turn * D :])
                 moments[turn] += dot(R[turn * D :], R[turn * D :], n)
             c = turn - wait
             if c >= 0:
@@ -247,7 +256,7 @@ def residual(rows, work, count, factors, weights, bins, first, moments, scores):
                     if weights[c, d] != 0.0:
                         for k in range(n):
                             E[k] += weights[c, d] * R[d * D + k]
-                score(rows, Z, c, at, n, E, (first + at) // bins, scores)
+                score(start, measured, unknown, Z, c, at, n, E, (first + at) // bins, scores)
 
 
 @outer
@@ -267,12 +276,21 @@ def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, 
             n = min(CHUNK, end - at) if half > 0 else count
             fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
             if half > 0:
-                weigh(rows, signals, centre, count, at, n, work)
+                weigh(
+                    signals.weights, signals.step, centre, count, at, n,
+                    rows.slots, len(rows.measured), work.Y, work.H, work.Z,
+                )  # fmt: skip
         if signals.deadband > 0.0:
-            rest_joints(rows, count, work.Z, used)
+            rest_joints(rows.slots, rows.start, rows.width, count, work.Z, used)
         else:
             used += count
         if len(G):
-            gram(rows, work.Z, count, G)
+            gram(
+                rows.group_slot, rows.group_size, rows.group_width, rows.group_gram,
+                work.Z, count, G,
+            )  # fmt: skip
         if len(factors):
-            residual(rows, work, count, factors, weights, bins, first, moments, scores)
+            residual(
+                rows.start, rows.width, rows.measured, rows.unknown, work.Z, work.R,
+                count, factors, weights, bins, first, moments, scores,
+            )  # fmt: skip
