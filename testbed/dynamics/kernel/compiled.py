@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 
 from testbed.arrays import Array
@@ -61,7 +63,7 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
     work = work._replace(squares=sums.squares)
-    compiled(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, question))
+    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, question))
     return sums
 
 
@@ -76,7 +78,7 @@ def fill_only(layout: Layout, signals: Signals, work: Work) -> None:
     nothing = products_wanted(layout.width)
     sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
     sums = sums._replace(products=np.empty(0))
-    compiled(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
+    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
 
 
 def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
@@ -94,6 +96,19 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         fill_only(layout, signals._replace(start=start, number=count), work)
         found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
     return found
+
+
+def _call(*arguments: object) -> None:
+    """The first time in a thread of its own.
+
+    Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
+    to end, each of them may allocate and free one, which takes seconds in all.
+    """
+    if compiled.signatures:
+        compiled(*arguments)
+    else:
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(compiled, *arguments).result()
 
 
 def _arguments(sums: Sums, question: Question) -> tuple[object, ...]:
