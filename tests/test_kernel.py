@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import testbed as tb
+from benchmarks.robots import load, robots
 from testbed.arrays import Array
 from testbed.dynamics.kernel import compiled, reference
 from testbed.dynamics.kernel.canonical import canonical
@@ -140,3 +142,34 @@ def test_every_robot_uses_the_same_compiled_code() -> None:
     signals = some_signals(found, 3, True, True)
     compiled.sweep(found, signals, products_wanted(6), compiled.workspace(found, signals))
     assert len(sweep.signatures) == 1
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("name", ["arm3", "puma6", "tree30"])
+def test_rows_are_those_of_pinocchio(name: str, model: Model) -> None:
+    """Phi delta = phi K pi: the minimal rows times K are Pinocchio's regressor."""
+    urdf = robots()[name]
+    tree, rng = load(urdf), np.random.default_rng(1)
+    q, qd, qdd = rng.uniform(-2, 2, (3, 64, tree.n))
+    minimal = tb.minimal_set(tree, model)
+    found = layout(tree, minimal)
+    one = np.array([[1.0], [0.0], [0.0]])
+    signals = Signals(q, qd, qdd, np.zeros((64, found.width)), one, np.ones(1), 0.0, 0, 1, 64)
+    (z,) = compiled.rows(found, signals, compiled.workspace(found, signals))
+    floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
+    robot = pin.buildModelFromXML(urdf, *floating)
+    data, root = robot.createData(), len(floating)
+    order = [robot.getJointId(joint) - 1 - root for joint in tree.names]
+    columns = np.concatenate([10 * (k + root) + np.arange(10) for k in order])
+    for sample in range(64):
+        states = [np.zeros(6 * root + tree.n) for _ in range(3)]
+        for state, values in zip(states, (q, qd, qdd), strict=True):
+            state[np.array(order) + 6 * root] = values[sample]
+        if root:
+            states[0] = np.concatenate([[0, 0, 0, 0, 0, 0, 1.0], states[0][6:]])
+        theirs = pin.computeJointTorqueRegressor(robot, data, *states)[:, columns]
+        theirs = theirs[:6] if root else theirs[order]
+        for c, own in enumerate(found.channels):
+            at = found.rows.start[c]
+            row = z[at : at + len(own), sample] @ found.basis[own] @ minimal.standard_matrix
+            assert np.abs(row - theirs[c]).max() <= 5e-15 * np.abs(theirs).max()

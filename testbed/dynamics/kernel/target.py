@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
+import shutil
 import stat
 import tempfile
 from functools import partial
@@ -41,7 +43,9 @@ def cache_folder() -> Path:
             return folder
     except (OSError, RuntimeError):
         pass  # no home, or not ours to write to
-    return Path(tempfile.mkdtemp(prefix="testbed-kernel-"))
+    alone = Path(tempfile.mkdtemp(prefix="testbed-kernel-"))
+    atexit.register(shutil.rmtree, alone, ignore_errors=True)
+    return alone
 
 
 def _is_private(folder: Path) -> bool:
