@@ -35,16 +35,16 @@ def workspace(layout: Layout, signals: Signals) -> Work:
     filtered = len(signals.weights) > 1
     reach = (CHUNK + len(signals.weights)) // signals.step + 12
     work = Work(
-        U=np.zeros(3 * links * B),
-        N=np.zeros(B + signals.taps.shape[1]),
-        X=np.zeros((int(layout.robot.place.max(initial=0)) + 1) * BODY),
-        V=np.zeros((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
-        T=np.zeros(11 * D),
-        Y=np.zeros(slots * D if filtered else 0),
-        H=np.zeros(reach * D if filtered else 0),
-        Z=np.zeros(slots * D),
-        R=np.zeros((layout.width + 1) * D),
-        squares=np.zeros(1),
+        U=_aligned(3 * links * B),
+        N=_aligned(B + signals.taps.shape[1]),
+        X=_aligned((int(layout.robot.place.max(initial=0)) + 1) * BODY),
+        V=_aligned((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
+        T=_aligned(11 * D),
+        Y=_aligned(slots * D if filtered else 0),
+        H=_aligned(reach * D if filtered else 0),
+        Z=_aligned(slots * D),
+        R=_aligned((layout.width + 1) * D),
+        squares=_aligned(1),
     )
     # what never changes: the bedplate's motion, and screws
     work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
@@ -96,6 +96,13 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         fill_only(layout, signals._replace(start=start, number=count), work)
         found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
     return found
+
+
+def _aligned(size: int) -> Array:
+    """Zeros that begin where a cache line does: vectors then never straddle two."""
+    room = np.zeros(size + 7)
+    first = -(room.ctypes.data // 8) % 8
+    return room[first : first + size]
 
 
 def _call(*arguments: object) -> None:
