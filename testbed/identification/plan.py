@@ -23,7 +23,7 @@ from testbed.measurement.source import Source
 ROWS_PER_CUTOFF = 4.0
 """Rows kept a second per Hz of the parallel filter's cutoff."""
 
-WINDOW = 65_536
+WINDOW = 32_768
 """Samples of a window, about."""
 
 
