@@ -73,7 +73,7 @@ def test_products_and_residuals_are_those_of_the_reference(
     signals = signals._replace(deadband=0.5 if model == "dynamic" else 0.0)
     rng, work = np.random.default_rng(seed), compiled.workspace(found, signals)
     fast = compiled.sweep(found, signals, products_wanted(found.width), work)
-    blocks = reference.blocks(found, signals)
+    blocks = reference.rows(found, signals)
     slow = reference.answer(found, signals, blocks, products_wanted(found.width))
     np.testing.assert_array_equal(fast.used, slow.used)
     tolerance = 1e-11 if encoders else 1e-12  # differences magnify rounding by the rate squared

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,6 +20,7 @@ from testbed.excitation.random_motion import best_motion
 from testbed.files import fingerprint
 from testbed.identification.identify import Estimate, identify
 from testbed.identification.pipeline import Pipeline
+from testbed.identification.stream import Progress
 from testbed.measurement.instrument import Instrument, measure
 from testbed.measurement.recording import Recording, geometry
 from testbed.parameters.minimal_set import minimal_set
@@ -27,8 +28,6 @@ from testbed.simulation.run import Run, Sampling, simulate_motion
 from testbed.simulation.scene import build_scene
 from testbed.tree.load import load_tree
 from testbed.tree.tree import Tree
-
-Progress = Callable[[int, int], None]
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""

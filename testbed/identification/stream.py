@@ -142,7 +142,7 @@ class Sweeper:
     def _blocks(self, signals: Signals, window: Window) -> list[reference.Block]:
         if window.row in self._kept:
             return self._kept[window.row]
-        found = reference.blocks(self.plan.layout, signals)
+        found = reference.rows(self.plan.layout, signals)
         if self._keeps:
             self._kept[window.row] = found
         return found

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.measurement.recording import AXES, Recording, Truth, channels
+from testbed.measurement.recording import AXES, Recording, Truth, alike, channels
 
 FORMAT = "testbed recording 1"
 """Name and version of the layout, kept in the file."""
@@ -49,7 +49,7 @@ def write_parts(parts: Iterable[Recording], path: Path) -> None:
     """
     writer: pq.ParquetWriter | None = None
     try:
-        for part in parts:
+        for part in alike(parts):
             columns = channels(part) | _truth_columns(part)
             if writer is None:
                 writer = pq.ParquetWriter(
@@ -60,15 +60,11 @@ def write_parts(parts: Iterable[Recording], path: Path) -> None:
                     use_dictionary=False,
                     use_byte_stream_split=True,
                 )
-            if list(columns) != writer.schema.names:
-                raise RecordingError("the parts of the recording have different channels")
             arrays = [pa.array(values) for values in columns.values()]
             writer.write_table(pa.table(arrays, schema=writer.schema), ROW_GROUP)
     finally:
         if writer is not None:
             writer.close()
-    if writer is None:
-        raise RecordingError("the recording has no parts")
 
 
 def _schema(recording: Recording, columns: dict[str, Array]) -> pa.Schema:

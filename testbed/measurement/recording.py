@@ -10,7 +10,7 @@ Times     of the first instant of each sample
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -24,6 +24,9 @@ from testbed.tree.tree import Tree
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """The plate's channels."""
+
+GROUPS = ("time", "position", "torque", "wrench", "velocity", "acceleration")
+"""What is measured; the last two only where the instrument senses them."""
 
 LARGEST = 1e12
 """What no instrument measures, in any SI unit."""
@@ -231,6 +234,23 @@ def check_robot(recording: About, tree: Tree) -> None:
                 )
 
 
+def alike(parts: Iterable[Recording]) -> Iterator[Recording]:
+    """The parts of one recording, as long as they belong together.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    layout: tuple[object, ...] = ()
+    for part in parts:
+        here = (part.names, *(getattr(part, name) is None for name in (*GROUPS, "truth")))
+        if layout and here != layout:
+            raise RecordingError("the parts of the recording have different channels")
+        layout = here
+        yield part
+    if not layout:
+        raise RecordingError("the recording has no parts")
+
+
 def check(recording: Recording, source: str) -> None:
     """Whether every value is a measurement and the sampling is uniform.
 
@@ -254,7 +274,7 @@ def check_values(part: Recording, source: str, first: int = 0) -> None:
     Raises:
         RecordingError: Names the first bad channel, sample and time.
     """
-    for group in ("time", "position", "velocity", "acceleration", "torque", "wrench"):
+    for group in GROUPS:
         values = getattr(part, group)
         # one pass: a sum of squares that is small holds nothing large, and only numbers
         if values is not None and not np.vdot(values, values) < LARGEST**2:

@@ -12,8 +12,7 @@ from typing import IO, Any, Protocol, runtime_checkable
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
-from testbed.measurement.recording import Recording
+from testbed.measurement.recording import GROUPS, Recording, alike
 
 
 @runtime_checkable
@@ -77,26 +76,18 @@ def gathered(parts: Iterable[Recording]) -> Recording:
     Raises:
         RecordingError: There are none, or they do not belong together.
     """
-    groups: list[str] = []
-    whole: Recording | None = None
     with ExitStack() as open_files:
         files: dict[str, IO[bytes]] = {}
-        for part in parts:
-            present = [name for name in _GROUPS if getattr(part, name) is not None]
-            if whole is None:
-                whole, groups = part, present
-                files = {n: open_files.enter_context(tempfile.TemporaryFile()) for n in groups}
-            if present != groups or part.names != whole.names:
-                raise RecordingError("the parts of the recording have different channels")
-            for name, file in files.items():
-                file.write(np.ascontiguousarray(getattr(part, name)).tobytes())
-        if whole is None:
-            raise RecordingError("the recording has no parts")
-        mapped: dict[str, Any] = {name: _mapped(file, whole, name) for name, file in files.items()}
-    return replace(whole, truth=None, **mapped)
-
-
-_GROUPS = ("time", "position", "torque", "wrench", "velocity", "acceleration")
+        for part in alike(parts):
+            for name in GROUPS:
+                values = getattr(part, name)
+                if values is None:
+                    continue
+                if name not in files:
+                    files[name] = open_files.enter_context(tempfile.TemporaryFile())
+                files[name].write(np.ascontiguousarray(values).tobytes())
+        mapped: dict[str, Any] = {name: _mapped(file, part, name) for name, file in files.items()}
+    return replace(part, truth=None, **mapped)
 
 
 def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:

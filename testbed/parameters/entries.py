@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.parameters.regroup import Body, redefined_parameters
 from testbed.parameters.rules import Kept, Model, across
+from testbed.parameters.space import beyond
 from testbed.tree.tree import Tree
 
 INDEPENDENT = 1e-9
@@ -137,9 +138,7 @@ def independent_rows(rows: Array) -> list[int]:
         size = np.linalg.norm(row)
         if size == 0:
             continue
-        rest, found = row / size, basis[: len(keep)]
-        for _ in range(2):  # twice is enough against rounding
-            rest = rest - found.T @ (found @ rest)
+        rest = beyond(row / size, basis[: len(keep)])
         left = np.linalg.norm(rest)
         if left > INDEPENDENT:
             basis[len(keep)] = rest / left

@@ -43,6 +43,13 @@ def row_space(rows: Array, tolerance: float) -> Space:
     return Space(directions[:rank], float(spread[rank - 1] / max(dropped, 1e-300)))
 
 
+def beyond(vector: Array, basis: Array) -> Array:
+    """The part of a vector that orthonormal rows, (k, N), do not span."""
+    for _ in range(2):  # twice is enough against rounding
+        vector = vector - basis.T @ (basis @ vector)
+    return vector
+
+
 def distance(a: Space, b: Space) -> float:
     """Sine of the largest angle between two row spaces of one rank; 1 if the ranks differ."""
     if a.rank != b.rank:

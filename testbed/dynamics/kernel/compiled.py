@@ -18,6 +18,7 @@ from testbed.dynamics.kernel.shapes import (
     Signals,
     Sums,
     Work,
+    blocks,
     products_wanted,
     sums_for,
 )
@@ -89,12 +90,10 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         signals: The window.
         work: Room to work in.
     """
-    found, block = [], layout.rows.block
-    for first in range(0, signals.number, block):
-        count = min(block, signals.number - first)
-        start = signals.start + first * signals.step
-        fill_only(layout, signals._replace(start=start, number=count), work)
-        found.append(work.Z.reshape(-1, D)[: layout.rows.slots, :count].copy())
+    found = []
+    for _, block in blocks(signals, layout.rows.block):
+        fill_only(layout, block, work)
+        found.append(work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy())
     return found
 
 

@@ -23,11 +23,11 @@ from testbed.dynamics.kernel.target import part, plain, summing
 
 
 @summing
-def norm(X, n):
-    """X . X."""
+def dot(X, Y, n):
+    """X . Y."""
     total = 0.0
     for k in range(n):
-        total += X[k] * X[k]
+        total += X[k] * Y[k]
     return total
 
 
@@ -74,7 +74,7 @@ def read_link(i, robot, signals, first, count, work):
     else:
         smooth(signals.position, first, count, j, signals.taps, work.N, U)
     if len(work.squares):
-        work.squares[0] += norm(U, 3 * B)
+        work.squares[0] += dot(U, U, 3 * B)
 
 
 @part
@@ -146,7 +146,7 @@ def fill_own(rows, signals, first, count, work, Y, at):
         y = rows.measured[c] * D + at
         load(signals.measured, first, count, c, Y[y : y + NB])
         if len(work.squares):
-            work.squares[0] += norm(Y[y : y + NB], NB)
+            work.squares[0] += dot(Y[y : y + NB], Y[y : y + NB], NB)
         if signals.deadband > 0.0:
             qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
             y = (rows.slots + c) * D + at

@@ -20,6 +20,7 @@ from testbed.dynamics.kernel.channels import Draft, Shelf, bools, ints
 from testbed.dynamics.kernel.shapes import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
+from testbed.parameters.space import beyond
 from testbed.tree.tree import Tree
 
 Term = Literal["coulomb", "viscous", "offset", "rotor"]
@@ -165,14 +166,12 @@ def _columns(turn: Array, minimal: MinimalSet) -> tuple[list[int], Array]:
 def independent_columns(matrix: Array, order: Sequence[int]) -> list[int]:
     """Columns that span all others, earlier ones preferred unless nearly dependent."""
     picked: list[int] = []
-    basis = np.zeros((len(matrix), 0))
+    basis = np.zeros((0, len(matrix)))
     for threshold in (0.3, 0.03, 1e-3, 1e-6):
         for k in order if len(picked) < len(matrix) else ():
-            rest = matrix[:, k]
-            for _ in range(2):  # twice is enough against rounding
-                rest = rest - basis @ (basis.T @ rest)
+            rest = beyond(matrix[:, k], basis)
             left = np.linalg.norm(rest)
             if left > threshold:
                 picked.append(k)
-                basis = np.column_stack([basis, rest / left])
+                basis = np.vstack([basis, rest / left])
     return picked

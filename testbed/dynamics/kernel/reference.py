@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import linear
 from testbed.dynamics.kernel.layout import Layout
-from testbed.dynamics.kernel.shapes import Question, Signals, Sums, sums_for
+from testbed.dynamics.kernel.shapes import Question, Signals, Sums, blocks, sums_for
 from testbed.dynamics.motion import Motion
 
 SAMPLES = 1024
@@ -31,19 +31,15 @@ class Block(NamedTuple):
     used: Array
 
 
-def blocks(layout: Layout, signals: Signals) -> list[Block]:
+def rows(layout: Layout, signals: Signals) -> list[Block]:
     """A window's rows.
 
     Args:
         layout: The rows.
         signals: The window.
     """
-    found = []
-    for first in range(0, signals.number, layout.rows.block):
-        count = min(layout.rows.block, signals.number - first)
-        start = signals.start + first * signals.step
-        found.append(_block(layout, signals._replace(start=start, number=count), first))
-    return found
+    parts = blocks(signals, layout.rows.block)
+    return [_block(layout, part, first) for first, part in parts]
 
 
 def answer(layout: Layout, signals: Signals, given: list[Block], question: Question) -> Sums:
@@ -52,7 +48,7 @@ def answer(layout: Layout, signals: Signals, given: list[Block], question: Quest
     Args:
         layout: The rows.
         signals: The window.
-        given: Its `blocks`.
+        given: Its `rows`.
         question: What to find.
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -95,6 +96,14 @@ class Signals(NamedTuple):
     start: int  # sample of the first row
     step: int  # samples from row to row
     number: int  # of rows
+
+
+def blocks(signals: Signals, size: int) -> Iterator[tuple[int, Signals]]:
+    """A window cut into blocks of at most `size` rows, and the number of each one's first."""
+    for first in range(0, signals.number, size):
+        number = min(size, signals.number - first)
+        start = signals.start + first * signals.step
+        yield first, signals._replace(start=start, number=number)
 
 
 class Work(NamedTuple):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from testbed.dynamics.kernel.fill import fill
+from testbed.dynamics.kernel.fill import dot, fill
 from testbed.dynamics.kernel.shapes import CHUNK, D
 from testbed.dynamics.kernel.target import WIDE, inline, outer, part, plain, summing
 
@@ -130,15 +130,6 @@ def dots(E, X, n):
         c += e * X[2 * D + k]
         d += e * X[3 * D + k]
     return a, b, c, d
-
-
-@summing
-def dot(X, Y, n):
-    """X . Y."""
-    total = 0.0
-    for k in range(n):
-        total += X[k] * Y[k]
-    return total
 
 
 @plain
