@@ -142,11 +142,27 @@ def test_what_is_no_number_is_named_wherever_it_is(
             tb.identify(tree, source, threads=2)
 
 
-def test_a_gap_in_time_is_named_wherever_it_is(tree: tb.Tree, recording: Recording) -> None:
-    time = np.array(recording.time)
-    time[70_001:] += 0.5
-    with pytest.raises(RecordingError, match=r"not uniform: 0.505 s after sample 70000"):
-        tb.identify(tree, replace(recording, time=time))
+@pytest.mark.parametrize("pipeline", [EXACT, FILTERED])
+def test_a_gap_in_time_is_named_wherever_it_is(
+    pipeline: Pipeline, tree: tb.Tree, recording: Recording
+) -> None:
+    """In the midst of a window, and between two."""
+    found = layout(tree, tb.minimal_set(tree, "reaction"))
+    plan = make_plan(recording, found, np.zeros(6), pipeline)
+    border = [window.first for window in plan.windows()][1]
+    for sample in (70_000, border - 1, border):
+        time = np.array(recording.time)
+        time[sample + 1 :] += 0.5
+        with pytest.raises(RecordingError, match=rf"not uniform: 0.505 s after sample {sample}"):
+            tb.identify(tree, replace(recording, time=time), pipeline=pipeline)
+
+
+def test_a_file_without_samples_is_no_recording(
+    tree: tb.Tree, recording: Recording, tmp_path: Path
+) -> None:
+    write_parts([recording.part(0, 0)], tmp_path / "empty.parquet")
+    with pytest.raises(RecordingError, match="0 samples are no recording"):
+        tb.identify(tree, tmp_path / "empty.parquet")
 
 
 def test_parts_that_do_not_belong_together_are_refused(

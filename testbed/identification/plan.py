@@ -85,7 +85,9 @@ class Plan:
         for row in range(0, self.rows, size):
             rows = min(size, self.rows - row)
             first = row * self.step
-            yield Window(row, rows, first, first + (rows - 1) * self.step + 2 * self.reach + 1)
+            last = first + (rows - 1) * self.step + 2 * self.reach + 1
+            # one more, so that every step of time is within some window
+            yield Window(row, rows, first, min(last + 1, self.source.samples))
 
     def signals(self, part: Recording, window: Window) -> Signals:
         """What the kernel needs of a window's samples."""

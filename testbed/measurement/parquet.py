@@ -133,8 +133,10 @@ class StoredRecording:
                 self._batches.append(next(self._rest))
                 while self._first + len(self._batches[0]) <= first:
                     self._first += len(self._batches.pop(0))
-            table = pa.Table.from_batches(self._batches, self._batches[0].schema)
-            table = table.slice(first - self._first, last - first)
+            schema = pa.schema([self._file.schema_arrow.field(name) for name in self._wanted])
+            table = pa.Table.from_batches(self._batches, schema).slice(
+                first - self._first, last - first
+            )
             columns = _numbers(table, self._wanted)
             return _assemble(self.names, columns, self._about, self._path)
 
