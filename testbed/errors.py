@@ -80,3 +80,7 @@ class UnseenParameters(TestbedError):
             f"{samples} samples determine only {rank} of {count} unknowns and cannot tell apart "
             f"{', '.join(names)}: record a longer or richer motion of the joints concerned"
         )
+
+
+class ExpressionError(TestbedError):
+    """An expression that is too long, or of too high a degree, to be multiplied out."""

@@ -15,14 +15,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from testbed.arrays import AnyArray, skew
-from testbed.dynamics.algebra import Algebra
+from testbed.dynamics.algebra import Algebra, Skeleton
 from testbed.dynamics.kinematics import BodyMotion
 from testbed.parameters.barycentric import TENSOR
-from testbed.tree.tree import Tree
 
 
 def transmitted(
-    tree: Tree, moving: Sequence[BodyMotion], theta: AnyArray, algebra: Algebra
+    tree: Skeleton, moving: Sequence[BodyMotion], theta: AnyArray, algebra: Algebra
 ) -> tuple[AnyArray, AnyArray]:
     """Joint forces and the bedplate's wrench.
 

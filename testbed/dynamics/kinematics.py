@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.arrays import AnyArray, Array, apply, skew
-from testbed.dynamics.algebra import Algebra
-from testbed.tree.tree import Joint, Tree
+from testbed.arrays import AnyArray, apply, skew
+from testbed.dynamics.algebra import Algebra, Link, Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ class BodyMotion:
 
 
 def kinematics(
-    tree: Tree, q: AnyArray, qd: AnyArray, qdd: AnyArray, gravity: Array, algebra: Algebra
+    tree: Skeleton, q: AnyArray, qd: AnyArray, qdd: AnyArray, gravity: AnyArray, algebra: Algebra
 ) -> tuple[BodyMotion, ...]:
     """The motion of every body of the tree.
 
@@ -61,7 +60,7 @@ def kinematics(
 
 
 def _step(
-    joint: Joint,
+    joint: Link,
     j: int,
     carrier: BodyMotion,
     q: AnyArray,
@@ -89,12 +88,12 @@ def _step(
     return BodyMotion(turn, z, zdd, w, wd, W, algebra.keep("a" + label, point + zdd))
 
 
-def _along(e: Array, scalar: AnyArray) -> AnyArray:
+def _along(e: AnyArray, scalar: AnyArray) -> AnyArray:
     """Scalar times e.  scalar: (...); returns (..., 3)."""
     return np.asarray(scalar)[..., None] * e
 
 
-def _turn(joint: Joint, q: AnyArray, algebra: Algebra) -> AnyArray:
+def _turn(joint: Link, q: AnyArray, algebra: Algebra) -> AnyArray:
     """From frame j to frame i: A, times Rot(e, q) = e e' + c (1 - e e') + s e~ if revolute."""
     if not joint.revolute:
         fixed = np.broadcast_to(joint.rotation, (*np.shape(q), 3, 3))

@@ -80,13 +80,23 @@ class Namer:
             value = weights[0] + weights[1:] @ offset
             return number(value) if abs(value) > ROUNDING else ""
         terms: Terms = [(number(weights[0]), "")] if abs(weights[0]) > ROUNDING else []
-        mark = "" if max(body, child) < 9 else "_"
         for weight, axis, length in zip(weights[1:], "xyz", offset, strict=True):
             if min(abs(weight), abs(length)) > ROUNDING:
-                terms.append((number(weight), f"l{body + 1}{mark}{child + 1}{axis}"))
+                terms.append((number(weight), length_name(body, child, axis)))
         if len(terms) == 1:
             return _times(*terms[0])
         return f"({join(terms)})" if terms else ""
+
+
+def length_name(body: int, child: int, axis: str) -> str:
+    """Name of a component of the offset from a body to one it carries: l23z, l9_10z.
+
+    Args:
+        body: Index of the carrying body, -1 for the bedplate.
+        child: Index of the body it carries.
+        axis: "x", "y" or "z" of the carrying body.
+    """
+    return f"l{body + 1}{'' if max(body, child) < 9 else '_'}{child + 1}{axis}"
 
 
 @lru_cache(maxsize=4096)

@@ -1,0 +1,139 @@
+"""Commands about models: minimal, equations."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from testbed.cli.options import Accept, Gravity, Json, Model, Weld, Zero, Zeros, app
+
+
+class _What(StrEnum):
+    joint_forces = "joint-forces"
+    base_wrench = "base-wrench"
+    dynamic_regressor = "dynamic-regressor"
+    reaction_regressor = "reaction-regressor"
+    mass_matrix = "mass-matrix"
+    gravity_forces = "gravity-forces"
+    all = "all"
+
+
+class _Form(StrEnum):
+    full = "full"
+    reduced = "reduced"
+    recursive = "recursive"
+
+
+class _Language(StrEnum):
+    paper = "paper"
+    latex = "latex"
+    python = "python"
+    c = "c"
+
+
+@app.command()
+def minimal(
+    model: Model,
+    zeros: Zeros = False,
+    zero: Zero = None,
+    gravity: Gravity = None,
+    tared: Annotated[
+        bool, typer.Option("--tared", help="The bedplate's static wrench has been taken off.")
+    ] = False,
+    show_map: Annotated[
+        bool, typer.Option("--map", help="Show what each instrument tells of each parameter.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--verify", help="Hold the sets against two other witnesses.")
+    ] = False,
+    numbers: Annotated[
+        bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
+    ] = False,
+    as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    as_json: Json = False,
+) -> None:
+    """Print what joint torques and what the bedplate can tell about a robot.
+
+    Example: testbed minimal models/puma562.urdf --zeros --map --verify
+    """
+    from testbed.dynamics.rank import verify
+    from testbed.parameters.identifiability import identifiability
+    from testbed.parameters.minimal_set import minimal_set
+    from testbed.report import terminal
+    from testbed.report.minimal import as_document, print_sets
+    from testbed.tree.load import load_tree
+
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    known: bool | list[str] = list(zero) if zero else zeros
+    dynamic = minimal_set(tree, "dynamic", gravity, known)
+    reaction = minimal_set(tree, "reaction", gravity, known, tared)
+    agreements = []
+    if check:  # known zeros are struck out afterwards: the rules are verified without them
+        general = minimal_set(tree, "reaction", gravity, tared=tared)
+        agreements = [
+            verify(tree, each) for each in (minimal_set(tree, "dynamic", gravity), general)
+        ]
+    seen = identifiability(tree, gravity, known) if show_map or as_json else ()
+    if as_json:
+        terminal.print_json(as_document(tree, dynamic, reaction, seen, agreements))
+    else:
+        console = terminal.console()
+        terminal.print_doubts(console, tree.doubts)
+        lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
+        print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
+    raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
+
+
+@app.command()
+def equations(
+    model: Model,
+    what: Annotated[
+        list[_What] | None, typer.Option(help="Which equations; again for more.")
+    ] = None,
+    form: Annotated[
+        _Form,
+        typer.Option(help="All parameters; minimal ones; these with auxiliary variables."),
+    ] = _Form.full,
+    language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
+    zeros: Zeros = False,
+    zero: Zero = None,
+    gravity: Gravity = None,
+    numbers: Annotated[
+        bool, typer.Option("--numbers", help="Write lengths, angles and gravity as numbers.")
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    as_json: Json = False,
+) -> None:
+    """Write a robot's literal equations: motion, reaction, regressors.
+
+    Example: testbed equations models/puma562.xml --zeros --form reduced
+    """
+    from testbed.files import fingerprint, replacing
+    from testbed.symbolic.equations import equations as derived
+    from testbed.symbolic.kinds import KINDS
+    from testbed.symbolic.languages import as_document, write
+    from testbed.tree.load import load_tree
+
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    wanted = what or [_What.joint_forces]
+    names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
+    known: bool | list[str] = list(zero) if zero else zeros
+    listing = derived(tree, names, form.value, gravity, known, numbers)
+    text = write(listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}")
+    if out is not None:
+        with replacing(out) as fresh:
+            fresh.write_text(text, encoding="utf-8")
+    if as_json:
+        from testbed.report import terminal
+
+        terminal.print_json(as_document(listing, text))
+    elif out is None:
+        sys.stdout.write(text)

@@ -1,0 +1,205 @@
+"""The equations of a robot: which, in which parameters, in which form.
+
+full       literal, in all barycentric parameters, multiplied out: the listing of [FRS96]
+reduced    literal, in the minimal parameters
+recursive  in the minimal parameters, with an auxiliary variable for every intermediate
+
+The recursions are those of `dynamics`, run on symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import AnyArray, Array
+from testbed.errors import UnknownName
+from testbed.parameters.barycentric import UNITS, parameter_names
+from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
+from testbed.parameters.rules import Model
+from testbed.symbolic.expression import Expression, Factor, expression, of
+from testbed.symbolic.kinds import CONTENT, KINDS, Kind
+from testbed.symbolic.parameters import (
+    Parameter,
+    all_parameters,
+    columns,
+    described,
+    lifted,
+    minimal_parameters,
+)
+from testbed.symbolic.polynomial import Ring
+from testbed.symbolic.present import natural_angles, present
+from testbed.symbolic.program import Program, literal, recursive, with_numbers
+from testbed.symbolic.robot import draw
+from testbed.symbolic.trigonometry import Index
+from testbed.tree.tree import Tree
+
+Form = Literal["full", "reduced", "recursive"]
+FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Equations of one kind.
+
+    Attributes:
+        kind: Which.
+        shape: Of what they give, for one sample.
+        places: Where in it each result of the program belongs.
+        vector: What the vector of parameters is called: theta, delta_d or delta_r.
+        parameters: Its entries.
+        program: The lines.
+    """
+
+    kind: Kind
+    shape: tuple[int, ...]
+    places: tuple[tuple[int, ...], ...]
+    vector: str
+    parameters: tuple[Parameter, ...]
+    program: Program
+
+
+@dataclass(frozen=True, eq=False)
+class Listing:
+    """Equations of one robot, and what they are about.
+
+    Attributes:
+        tree: The robot.
+        form: "full", "reduced" or "recursive".
+        gravity: (3,) [m/s^2], bedplate frame.
+        constants: Symbols of the geometry and their values [m, rad, m/s^2].
+        minimal: The minimal sets that occur, by model.
+        known_zero: Barycentric parameters left out because they are known to be zero, (n, 10).
+        equations: One of a kind.
+    """
+
+    tree: Tree
+    form: Form
+    gravity: Array
+    constants: dict[Factor, float]
+    minimal: dict[Model, MinimalSet]
+    known_zero: AnyArray
+    equations: tuple[Equations, ...]
+
+
+def equations(
+    tree: Tree,
+    what: Sequence[str] = ("joint-forces",),
+    form: Form = "full",
+    gravity: ArrayLike | None = None,
+    zeros: bool | Sequence[str] = False,
+    numbers: bool = False,
+) -> Listing:
+    """Literal equations of a robot.
+
+    Args:
+        tree: The robot; its inertias matter only for `zeros`.
+        what: Kinds of equations, of `KINDS`.
+        form: "full" in all barycentric parameters; "reduced" in the minimal ones;
+            "recursive" in the minimal ones with auxiliary variables.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        zeros: Barycentric parameters known to be zero: True for those that are zero in the
+            model file, or a list of names.
+        numbers: Whether lengths, angles and gravity are written as numbers.
+
+    Raises:
+        UnknownName: There is no such kind or form.
+        ExpressionError: The literal equations are too long to write.
+    """
+    for name in what:
+        if name not in KINDS:
+            raise UnknownName("kind of equations", name, tuple(KINDS))
+    if form not in FORMS:
+        raise UnknownName("form", form, FORMS)
+    desk = _Desk(tree, form, tree.gravity_or(gravity), known_zeros(tree, zeros), zeros, numbers)
+    made = tuple(desk.write(KINDS[name]) for name in dict.fromkeys(what))
+    shown = {} if numbers else desk.robot.values
+    return Listing(tree, form, desk.gravity, shown, desk.minimal, desk.known_zero, made)
+
+
+@dataclass(eq=False)
+class _Desk:
+    """Where the equations of one robot are written."""
+
+    tree: Tree
+    form: Form
+    gravity: Array
+    known_zero: AnyArray
+    zeros: bool | Sequence[str]
+    numbers: bool
+
+    def __post_init__(self) -> None:
+        self.robot = draw(self.tree, self.gravity)
+        self.minimal: dict[Model, MinimalSet] = {}
+
+    @cached_property
+    def ring(self) -> Ring:
+        """Where expressions are multiplied out."""
+        return Ring([symbols for symbols, _ in self.robot.parallel])
+
+    @cached_property
+    def natural(self) -> frozenset[Index]:
+        """Angles between bodies."""
+        return natural_angles(self.ring, [a for _, chain in self.robot.parallel for a in chain])
+
+    def write(self, kind: Kind) -> Equations:
+        """The equations of one kind."""
+        vector, parameters, theta = self._parameters(kind)
+        values = dict(CONTENT[kind.name](self.robot, theta, [p.name for p in parameters]))
+        rows = 6 if kind.name in ("base-wrench", "reaction-regressor") else self.tree.n
+        shape: tuple[int, ...] = (rows,)
+        if kind.is_regressor or kind.name == "mass-matrix":
+            shape = (rows, len(parameters) if kind.is_regressor else rows)
+        results = {name: self._formed(value) for name, (_, value) in values.items()}
+        if self.form == "recursive":
+            program = recursive(results)
+        else:
+            program = literal(self._by_reference(kind, results))
+        if self.numbers:
+            program = with_numbers(program, self.robot.values)
+        places = tuple(values[name][0] for name, _ in program.results)
+        return Equations(kind, shape, places, vector, parameters, program)
+
+    def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:
+        """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
+        if self.form == "full":
+            theta = all_parameters(self.tree, self.known_zero)
+            entries = described(parameter_names(self.tree), UNITS * self.tree.n, theta.ravel())
+            return "theta", entries, columns(self.known_zero) if kind.is_regressor else theta
+        minimal = self.minimal.get(kind.model)
+        if minimal is None:
+            minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
+            self.minimal[kind.model] = minimal
+        delta = minimal_parameters(minimal)
+        entries = described(minimal.names, minimal.units, delta)
+        given = np.eye(len(delta), dtype=int).astype(object)
+        theta = lifted(minimal, given if kind.is_regressor else delta[:, None], self.tree.n)
+        return f"delta_{kind.model[0]}", entries, theta
+
+    def _formed(self, value: Any) -> Expression:
+        """Multiplied out, unless the form is recursive."""
+        if self.form == "recursive":
+            return expression(value)
+        return present(self.ring, self.ring.expand(value), self.natural)
+
+    def _by_reference(
+        self, kind: Kind, results: dict[Factor, Expression]
+    ) -> dict[Factor, Expression]:
+        """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
+        if kind.name != "joint-forces":
+            return results
+        shorter = {}
+        names = list(results)
+        for j in reversed(range(self.tree.n)):
+            value = results[names[j]]
+            for child, sign in self.robot.continued[j]:
+                rest = self._formed(value - results[names[child]] * sign)
+                if len(rest.terms) + 1 < len(value.terms):
+                    value = rest + of(names[child]) * sign
+            shorter[names[j]] = value
+        return shorter

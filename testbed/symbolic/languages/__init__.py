@@ -1,0 +1,63 @@
+"""Equations as text: the paper's notation, LaTeX, Python and C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any, Literal
+
+from testbed.errors import UnknownName
+from testbed.symbolic.equations import Listing
+from testbed.symbolic.languages.c import c
+from testbed.symbolic.languages.latex import latex
+from testbed.symbolic.languages.paper import paper
+from testbed.symbolic.languages.python import python
+
+Language = Literal["paper", "latex", "python", "c"]
+
+WRITERS: dict[Language, Callable[[Listing, str], str]] = {
+    "paper": paper,
+    "latex": latex,
+    "python": python,
+    "c": c,
+}
+
+
+def write(listing: Listing, language: Language, source: str = "") -> str:
+    """Equations in a language.
+
+    Args:
+        listing: The equations.
+        language: "paper", "latex", "python" or "c".
+        source: Where the robot comes from, for the header; any text.
+
+    Raises:
+        UnknownName: There is no such language.
+    """
+    if language not in WRITERS:
+        raise UnknownName("language", language, WRITERS)
+    return WRITERS[language](listing, source)
+
+
+def as_document(listing: Listing, text: str) -> dict[str, Any]:
+    """Equations as a document for programs: their text, parameters and operations.
+
+    Args:
+        listing: The equations.
+        text: As written.
+    """
+    return {
+        "robot": listing.tree.name,
+        "form": listing.form,
+        "gravity": listing.gravity.tolist(),
+        "constants": {factor.name: value for factor, value in listing.constants.items()},
+        "equations": {
+            each.kind.name: {
+                "shape": each.shape,
+                each.vector: [{"name": p.name, "unit": p.unit} for p in each.parameters],
+                "operations": asdict(each.program.count),
+            }
+            for each in listing.equations
+        },
+        "text": text,
+    }

@@ -1,0 +1,119 @@
+"""Equations as C99 without dependencies, one sample a call."""
+
+from __future__ import annotations
+
+from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.expression import Nature, Number
+from testbed.symbolic.languages.python import COORDINATES
+from testbed.symbolic.languages.text import (
+    Style,
+    constant_unit,
+    decimal,
+    header,
+    own_name,
+    terms,
+    used_constants,
+    wrapped,
+)
+
+
+def _number(value: Number) -> str:
+    return f"{value}.0" if isinstance(value, int) else decimal(value)
+
+
+STYLE = Style(own_name, _number)
+
+
+def c(listing: Listing, source: str) -> str:
+    """Equations as C functions.
+
+    Args:
+        listing: The equations.
+        source: Where the robot comes from.
+    """
+    lines = ["/*", *(f" * {line}".rstrip() for line in header(listing, source)), " */"]
+    lines += ["#include <math.h>", ""]
+    constants = {factor for each in listing.equations for factor in used_constants(each)}
+    for factor in sorted(constants):
+        value = _number(float(listing.constants[factor]))
+        lines.append(f"static const double {factor.name} = {value}; /* {constant_unit(factor)} */")
+    for each in listing.equations:
+        lines += ["", *_comment(each), *_function(each, listing.tree.n)]
+    return "\n".join(lines) + "\n"
+
+
+def _comment(each: Equations) -> list[str]:
+    lines = wrapped("/*", each.kind.says.split(), " * ")
+    if not each.kind.is_regressor:
+        names = [f"{p.name} [{p.unit}]," for p in each.parameters]
+        names[-1:] = [name.rstrip(",") for name in names[-1:]]
+        lines += wrapped(f" * {each.vector}:", names, " * ")
+    return [*lines, " */"]
+
+
+def _function(each: Equations, joints: int) -> list[str]:
+    program = each.program
+    arguments = [f"const double {name}[{joints}]" for name in each.kind.takes]
+    if not each.kind.is_regressor:
+        arguments.append(f"const double {each.vector}[{max(1, len(each.parameters))}]")
+    size = "".join(f"[{max(1, size)}]" for size in each.shape)
+    arguments.append(f"double result{size}")
+    name = each.kind.name.replace("-", "_")
+    separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
+    lines = [f"void {name}(", *wrapped("   ", separated, "    "), "{"]
+    lines += _unpacked(each)
+    for label, value in (*program.once, *program.steps):
+        if label.nature is Nature.AUXILIARY:
+            lines += _assigned(f"const double {label.name}", terms(value, STYLE))
+    places = dict(zip((name for name, _ in program.results), each.places, strict=True))
+    targets = {name: _element(place) for name, place in places.items()}
+    style = Style(lambda factor: targets.get(factor, factor.name), _number)
+    for label, value in program.results:
+        lines += _assigned(targets[label], terms(value, style))
+    return [*lines, *_unused(each), "}"]
+
+
+def _unpacked(each: Equations) -> list[str]:
+    """Coordinates, parameters, sines and cosines under their names."""
+    program = each.program
+    lines = []
+    for symbol in program.symbols:
+        if symbol.nature in COORDINATES:
+            letter = COORDINATES[symbol.nature]
+            place = int(symbol.name[len(letter) :]) - 1
+            lines.append(f"    const double {symbol.name} = {letter}[{place}];")
+    used = set(program.symbols)
+    for k, parameter in enumerate(each.parameters):
+        if parameter.symbol in used:
+            divided = f" / {_number(parameter.times)}" if parameter.times != 1 else ""
+            lines.append(f"    const double {parameter.symbol} = {each.vector}[{k}]{divided};")
+    angles = {name: value for name, value in program.once if name.nature is not Nature.AUXILIARY}
+    angles |= {wave: wave.content for wave in program.waves if wave.content is not None}
+    for wave, angle in angles.items():
+        function = "cos" if wave.nature is Nature.COSINE else "sin"
+        inside = " ".join(terms(angle, STYLE))
+        lines.append(f"    const double {wave.name} = {function}({inside});")
+    return lines
+
+
+def _unused(each: Equations) -> list[str]:
+    """Arguments that the equations do not need."""
+    natures = {symbol.nature for symbol in each.program.symbols}
+    names = [
+        letter
+        for nature, letter in COORDINATES.items()
+        if letter in each.kind.takes and nature not in natures
+    ]
+    if not each.kind.is_regressor and Nature.PARAMETER not in natures:
+        names.append(each.vector)
+    return [f"    (void){name};" for name in names]
+
+
+def _element(place: tuple[int, ...]) -> str:
+    return "result" + "".join(f"[{index}]" for index in place)
+
+
+def _assigned(target: str, pieces: list[str]) -> list[str]:
+    lines = wrapped(f"    {target} =", pieces, "        ")
+    lines[-1] += ";"
+    return lines

@@ -1,0 +1,117 @@
+"""Equations as a LaTeX document."""
+
+from __future__ import annotations
+
+import re
+
+from testbed.parameters.formulas import latex as formula
+from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.expression import Factor, Nature, Number
+from testbed.symbolic.languages.text import Style, fraction, header, terms
+
+WIDTH = 60
+"""Characters of a line of an equation, as printed."""
+
+_GREEK = {"w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
+_TURNS = {"roll": r"\varphi", "pitch": r"\vartheta", "yaw": r"\psi", "turn": r"\alpha",
+          "lean": r"\beta"}  # fmt: skip
+
+
+def latex(listing: Listing, source: str) -> str:
+    """Equations as a document for pdflatex, one display an equation.
+
+    Args:
+        listing: The equations.
+        source: Where the robot comes from.
+    """
+    lines = [f"% {line}".rstrip() for line in header(listing, source)]
+    lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
+    lines += [r"\begin{document}"]
+    for each in listing.equations:
+        lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
+        lines += [r"\begin{align*}", *_equations(each), r"\end{align*}"]
+    return "\n".join([*lines, r"\end{document}"]) + "\n"
+
+
+def _equations(each: Equations) -> list[str]:
+    stars = {p.symbol: p.name.removeprefix("2*") for p in each.parameters if p.symbol}
+    style = Style(lambda factor: _name(factor, stars), _number, r"\,")
+    lines = []
+    for label, value in each.program.lines:
+        if label.nature is Nature.AUXILIARY and (value.terms or len(each.shape) == 1):
+            rows = _broken(terms(value, style))
+            lines.append(rf"{_name(label, stars)} ={{}}& " + " \\\\\n&".join(rows))
+    return [" \\\\\n".join(lines) or "0 ={}& 0"]
+
+
+def _broken(pieces: list[str]) -> list[str]:
+    """Terms in lines of a width, counted in characters that show."""
+    rows, width = [""], 0
+    for piece in pieces:
+        size = len(re.sub(r"\\[a-z]+|[\\{}_^,]", "", piece)) + 2
+        if width and width + size > WIDTH:
+            rows, width = [*rows, ""], 0
+        rows[-1] = f"{rows[-1]} {piece}".strip()
+        width += size
+    return rows
+
+
+def _number(value: Number) -> str:
+    text = fraction(value)
+    if "/" in text:
+        over, under = text.split("/")
+        return rf"\tfrac{{{over}}}{{{under}}}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        return rf"{mantissa}\cdot 10^{{{int(exponent)}}}"
+    return text
+
+
+def _name(factor: Factor, stars: dict[Factor, str]) -> str:
+    name, nature = factor.name, factor.nature
+    if nature is Nature.PARAMETER:
+        return formula(stars.get(factor, name))
+    if nature in (Nature.POSITION, Nature.VELOCITY, Nature.ACCELERATION):
+        letters = {"q": "q", "qp": r"\dot q", "qpp": r"\ddot q"}
+        head = name.rstrip("0123456789")
+        return rf"{letters[head]}_{{{name[len(head) :]}}}"
+    if nature in (Nature.COSINE, Nature.SINE):
+        return _wave(name)
+    if nature is Nature.CONSTANT:
+        return _constant(name)
+    return _auxiliary(name)
+
+
+def _wave(name: str) -> str:
+    """S223 is s_{223}, S_2_m3 is s_{2,-3}, Croll4 the cosine of its angle."""
+    letter, label = name[0].lower(), name[1:]
+    turned = re.fullmatch(r"_?([a-z]+)(\d+)", label)
+    if turned and turned[1] in _TURNS:
+        return rf"\{ {'c': 'cos', 's': 'sin'}[letter] }{_TURNS[turned[1]]}_{{{turned[2]}}}"
+    inside = label.strip("_").replace("_", ",").replace("m", "-")
+    return rf"{letter}_{{{inside}}}"
+
+
+def _constant(name: str) -> str:
+    angle = re.fullmatch(r"([a-z]+?)(\d+)", name)
+    if angle and angle[1] in _TURNS:
+        return rf"{_TURNS[angle[1]]}_{{{angle[2]}}}"
+    return formula(name) if name[0] == "l" else re.sub(r"^g(.)$", r"g_{\1}", name)
+
+
+def _auxiliary(name: str) -> str:
+    """w3x is omega^3_x, F3x_7 is F^3_{x,7}, phi_Q3_mb3z is phi_{Q3,mb3z}."""
+    if name.startswith("phi_"):
+        _, row, column = name.split("_", 2)
+        plain = column.replace("_", r"\_")
+        return rf"\phi_{{\mathrm{{{row}}},\mathrm{{{plain}}}}}"
+    parts = re.fullmatch(r"([A-Za-z]+?)(\d*)([xyz]*)((?:_\d+)*)", name)
+    if parts is None:
+        plain = name.replace("_", r"\_")
+        return rf"\mathrm{{{plain}}}"
+    head, body, axes, columns = parts.groups()
+    if head in ("t", "k", "Q", "G", "M") and not axes:
+        return rf"{head}_{{{body}{columns.replace('_', ',')}}}"
+    below = axes + columns.replace("_", "," if axes else "")
+    text = _GREEK.get(head, head)
+    return text + (f"^{{{body}}}" if body else "") + (f"_{{{below}}}" if below else "")

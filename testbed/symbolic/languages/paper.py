@@ -1,0 +1,66 @@
+"""The notation of [FRS96]: Q3 = K3yz*qpp1*C23 + K3yy*qpp2 + ..."""
+
+from __future__ import annotations
+
+from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.expression import Expression, Factor
+from testbed.symbolic.languages.text import Style, fraction, header, terms, used_constants, wrapped
+
+_TITLES = {
+    "joint-forces": "Equations",
+    "base-wrench": "Reaction",
+    "dynamic-regressor": "Regressor of the joint forces",
+    "reaction-regressor": "Regressor of the reaction",
+    "mass-matrix": "Mass matrix",
+    "gravity-forces": "Gravity",
+}
+
+
+def paper(listing: Listing, source: str) -> str:
+    """Equations in the paper's notation.
+
+    qp2 and qpp2 are the velocity and acceleration of joint 2, S223 is sin(2 q2 + q3). Lines
+    that begin with * are comments; lines that begin with a blank continue the one before.
+
+    Args:
+        listing: The equations.
+        source: Where the robot comes from.
+    """
+    lines = [f"* {line}".rstrip() for line in header(listing, source)]
+    constants = {factor for each in listing.equations for factor in used_constants(each)}
+    for factor in sorted(constants):
+        lines.append(f"* {factor.name} = {listing.constants[factor]:.12g}")
+    lines += definitions(listing)
+    for each in listing.equations:
+        lines += ["", f"* {_TITLES[each.kind.name]}", *_equations(each)]
+    return "\n".join(lines) + "\n"
+
+
+def definitions(listing: Listing) -> list[str]:
+    """How the minimal parameters are made of the barycentric ones."""
+    lines = []
+    for model, minimal in listing.minimal.items():
+        lines += ["", f"* Parameters of the {model} model: delta_{model[0]}"]
+        lines += [f"* {line}" for line in (*minimal.auxiliary, *minimal.formulas)]
+    return lines
+
+
+def _equations(each: Equations) -> list[str]:
+    program = each.program
+    lines: list[str] = []
+    for name, value in (*program.once, *program.steps, *program.results):
+        if value.terms or len(each.shape) == 1:
+            lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
+    return lines
+
+
+def _name(factor: Factor) -> str:
+    return factor.name.replace("mbar", "mm")
+
+
+STYLE = Style(_name, fraction, parameter_first=True)
+
+
+def line(value: Expression) -> str:
+    """One expression in the paper's notation."""
+    return " ".join(terms(value, STYLE))

@@ -1,0 +1,149 @@
+"""Equations as a Python module that needs NumPy only and takes any number of samples."""
+
+from __future__ import annotations
+
+from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.expression import Factor, Nature
+from testbed.symbolic.languages.text import (
+    Style,
+    constant_unit,
+    decimal,
+    header,
+    own_name,
+    terms,
+    used_constants,
+    wrapped,
+)
+from testbed.symbolic.program import Step
+
+STYLE = Style(own_name, decimal)
+
+_FRAME = '''
+
+def _in_blocks(function, shape, motion, parameters, size):
+    """Blocks of samples, so that intermediates stay in the processor's cache."""
+    motion = [np.asarray(signal, dtype=np.float64) for signal in motion]
+    lead = motion[0].shape[:-1]
+    if any(signal.shape != (*lead, JOINTS) for signal in motion):
+        raise ValueError(f"coordinates of shape (..., {JOINTS}), one joint a column")
+    if parameters is not None:
+        parameters = np.asarray(parameters, dtype=np.float64).ravel()
+        if parameters.shape != (size,):
+            raise ValueError(f"{size} parameters, found {parameters.size}")
+    flat = [signal.reshape(-1, JOINTS) for signal in motion]
+    samples = len(flat[0])
+    result = np.empty((samples, *shape))
+    for first in range(0, samples, BLOCK):
+        part = [np.ascontiguousarray(signal[first : first + BLOCK].T) for signal in flat]
+        block = np.zeros((*shape, part[0].shape[1]))
+        function(*part, parameters, block)
+        result[first : first + BLOCK] = np.moveaxis(block, -1, 0)
+    return result.reshape(*lead, *shape)
+'''
+
+
+def python(listing: Listing, source: str) -> str:
+    """Equations as a Python module.
+
+    Args:
+        listing: The equations.
+        source: Where the robot comes from.
+    """
+    lines = [f"# {line}".rstrip() for line in header(listing, source)]
+    lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
+    lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 512  # samples at once"]
+    constants = {factor for each in listing.equations for factor in used_constants(each)}
+    for factor in sorted(constants):
+        value = decimal(listing.constants[factor])
+        lines.append(f"{factor.name} = {value}  # {constant_unit(factor)}")
+    for each in listing.equations:
+        lines += _vector(each)
+    text = "\n".join(lines) + _FRAME
+    for each in listing.equations:
+        text += "\n".join(["", "", *_front(each), "", "", *_body(each)]) + "\n"
+    return text
+
+
+def _vector(each: Equations) -> list[str]:
+    """Names and units of the parameters, in order."""
+    lines = ["", f"{each.kind.name.replace('-', '_').upper()}_{each.vector.upper()} = ("]
+    lines += [f'    "{each.name}",  # {each.unit}' for each in each.parameters]
+    return [*lines, ")"]
+
+
+def _front(each: Equations) -> list[str]:
+    """The function people call."""
+    name, size = each.kind.name.replace("-", "_"), len(each.parameters)
+    takes, shape = ", ".join(each.kind.takes), str(each.shape)
+    given = "" if each.kind.is_regressor else f", {each.vector}"
+    needs = "" if each.kind.is_regressor else f" and {each.vector} of shape ({size},)"
+    comma = "," if len(each.kind.takes) == 1 else ""
+    return [
+        f"def {name}({takes}{given}):",
+        f'    """{each.kind.says}',
+        "",
+        f"    Takes {takes} of shape (..., joints){needs}; gives (..., {shape.strip('(),')}).",
+        '    """',
+        f"    motion = ({takes}{comma})",
+        f"    return _in_blocks(_{name}, {shape}, motion{given or ', None'}, {size})",
+    ]
+
+
+def _body(each: Equations) -> list[str]:
+    """The lines of the program, on one block: coordinates (joints, samples)."""
+    name = each.kind.name.replace("-", "_")
+    program = each.program
+    lines = [f"def _{name}({', '.join(each.kind.takes)}, {each.vector}, result):"]
+    used = set(program.symbols)
+    for symbol in program.symbols:
+        if symbol.nature in COORDINATES:
+            letter = COORDINATES[symbol.nature]
+            lines.append(f"    {symbol.name} = {letter}[{int(symbol.name[len(letter) :]) - 1}]")
+    for k, parameter in enumerate(each.parameters):
+        if parameter.symbol in used:
+            divided = f" / {parameter.times}" if parameter.times != 1 else ""
+            lines.append(f"    {parameter.symbol} = {each.vector}[{k}]{divided}")
+    for wave, angle in _waves(program.once):
+        lines.append(f"    {wave.name} = {_function(wave)}({' '.join(angle)})")
+    for wave in program.waves:
+        assert wave.content is not None
+        lines.append(f"    {wave.name} = {_function(wave)}({' '.join(terms(wave.content, STYLE))})")
+    for label, value in (*program.once, *program.steps):
+        if label.nature is Nature.AUXILIARY:
+            lines += _assigned(label.name, terms(value, STYLE))
+    again = referred(program.results)
+    for (label, value), place in zip(program.results, each.places, strict=True):
+        if not value.terms:
+            continue
+        target = f"result[{', '.join(str(index) for index in place)}]"
+        target = f"{label.name} = {target}" if label in again else target
+        lines += _assigned(target, terms(value, STYLE))
+    if len(lines) == 1:
+        lines.append("    del result  # all zero")
+    return lines
+
+
+COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: "qp", Nature.ACCELERATION: "qpp"}
+
+
+def referred(results: tuple[Step, ...]) -> set[Factor]:
+    """Results that other results refer to."""
+    names = {name for name, _ in results}
+    return {f for _, value in results for factors, _ in value.terms for f in factors if f in names}
+
+
+def _waves(once: tuple[Step, ...]) -> list[tuple[Factor, list[str]]]:
+    trigonometric = (Nature.COSINE, Nature.SINE)
+    return [(name, terms(value, STYLE)) for name, value in once if name.nature in trigonometric]
+
+
+def _function(wave: Factor) -> str:
+    return "cos" if wave.nature is Nature.COSINE else "sin"
+
+
+def _assigned(target: str, pieces: list[str]) -> list[str]:
+    lines = wrapped(f"    {target} =", pieces, "        ")
+    if len(lines) > 1:
+        lines = wrapped(f"    {target} = (", [], "")
+        return [*lines, *wrapped("       ", pieces, "        "), "    )"]
+    return lines

@@ -1,0 +1,132 @@
+"""What all languages share: terms and sums as text, lines of a length, the header.
+
+Names of expressions are made by this room. Whatever comes from a model file, such as the
+names of joints, is shown in comments only, and only its harmless characters.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+
+from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.expression import Expression, Factor, Nature, Number, Term
+
+WIDTH = 96
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a language writes terms.
+
+    Attributes:
+        name: A factor's name.
+        number: A positive number.
+        times: Between factors.
+        parameter_first: Whether the number stands behind the parameter, as in the paper.
+    """
+
+    name: Callable[[Factor], str]
+    number: Callable[[Number], str]
+    times: str = "*"
+    parameter_first: bool = False
+
+
+def own_name(factor: Factor) -> str:
+    """The factor's own name."""
+    return factor.name
+
+
+def decimal(value: Number) -> str:
+    """A number that reads back as the same."""
+    return str(value) if isinstance(value, int) else repr(value)
+
+
+def fraction(value: Number) -> str:
+    """A number as people write it: 1/2, 0.4318."""
+    if isinstance(value, float) and value == (near := Fraction(value)) and near.denominator <= 64:
+        return str(near)
+    return f"{value:.12g}"
+
+
+def terms(value: Expression, style: Style) -> list[str]:
+    """Every term with its sign, the first one's plus left out."""
+    written: list[str] = []
+    for factors, size in sorted(value.terms, key=_is_no_result):
+        parameters = [f for f in factors if f.nature is Nature.PARAMETER]
+        rest = [f for f in factors if f.nature is not Nature.PARAMETER]
+        number = [style.number(abs(size))] if abs(size) != 1 or not factors else []
+        names, others = ([_factor(f, style) for f in each] for each in (parameters, rest))
+        parts = [*names, *number, *others] if style.parameter_first else [*number, *names, *others]
+        sign = "-" if size < 0 else "+"
+        lead = f"{sign} " if written else sign.replace("+", "")
+        written.append(lead + style.times.join(parts))
+    return written or ["0"]
+
+
+def _is_no_result(term: Term) -> bool:
+    """False for another equation's left-hand side: Q2 = Q3 + ..."""
+    (factors, _) = term
+    return not (len(factors) == 1 and re.fullmatch(r"Q\d+", factors[0].name))
+
+
+def _factor(factor: Factor, style: Style) -> str:
+    if factor.nature is Nature.BRACKET and factor.content is not None:
+        return f"({' '.join(terms(factor.content, style))})"
+    return style.name(factor)
+
+
+def wrapped(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
+    """Pieces after a start in lines of a width; further lines are indented."""
+    lines = [start]
+    for piece in pieces:
+        if len(lines[-1]) + 1 + len(piece) > width and lines[-1].strip():
+            lines.append(indent + piece)
+        else:
+            lines[-1] += f" {piece}" if lines[-1] else piece
+    return lines
+
+
+def harmless(text: str) -> str:
+    """Text from a file, fit for any language's comments: letters, digits and a few signs."""
+    return re.sub(r"[^A-Za-z0-9_.,:+\-() /]", "?", text).replace("*/", "??")[:80]
+
+
+def header(listing: Listing, source: str) -> Iterator[str]:
+    """What the equations are of, a line each, without comment signs."""
+    tree, g = listing.tree, listing.gravity
+    yield f"Equations of {harmless(tree.name)}, {listing.form} form, by testbed"
+    if source:
+        yield f"Model: {harmless(source)}"
+    yield f"Gravity: {g[0]:g} {g[1]:g} {g[2]:g} m/s^2 in the bedplate frame"
+    yield "Joints, with the body that carries each (0 is the bedplate):"
+    for j, joint in enumerate(tree.joints):
+        yield f"  {j + 1:3d}  {joint.kind}, on {joint.parent + 1}: {harmless(joint.name)}"
+    zero = int(listing.known_zero.sum())
+    if zero:
+        yield f"{zero} barycentric parameters are known to be zero and left out"
+    for each in listing.equations:
+        yield f"{each.kind.name}: {operations(each)}"
+    yield "Units m, kg, s, rad; conventions in docs/conventions.md of testbed"
+
+
+def operations(each: Equations) -> str:
+    """Counts in words."""
+    count = each.program.count
+    text = (
+        f"{count.multiplications} multiplications, {count.additions} additions, "
+        f"{count.trigonometric} sines and cosines"
+    )
+    return f"{text}; {count.once} operations on parameters alone" if count.once else text
+
+
+def constant_unit(factor: Factor) -> str:
+    """Unit of a constant of the geometry."""
+    return {"l": "m", "g": "m/s^2"}.get(factor.name[0] if factor.name[:4] != "lean" else "", "rad")
+
+
+def used_constants(each: Equations) -> list[Factor]:
+    """Constants that the equations need."""
+    return [symbol for symbol in each.program.symbols if symbol.nature is Nature.CONSTANT]

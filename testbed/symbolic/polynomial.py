@@ -1,0 +1,186 @@
+"""Expressions multiplied out: the form in which equal ones are alike.
+
+A monomial is one integer, six bits an exponent, so that monomials are multiplied by adding
+integers; the waves of `trigonometry` go beside it. Numbers are integers and binary fractions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from testbed.errors import ExpressionError
+from testbed.symbolic.expression import Expression, Factor, Nature, Number, expression, in_order
+from testbed.symbolic.trigonometry import COSINE, SINE, Waves
+
+BITS = 6
+LARGEST = (1 << BITS) - 1
+"""Largest degree of a polynomial: no exponent can run over into the next."""
+
+LONGEST = 300_000
+"""Terms beyond which nobody reads an expression."""
+
+
+class Polynomial:
+    """A sum of monomials times waves.
+
+    Attributes:
+        parts: wave -> monomial -> number.
+        degree: Bound on the degree.
+    """
+
+    __slots__ = ("degree", "parts")
+
+    def __init__(self, parts: dict[int, dict[int, Number]], degree: int) -> None:
+        """Args: parts: As the attribute. degree: As the attribute."""
+        self.parts = parts
+        self.degree = degree
+
+    @property
+    def size(self) -> int:
+        """Number of terms."""
+        return sum(len(part) for part in self.parts.values())
+
+
+class Ring:
+    """Where expressions are multiplied out: numbers symbols, remembers what it has expanded.
+
+    Attributes:
+        symbols: By number.
+        waves: The waves of this ring.
+    """
+
+    def __init__(self, groups: Iterable[Iterable[Factor]] = ()) -> None:
+        """Args: groups: Angles (coordinates, constants) that appear in sums, group by group."""
+        self.symbols: list[Factor] = []
+        self._place: dict[Factor, int] = {}
+        self._known: dict[Factor, Polynomial] = {}
+        together = {
+            self._monomial(angle): number for number, group in enumerate(groups) for angle in group
+        }
+        self.waves = Waves(together)
+
+    def expand(self, value: Expression | Number) -> Polynomial:
+        """An expression multiplied out.
+
+        Args:
+            value: Auxiliary variables and brackets are looked through.
+
+        Raises:
+            ExpressionError: Its degree may exceed 63, or it has too many terms.
+        """
+        for factor in in_order([expression(value)]):  # the deepest first: no deep recursion
+            if factor.content is not None:
+                self._factor(factor)
+        total: dict[int, dict[int, Number]] = {}
+        degree = 0
+        for factors, number in expression(value).terms:
+            monomial, plain = 0, 0
+            product = Polynomial({0: {0: number}}, 0)
+            for factor in factors:
+                if factor.content is None:
+                    monomial += self._monomial(factor)
+                    plain += 1
+                else:
+                    product = self.multiply(product, self._factor(factor))
+            degree = max(degree, product.degree + plain)
+            for wave, part in product.parts.items():
+                into = total.setdefault(wave, {})
+                for exponents, size in part.items():
+                    key = exponents + monomial
+                    into[key] = into.get(key, 0) + size
+        return _clean(total, degree)
+
+    def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:
+        """The product of two polynomials of this ring."""
+        total: dict[int, dict[int, Number]] = {}
+        for wave_a, part_a in a.parts.items():
+            for wave_b, part_b in b.parts.items():
+                for wave, weight in self.waves.product(wave_a, wave_b):
+                    into = total.setdefault(wave, {})
+                    get = into.get
+                    for m, u in part_a.items():
+                        w = u * weight
+                        for n, v in part_b.items():
+                            key = m + n
+                            into[key] = get(key, 0) + w * v
+        return _clean(total, a.degree + b.degree)
+
+    def exponents(self, monomial: int) -> list[tuple[Factor, int]]:
+        """The symbols of a monomial and their exponents."""
+        found = []
+        place = 0
+        while monomial:
+            power = monomial & LARGEST
+            if power:
+                found.append((self.symbols[place], power))
+            monomial >>= BITS
+            place += 1
+        return found
+
+    def angle(self, number: int) -> Factor:
+        """The symbol that an angle's number in a wave stands for."""
+        return self.exponents(number)[0][0]
+
+    def _monomial(self, factor: Factor) -> int:
+        place = self._place.get(factor)
+        if place is None:
+            place = self._place[factor] = len(self.symbols)
+            self.symbols.append(factor)
+        return 1 << (BITS * place)
+
+    def _factor(self, factor: Factor) -> Polynomial:
+        known = self._known.get(factor)
+        if known is None:
+            assert factor.content is not None
+            if factor.nature in (Nature.COSINE, Nature.SINE):
+                known = self._trigonometric(factor.nature, factor.content)
+            else:
+                known = self.expand(factor.content)
+            self._known[factor] = known
+        return known
+
+    def _trigonometric(self, nature: Nature, content: Expression) -> Polynomial:
+        angle = self.expand(content)
+        atoms = [
+            (self._atom(wave, monomial), number)
+            for wave, part in angle.parts.items()
+            for monomial, number in part.items()
+        ]
+        kind = SINE if nature is Nature.SINE else COSINE
+        mixture = self.waves.tone(kind, atoms)
+        return Polynomial({wave: {0: weight} for wave, weight in mixture}, 0)
+
+    def _atom(self, wave: int, monomial: int) -> int:
+        """The number of an angle: the monomial, or a symbol made for what has waves in it."""
+        if wave == 0:
+            return monomial
+        name = f"angle {wave} {monomial}"
+        return self._monomial(Factor(Nature.CONSTANT, name))
+
+
+def same(a: Expression | Number, b: Expression | Number) -> bool:
+    """Whether two expressions are equal, whatever way they are written.
+
+    Exact: numbers are taken as the binary fractions they are.
+
+    Args:
+        a: An expression.
+        b: Another one.
+    """
+    ring = Ring()
+    return not ring.expand(expression(a) - expression(b)).parts
+
+
+def _clean(parts: dict[int, dict[int, Number]], degree: int) -> Polynomial:
+    """Without zeros."""
+    if degree > LARGEST:
+        raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
+    kept: dict[int, dict[int, Number]] = {}
+    for wave, part in parts.items():
+        there = {key: number for key, number in part.items() if number}
+        if there:
+            kept[wave] = there
+    polynomial = Polynomial(kept, degree)
+    if polynomial.size > LONGEST:
+        raise ExpressionError(f"an expression of more than {LONGEST} terms when multiplied out")
+    return polynomial

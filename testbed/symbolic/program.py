@@ -1,0 +1,276 @@
+"""From expressions to lines that can be computed one after the other.
+
+What the parameters and constants alone decide comes first, once for all samples; then the
+sines and cosines; then the auxiliary variables; then the results.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from testbed.symbolic.expression import (
+    Expression,
+    Factor,
+    Factors,
+    Nature,
+    Number,
+    Term,
+    bracket,
+    collect,
+    depth_first,
+    expression,
+    number,
+)
+from testbed.symbolic.optimise import Sheet, operations
+
+Step: TypeAlias = tuple[Factor, Expression]
+Values: TypeAlias = Mapping[Factor, float]
+
+
+@dataclass(frozen=True)
+class Count:
+    """Operations of a program; signs are free.
+
+    Attributes:
+        multiplications: For each sample.
+        additions: For each sample, subtractions among them.
+        trigonometric: Sines and cosines for each sample.
+        once: Multiplications and additions that parameters and constants alone decide.
+    """
+
+    multiplications: int
+    additions: int
+    trigonometric: int
+    once: int
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Lines in an order in which they can be computed.
+
+    Attributes:
+        symbols: Coordinates, parameters and constants that the lines use, in order.
+        once: What parameters and constants alone decide.
+        waves: Sines and cosines of coordinates.
+        steps: Auxiliary variables.
+        results: What was asked for, by name; zero where there is nothing to compute.
+        count: Operations.
+    """
+
+    symbols: tuple[Factor, ...]
+    once: tuple[Step, ...]
+    waves: tuple[Factor, ...]
+    steps: tuple[Step, ...]
+    results: tuple[Step, ...]
+    count: Count
+
+    @property
+    def lines(self) -> Iterator[Step]:
+        """All lines."""
+        yield from self.once
+        yield from self.steps
+        yield from self.results
+
+
+def recursive(results: Mapping[Factor, Expression]) -> Program:
+    """Lines with auxiliary variables, and few operations.
+
+    Args:
+        results: What is asked for, by name.
+    """
+    sheet = Sheet(results)
+    sheet.optimise()
+    return _program(sheet, named=True)
+
+
+def literal(results: Mapping[Factor, Expression]) -> Program:
+    """Lines as they are written, without auxiliary variables.
+
+    Args:
+        results: What is asked for, by name, multiplied out; may refer to one another.
+    """
+    return _program(Sheet(results), named=False)
+
+
+def with_numbers(program: Program, values: Values) -> Program:
+    """The program with numbers in the place of constants.
+
+    Args:
+        program: Any.
+        values: The constants.
+    """
+    known = dict(values)
+    once = []
+    for name, value in program.once:
+        if name.nature in (Nature.SINE, Nature.COSINE):
+            function = np.sin if name.nature is Nature.SINE else np.cos
+            angle = substituted(value, known)
+            known[name] = float(function(angle.terms[0][1] if angle.terms else 0.0))
+            continue
+        value = substituted(value, known)
+        if all(not factors for factors, _ in value.terms):
+            known[name] = float(value.terms[0][1]) if value.terms else 0.0
+        else:
+            once.append((name, value))
+    steps, results = (
+        tuple((name, substituted(value, known)) for name, value in lines)
+        for lines in (program.steps, program.results)
+    )
+    return _counted(tuple(once), program.waves, steps, results)
+
+
+def substituted(value: Expression, known: Values) -> Expression:
+    """The expression with numbers for some of its factors.
+
+    Sums that are rounding of zero are left out.
+    """
+    sums: dict[Factors, float] = {}
+    sizes: dict[Factors, float] = {}
+    for factors, size in value.terms:
+        rest = []
+        total = float(size)
+        for factor in factors:
+            if factor in known:
+                total *= known[factor]
+            elif factor.nature is Nature.BRACKET and factor.content is not None:
+                inside = substituted(factor.content, known)
+                if len(inside.terms) > 1:
+                    name, out = bracket(inside)
+                    rest.append(name)
+                    total *= out
+                else:
+                    parts, out = inside.terms[0] if inside.terms else ((), 0)
+                    rest += parts
+                    total *= out
+            else:
+                rest.append(factor)
+        key = tuple(sorted(rest))
+        sums[key] = sums.get(key, 0.0) + total
+        sizes[key] = sizes.get(key, 0.0) + abs(total)
+    return collect((key, v) for key, v in sums.items() if abs(v) > ROUNDING * sizes[key])
+
+
+ROUNDING = 1e-14
+"""A sum this much smaller than its terms is the rounding of zero."""
+
+
+def _program(sheet: Sheet, named: bool) -> Program:
+    """Lines in order: brackets and products that serve once go where they are used."""
+    uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
+    made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
+    parts: dict[str, list[Step]] = {"once": [], "steps": [], "results": []}
+    numbers: Counter[str] = Counter()
+    for name in _computable(sheet):
+        value = _rebuilt(sheet.lines[name], made)
+        own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
+        if name in sheet.results:
+            made[name] = _plain(name.name)
+            parts["results"].append((made[name].terms[0][0][0], value))
+        elif (own and named) or uses[name] > 1 or sheet.fixed(name):
+            letter = "k" if sheet.fixed(name) else "t"
+            label = name.name
+            if not own:
+                numbers[letter] += 1
+                label = f"{letter}{numbers[letter]}"
+            made[name] = _plain(label)
+            where = "once" if sheet.fixed(name) else "steps"
+            parts[where].append((made[name].terms[0][0][0], value))
+        else:
+            made[name] = value
+    order = {name.name: k for k, name in enumerate(sheet.results)}
+    results = sorted(parts["results"], key=lambda step: order[step[0].name])
+    waves = _waves(sheet)
+    once = [(wave, wave.content) for wave in waves if sheet.fixed(wave) and wave.content]
+    return _counted(
+        (*once, *parts["once"]),
+        tuple(wave for wave in waves if not sheet.fixed(wave)),
+        tuple(parts["steps"]),
+        tuple(results),
+    )
+
+
+def _computable(sheet: Sheet) -> list[Factor]:
+    """The sheet's lines, each after those it needs."""
+    return depth_first(
+        sheet.results,
+        lambda name: [f for factors in sheet.lines[name] for f in factors if f in sheet.lines],
+    )
+
+
+def _rebuilt(line: Mapping[Factors, Number], made: Mapping[Factor, Expression]) -> Expression:
+    """A line with other lines' names, or what they stand for, put in."""
+    terms: list[Term] = []
+    for factors, size in collect(line.items()).terms:
+        product: Expression = number(size)
+        for factor in factors:
+            part = made.get(factor)
+            product = product * (Expression((((factor,), 1),)) if part is None else part)
+        terms += expression(product).terms
+    return collect(terms)
+
+
+def _plain(name: str) -> Expression:
+    return Expression((((Factor(Nature.AUXILIARY, name),), 1),))
+
+
+def _waves(sheet: Sheet) -> list[Factor]:
+    """Every sine and cosine in use, in order."""
+    found = {
+        factor
+        for line in sheet.lines.values()
+        for factors in line
+        for factor in factors
+        if factor.nature in (Nature.COSINE, Nature.SINE)
+    }
+    return sorted(found, key=lambda wave: wave.key)
+
+
+def _counted(
+    once: tuple[Step, ...],
+    waves: tuple[Factor, ...],
+    steps: tuple[Step, ...],
+    results: tuple[Step, ...],
+) -> Program:
+    """The program with its symbols and operations."""
+    symbols: set[Factor] = set()
+    for value in [value for _, value in (*once, *steps, *results)]:
+        symbols |= {f for f in _leaves(value) if f.nature <= Nature.CONSTANT}
+    for wave in waves:
+        if wave.content is not None:
+            symbols |= set(_leaves(wave.content))
+    each = [cost(value) for _, value in (*steps, *results)]
+    count = Count(
+        sum(products for products, _ in each),
+        sum(sums for _, sums in each),
+        len(waves),
+        sum(sum(cost(value)) for _, value in once),
+    )
+    return Program(tuple(sorted(symbols)), once, waves, steps, results, count)
+
+
+def _leaves(value: Expression) -> Iterator[Factor]:
+    for factors, _ in value.terms:
+        for factor in factors:
+            if factor.nature is Nature.BRACKET and factor.content is not None:
+                yield from _leaves(factor.content)
+            else:
+                yield factor
+
+
+def cost(value: Expression) -> tuple[int, int]:
+    """Multiplications and additions of an expression, its brackets included."""
+    products, sums = operations(dict(value.terms))
+    for factors, _ in value.terms:
+        for factor in factors:
+            if factor.nature is Nature.BRACKET and factor.content is not None:
+                inner = cost(factor.content)
+                products, sums = products + inner[0], sums + inner[1]
+    return products, sums
+
+
+Namer: TypeAlias = Callable[[Factor], str]
