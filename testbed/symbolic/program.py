@@ -169,8 +169,8 @@ def _program(sheet: Sheet, named: bool) -> Program:
         value = _rebuilt(sheet.lines[name], made)
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
-            made[name] = _plain(name.name)
-            parts["results"].append((made[name].terms[0][0][0], value))
+            made[name] = _plain(name.name) if value else value
+            parts["results"].append((name, value))
         elif (own and named) or uses[name] > 1 or sheet.fixed(name):
             letter = "k" if sheet.fixed(name) else "t"
             label = name.name
