@@ -40,6 +40,9 @@ from testbed.symbolic.trigonometry import Index
 from testbed.tree.tree import Tree
 
 Form = Literal["full", "reduced", "recursive"]
+ROUNDING = 1e-14
+"""Numbers of the geometry are of the order of one; this is their rounding."""
+
 FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
 
 
@@ -140,7 +143,7 @@ class _Desk:
     @cached_property
     def ring(self) -> Ring:
         """Where expressions are multiplied out."""
-        return Ring([symbols for symbols, _ in self.robot.parallel])
+        return Ring([symbols for symbols, _ in self.robot.parallel], ROUNDING)
 
     @cached_property
     def natural(self) -> frozenset[Index]:

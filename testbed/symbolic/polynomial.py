@@ -49,8 +49,14 @@ class Ring:
         waves: The waves of this ring.
     """
 
-    def __init__(self, groups: Iterable[Iterable[Factor]] = ()) -> None:
-        """Args: groups: Angles (coordinates, constants) that appear in sums, group by group."""
+    def __init__(self, groups: Iterable[Iterable[Factor]] = (), rounding: float = 0.0) -> None:
+        """An empty ring.
+
+        Args:
+            groups: Angles (coordinates, constants) that appear in sums, group by group.
+            rounding: Numbers smaller than this are the rounding of zero.
+        """
+        self._rounding = rounding
         self.symbols: list[Factor] = []
         self._place: dict[Factor, int] = {}
         self._known: dict[Factor, Polynomial] = {}
@@ -88,7 +94,7 @@ class Ring:
                 for exponents, size in part.items():
                     key = exponents + monomial
                     into[key] = into.get(key, 0) + size
-        return _clean(total, degree)
+        return self._clean(total, degree)
 
     def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:
         """The product of two polynomials of this ring."""
@@ -103,7 +109,7 @@ class Ring:
                         for n, v in part_b.items():
                             key = m + n
                             into[key] = get(key, 0) + w * v
-        return _clean(total, a.degree + b.degree)
+        return self._clean(total, a.degree + b.degree)
 
     def exponents(self, monomial: int) -> list[tuple[Factor, int]]:
         """The symbols of a monomial and their exponents."""
@@ -120,6 +126,24 @@ class Ring:
     def angle(self, number: int) -> Factor:
         """The symbol that an angle's number in a wave stands for."""
         return self.exponents(number)[0][0]
+
+    def _clean(self, parts: dict[int, dict[int, Number]], degree: int) -> Polynomial:
+        """Without zeros."""
+        if degree > LARGEST:
+            raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
+        kept: dict[int, dict[int, Number]] = {}
+        least = self._rounding
+        for wave, part in parts.items():
+            there = {key: number for key, number in part.items() if abs(number) > least}
+            if there:
+                kept[wave] = there
+        polynomial = Polynomial(kept, degree)
+        if polynomial.size > LONGEST:
+            raise ExpressionError(
+                f"an equation of more than {LONGEST} terms when multiplied out; the recursive "
+                "form stays short (form='recursive', --form recursive)"
+            )
+        return polynomial
 
     def _monomial(self, factor: Factor) -> int:
         place = self._place.get(factor)
@@ -169,18 +193,3 @@ def same(a: Expression | Number, b: Expression | Number) -> bool:
     """
     ring = Ring()
     return not ring.expand(expression(a) - expression(b)).parts
-
-
-def _clean(parts: dict[int, dict[int, Number]], degree: int) -> Polynomial:
-    """Without zeros."""
-    if degree > LARGEST:
-        raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
-    kept: dict[int, dict[int, Number]] = {}
-    for wave, part in parts.items():
-        there = {key: number for key, number in part.items() if number}
-        if there:
-            kept[wave] = there
-    polynomial = Polynomial(kept, degree)
-    if polynomial.size > LONGEST:
-        raise ExpressionError(f"an expression of more than {LONGEST} terms when multiplied out")
-    return polynomial

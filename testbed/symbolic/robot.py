@@ -1,10 +1,9 @@
 """A robot on paper: the tree's geometry, coordinates and parameters as symbols.
 
-Lengths are symbols; so are the angles of a constant rotation that is no quarter turn, and
-the direction of an axis that is no axis of its body. What is zero, or a quarter turn, in
-the model file is so in the equations.
+Lengths that are not zero are symbols. Constant rotations and axes are numbers: whole ones
+where they are made of quarter turns, as on most robots.
 
-Names     q2 qp2 qpp2; l23z; g; roll3 pitch3 yaw3, turn4 lean4; parameters in docs/conventions.md
+Names     q2 qp2 qpp2; l23z; g; parameters in docs/conventions.md
 """
 
 from __future__ import annotations
@@ -15,9 +14,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from testbed.arrays import AnyArray, Array, skew
+from testbed.arrays import AnyArray, Array
 from testbed.parameters.formulas import length_name
-from testbed.symbolic.algebra import auxiliary, component, cosine, sine
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
 from testbed.tree.tree import Tree
 
@@ -49,7 +47,7 @@ class Robot:
         joints: As in a tree.
         q: Joint positions, (n,); likewise velocities qd and accelerations qdd.
         gravity: (3,), bedplate frame.
-        values: What the constants' symbols stand for [m, rad, m/s^2].
+        values: What the constants' symbols stand for [m, m/s^2].
         parallel: Groups of joints with parallel axes: their coordinates, and the angles
             between bodies that these can turn against each other.
         continued: For each revolute joint, the revolute joints that the body carries whose
@@ -92,8 +90,7 @@ def draw(tree: Tree, gravity: Array) -> Robot:
             constant(length_name(joint.parent, j, axis), length) if abs(length) > EXACT else 0
             for axis, length in zip("xyz", joint.offset, strict=True)
         ]
-        rotation = _named(f"A{j + 1}", _rotation(joint.rotation, j + 1, constant))
-        axis = _named(f"e{j + 1}", _axis(joint.axis, j + 1, constant))
+        rotation, axis = _exact(joint.rotation), _exact(joint.axis)
         joints.append(PaperJoint(joint.parent, joint.revolute, axis, _objects(offset), rotation))
     q, qd, qdd = (
         _objects([symbol(nature, f"{letter}{j + 1}", j) for j in range(tree.n)])
@@ -151,57 +148,11 @@ def _gravity(gravity: Array, constant: Constant) -> AnyArray:
     return vector
 
 
-def _rotation(matrix: Array, label: int, constant: Constant) -> AnyArray:
-    """Whole numbers if it is made of quarter turns, else Rz(yaw) Ry(pitch) Rx(roll)."""
-    whole = np.round(matrix)
-    if np.abs(matrix - whole).max() < EXACT:
-        return _whole(whole)
-    level = np.hypot(matrix[0, 0], matrix[1, 0])
-    pitch = np.arctan2(-matrix[2, 0], level)
-    if level > EXACT:
-        roll, yaw = np.arctan2(matrix[2, 1], matrix[2, 2]), np.arctan2(matrix[1, 0], matrix[0, 0])
-    else:  # straight up or down: only one of the two turns counts
-        roll, yaw = 0.0, np.arctan2(-matrix[0, 1], matrix[1, 1])
-    product = _whole(np.eye(3))
-    for name, angle, axis in (("yaw", yaw, 2), ("pitch", pitch, 1), ("roll", roll, 0)):
-        c, s = _turn(f"{name}{label}", float(angle), constant)
-        e = np.zeros(3, dtype=object)
-        e[axis] = 1
-        axial = np.outer(e, e)
-        product = product @ (axial + c * (_whole(np.eye(3)) - axial) + s * skew(e))
-    return product
-
-
-def _axis(axis: Array, label: int, constant: Constant) -> AnyArray:
-    """Whole numbers if it is an axis of the body, else by the angles turn and lean."""
-    whole = np.round(axis)
-    if np.abs(axis - whole).max() < EXACT:
-        return _whole(whole)
-    c, s = _turn(f"turn{label}", float(np.arctan2(axis[1], axis[0])), constant)
-    level, up = _turn(
-        f"lean{label}", float(np.arctan2(axis[2], np.hypot(axis[0], axis[1]))), constant
-    )
-    return _objects([level * c, level * s, up])
-
-
-def _turn(name: str, angle: float, constant: Constant) -> tuple[Any, Any]:
-    """Cosine and sine of a constant angle: whole numbers if it is a quarter turn."""
-    quarters = round(angle / (np.pi / 2))
-    if abs(angle - quarters * np.pi / 2) < EXACT:
-        return (1, 0, -1, 0)[quarters % 4], (0, 1, 0, -1)[quarters % 4]
-    made = constant(name, angle)
-    return cosine(made), sine(made)
-
-
-def _named(name: str, values: AnyArray) -> AnyArray:
-    named = np.empty(values.shape, dtype=object)
-    for place in np.ndindex(values.shape):
-        named[place] = auxiliary(component(name, place, values.shape), values[place])
-    return named
-
-
-def _whole(values: Array) -> AnyArray:
-    return values.astype(int).astype(object)
+def _exact(values: Array) -> AnyArray:
+    """Numbers as objects, whole ones where they are whole but for rounding."""
+    whole = np.round(values)
+    exact = np.abs(values - whole) < EXACT
+    return np.where(exact, whole.astype(int).astype(object), values.astype(object))
 
 
 def _objects(values: list[Any]) -> AnyArray:

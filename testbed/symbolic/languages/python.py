@@ -116,12 +116,18 @@ def _body(each: Equations) -> list[str]:
         if not value.terms:
             continue
         target = f"result[{', '.join(str(index) for index in place)}]"
-        target = f"{label.name} = {target}" if label in again else target
-        lines += _assigned(target, terms(value, STYLE))
+        pieces = terms(value, STYLE)
+        if label in again:
+            lines += _assigned(label.name, pieces)
+            pieces = [label.name]
+        lines += _assigned(target, pieces)
     if len(lines) == 1:
         lines.append("    del result  # all zero")
     return lines
 
+
+MOST_TERMS = 500
+"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
 
 COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: "qp", Nature.ACCELERATION: "qpp"}
 
@@ -142,8 +148,14 @@ def _function(wave: Factor) -> str:
 
 
 def _assigned(target: str, pieces: list[str]) -> list[str]:
-    lines = wrapped(f"    {target} =", pieces, "        ")
-    if len(lines) > 1:
-        lines = wrapped(f"    {target} = (", [], "")
-        return [*lines, *wrapped("       ", pieces, "        "), "    )"]
+    """One assignment; a sum longer than the compiler can take is added up in parts."""
+    lines = []
+    for first in range(0, len(pieces), MOST_TERMS):
+        part = pieces[first : first + MOST_TERMS]
+        sign = "+=" if first else "="
+        short = wrapped(f"    {target} {sign}", part, "")
+        if len(short) == 1:
+            lines += short
+        else:
+            lines += [f"    {target} {sign} (", *wrapped("       ", part, "        "), "    )"]
     return lines
