@@ -5,11 +5,14 @@ from __future__ import annotations
 import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
 from testbed.cli.options import Accept, Gravity, Json, Model, Weld, Zero, Zeros, app
+
+if TYPE_CHECKING:
+    from testbed.tree.tree import Tree
 
 
 class _What(StrEnum):
@@ -108,6 +111,9 @@ def equations(
         bool, typer.Option("--numbers", help="Write lengths, angles and gravity as numbers.")
     ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="A listing to compare with, instead of writing one.")
+    ] = None,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
     as_json: Json = False,
@@ -123,6 +129,8 @@ def equations(
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    if against is not None:
+        _compare(tree, against, form, gravity, list(zero) if zero else zeros)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
     known: bool | list[str] = list(zero) if zero else zeros
@@ -137,3 +145,22 @@ def equations(
         terminal.print_json(as_document(listing, text))
     elif out is None:
         sys.stdout.write(text)
+
+
+def _compare(
+    tree: Tree,
+    path: Path,
+    form: _Form,
+    gravity: tuple[float, float, float] | None,
+    zeros: bool | list[str],
+) -> NoReturn:
+    """Say where a listing differs; exit code 1 if it does."""
+    from testbed.symbolic.compare import compare
+    from testbed.symbolic.languages.paper import line
+
+    text = path.read_text(encoding="utf-8", errors="replace")
+    found = compare(tree, text, form.value, gravity, zeros)
+    for name, difference in found.items():
+        same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
+        sys.stdout.write(f"{name}: {same}\n")
+    raise typer.Exit(1 if any(found.values()) else 0)

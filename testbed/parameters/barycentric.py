@@ -67,7 +67,7 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
     theta = standard[:, _TO_STANDARD_ORDER].copy()
     for j in reversed(range(tree.n)):
         if tree.parents[j] >= 0:
-            mass = _point_mass(tree.joints[j].offset)
+            mass = point_mass(tree.joints[j].offset)
             theta[tree.parents[j]] += np.multiply.outer(mass, theta[j, 0])
     return theta
 
@@ -84,7 +84,7 @@ def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
     own = theta.copy()
     for j in range(tree.n):
         if tree.parents[j] >= 0:
-            mass = _point_mass(tree.joints[j].offset)
+            mass = point_mass(tree.joints[j].offset)
             own[tree.parents[j]] -= np.multiply.outer(mass, theta[j, 0])
     standard: AnyArray = own[:, _TO_STANDARD_ORDER]
     return standard
@@ -105,7 +105,11 @@ def parameter_name(component: str, body: int, star: str = "") -> str:
     return f"{head}{star}{body}{component[len(head) :]}"
 
 
-def _point_mass(offset: Array) -> Array:
-    """Ten barycentric parameters of a unit point mass at `offset`, (10,)."""
+def point_mass(offset: AnyArray) -> AnyArray:
+    """Ten barycentric parameters of a unit point mass, (10,) in the order COMPONENTS.
+
+    Args:
+        offset: Where it is, (3,) [m], numbers or symbols.
+    """
     tensor = -skew(offset) @ skew(offset)
     return np.concatenate([[1.0], offset, tensor[UPPER]])

@@ -22,6 +22,7 @@ from testbed.errors import UnknownName
 from testbed.parameters.barycentric import UNITS, parameter_names
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.rules import Model
+from testbed.symbolic.definitions import barycentric_definitions
 from testbed.symbolic.expression import Expression, Factor, expression, of
 from testbed.symbolic.kinds import CONTENT, KINDS, Kind
 from testbed.symbolic.parameters import (
@@ -78,6 +79,7 @@ class Listing:
         constants: Symbols of the geometry and their values [m, rad, m/s^2].
         minimal: The minimal sets that occur, by model.
         known_zero: Barycentric parameters left out because they are known to be zero, (n, 10).
+        definitions: In the full form, what the barycentric parameters stand for, by name.
         equations: One of a kind.
     """
 
@@ -87,6 +89,7 @@ class Listing:
     constants: dict[Factor, float]
     minimal: dict[Model, MinimalSet]
     known_zero: AnyArray
+    definitions: tuple[tuple[str, Expression], ...]
     equations: tuple[Equations, ...]
 
 
@@ -122,7 +125,16 @@ def equations(
     desk = _Desk(tree, form, tree.gravity_or(gravity), known_zeros(tree, zeros), zeros, numbers)
     made = tuple(desk.write(KINDS[name]) for name in dict.fromkeys(what))
     shown = {} if numbers else desk.robot.values
-    return Listing(tree, form, desk.gravity, shown, desk.minimal, desk.known_zero, made)
+    return Listing(
+        tree=tree,
+        form=form,
+        gravity=desk.gravity,
+        constants=shown,
+        minimal=desk.minimal,
+        known_zero=desk.known_zero,
+        definitions=desk.definitions() if form == "full" else (),
+        equations=made,
+    )
 
 
 @dataclass(eq=False)
@@ -149,6 +161,10 @@ class _Desk:
     def natural(self) -> frozenset[Index]:
         """Angles between bodies."""
         return natural_angles(self.ring, [a for _, chain in self.robot.parallel for a in chain])
+
+    def definitions(self) -> tuple[tuple[str, Expression], ...]:
+        """What the barycentric parameters stand for."""
+        return tuple(barycentric_definitions(self.tree, self.robot, self.known_zero))
 
     def write(self, kind: Kind) -> Equations:
         """The equations of one kind."""

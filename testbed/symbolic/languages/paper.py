@@ -37,8 +37,15 @@ def paper(listing: Listing, source: str) -> str:
 
 
 def definitions(listing: Listing) -> list[str]:
-    """How the minimal parameters are made of the barycentric ones."""
+    """What the barycentric parameters stand for, or the minimal ones are made of."""
     lines = []
+    if listing.form == "full":
+        titles = ("Barycentric masses", "Barycentric moments", "Barycentric tensors")
+        for title, head in zip(titles, ("mbar", "mb", "K"), strict=True):
+            lines += ["", f"* {title}"]
+            for name, value in listing.definitions:
+                if name.rstrip("xyz0123456789") == head:
+                    lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
     for model, minimal in listing.minimal.items():
         lines += ["", f"* Parameters of the {model} model: delta_{model[0]}"]
         lines += [f"* {line}" for line in (*minimal.auxiliary, *minimal.formulas)]

@@ -1,0 +1,72 @@
+"""Somebody's listing against the robot's own equations, term by term."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from numpy.typing import ArrayLike
+
+from testbed.errors import UnknownName
+from testbed.symbolic.equations import ROUNDING, Form, Listing, equations
+from testbed.symbolic.expression import Expression, of
+from testbed.symbolic.polynomial import Ring
+from testbed.symbolic.present import natural_angles, present
+from testbed.symbolic.reading import read_listing, substituted_names
+from testbed.symbolic.robot import Robot, draw
+from testbed.tree.tree import Tree
+
+COMPARABLE = ("joint-forces", "base-wrench", "mass-matrix", "gravity-forces")
+
+
+def compare(
+    tree: Tree,
+    text: str,
+    form: Form = "full",
+    gravity: ArrayLike | None = None,
+    zeros: bool | Sequence[str] = False,
+) -> dict[str, Expression]:
+    """What a listing says too much or too little, equation by equation.
+
+    Args:
+        tree: The robot.
+        text: The listing, in the notation of [FRS96]; see `reading.read_listing`. Names on the
+            left that are none of the robot's equations are definitions for those below.
+        form: Whose parameters it is in: "full" or "reduced" ("recursive" is the same).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+        zeros: Barycentric parameters known to be zero, as in `equations`.
+
+    Returns:
+        The listing's equation less the robot's own, by name; zero where they are equal,
+        whatever way they are written.
+
+    Raises:
+        ExpressionError: The listing cannot be read.
+        UnknownName: It holds a name that stands for nothing, or none of the robot's equations.
+    """
+    literal: Form = "full" if form == "full" else "reduced"
+    listing = equations(tree, COMPARABLE, literal, gravity, zeros)
+    robot = draw(tree, tree.gravity_or(gravity))
+    steps = [step for each in listing.equations for step in each.program.results]
+    meanings = dict(steps)
+    ours = {}
+    for name, value in steps:
+        meanings[name] = ours[name.name] = substituted_names(value, meanings)
+    read = read_listing(text, _names(listing, robot))
+    found = [name for name in read if name in ours]
+    if not found:
+        raise UnknownName("equation", next(iter(read), ""), ours)
+    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING)
+    natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
+    return {name: present(ring, ring.expand(read[name] - ours[name]), natural) for name in found}
+
+
+def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
+    """What the names of a listing may stand for."""
+    symbols = [*robot.q, *robot.qd, *robot.qdd, *(of(constant) for constant in robot.values)]
+    names = {repr(value): value for value in symbols}
+    for each in listing.equations:
+        for parameter in each.parameters:
+            if parameter.symbol is not None:
+                names[parameter.symbol.name] = of(parameter.symbol)
+    names |= {name.replace("mbar", "mm"): value for name, value in names.items()}
+    return names
