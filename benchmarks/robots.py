@@ -94,4 +94,4 @@ def _joint(
 
 
 def _row(values: tuple[float, ...] | np.ndarray) -> str:
-    return " ".join(f"{value:.12g}" for value in values)
+    return " ".join(repr(float(value)) for value in values)

@@ -108,11 +108,16 @@ def equations(
     zero: Zero = None,
     gravity: Gravity = None,
     numbers: Annotated[
-        bool, typer.Option("--numbers", help="Write lengths, angles and gravity as numbers.")
+        bool, typer.Option("--numbers", help="Write lengths and gravity as numbers.")
+    ] = False,
+    square: Annotated[
+        bool,
+        typer.Option("--right-angles", help="Take turns of almost a right angle for one."),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
     against: Annotated[
-        Path | None, typer.Option(help="A listing to compare with, instead of writing one.")
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
     ] = None,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
@@ -123,12 +128,14 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.files import fingerprint, replacing
+    from testbed.symbolic.angles import right_angles
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    tree = right_angles(tree) if square else tree
     if against is not None:
         _compare(tree, against, form, gravity, list(zero) if zero else zeros)
     wanted = what or [_What.joint_forces]

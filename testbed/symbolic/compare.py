@@ -46,7 +46,7 @@ def compare(
     literal: Form = "full" if form == "full" else "reduced"
     listing = equations(tree, COMPARABLE, literal, gravity, zeros)
     robot = draw(tree, tree.gravity_or(gravity))
-    steps = [step for each in listing.equations for step in each.program.results]
+    steps = [step for each in listing.equations for step in each.program.steps]
     meanings = dict(steps)
     ours = {}
     for name, value in steps:

@@ -54,7 +54,7 @@ class Equations:
     Attributes:
         kind: Which.
         shape: Of what they give, for one sample.
-        places: Where in it each result of the program belongs.
+        places: Where in it each result of the program belongs, by name.
         vector: What the vector of parameters is called: theta, delta_d or delta_r.
         parameters: Its entries.
         program: The lines.
@@ -62,7 +62,7 @@ class Equations:
 
     kind: Kind
     shape: tuple[int, ...]
-    places: tuple[tuple[int, ...], ...]
+    places: dict[Factor, tuple[int, ...]]
     vector: str
     parameters: tuple[Parameter, ...]
     program: Program
@@ -181,7 +181,7 @@ class _Desk:
             program = literal(self._by_reference(kind, results))
         if self.numbers:
             program = with_numbers(program, self.robot.values)
-        places = tuple(values[name][0] for name, _ in program.results)
+        places = {name: place for name, (place, _) in values.items()}
         return Equations(kind, shape, places, vector, parameters, program)
 
     def _parameters(self, kind: Kind) -> tuple[str, tuple[Parameter, ...], AnyArray]:

@@ -142,8 +142,9 @@ def _moved(
 
 
 def _columns(values: AnyArray, rows: list[str], names: list[str]) -> Content:
-    for i, row in enumerate(rows):
-        for k, name in enumerate(names):
+    """Column by column, those of the first bodies first: what they need is soon done with."""
+    for k, name in reversed(list(enumerate(names))):
+        for i, row in enumerate(rows):
             yield _name(f"phi_{row}_{identifier(name)}"), ((i, k), values[i, k])
 
 

@@ -7,7 +7,7 @@ sines and cosines; then the auxiliary variables; then the results.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -57,8 +57,9 @@ class Program:
         symbols: Coordinates, parameters and constants that the lines use, in order.
         once: What parameters and constants alone decide.
         waves: Sines and cosines of coordinates.
-        steps: Auxiliary variables.
-        results: What was asked for, by name; zero where there is nothing to compute.
+        steps: Auxiliary variables, and each result as soon as it can be had; a result that
+            is zero has no terms.
+        results: Names of the results.
         count: Operations.
     """
 
@@ -66,7 +67,7 @@ class Program:
     once: tuple[Step, ...]
     waves: tuple[Factor, ...]
     steps: tuple[Step, ...]
-    results: tuple[Step, ...]
+    results: frozenset[Factor]
     count: Count
 
     @property
@@ -74,7 +75,6 @@ class Program:
         """All lines."""
         yield from self.once
         yield from self.steps
-        yield from self.results
 
 
 def recursive(results: Mapping[Factor, Expression]) -> Program:
@@ -117,11 +117,8 @@ def with_numbers(program: Program, values: Values) -> Program:
             known[name] = float(value.terms[0][1]) if value.terms else 0.0
         else:
             once.append((name, value))
-    steps, results = (
-        tuple((name, substituted(value, known)) for name, value in lines)
-        for lines in (program.steps, program.results)
-    )
-    return _counted(tuple(once), program.waves, steps, results)
+    steps = [(name, substituted(value, known)) for name, value in program.steps]
+    return _counted(once, program.waves, steps, program.results)
 
 
 def substituted(value: Expression, known: Values) -> Expression:
@@ -163,14 +160,16 @@ def _program(sheet: Sheet, named: bool) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
     uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
-    parts: dict[str, list[Step]] = {"once": [], "steps": [], "results": []}
+    waves = _waves(sheet)
+    once: list[Step] = [(w, w.content) for w in waves if sheet.fixed(w) and w.content]
+    steps: list[Step] = []
     numbers: Counter[str] = Counter()
     for name in _computable(sheet):
         value = _rebuilt(sheet.lines[name], made)
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
             made[name] = _plain(name.name) if value else value
-            parts["results"].append((name, value))
+            steps.append((name, value))
         elif (own and named) or uses[name] > 1 or sheet.fixed(name):
             letter = "k" if sheet.fixed(name) else "t"
             label = name.name
@@ -178,20 +177,11 @@ def _program(sheet: Sheet, named: bool) -> Program:
                 numbers[letter] += 1
                 label = f"{letter}{numbers[letter]}"
             made[name] = _plain(label)
-            where = "once" if sheet.fixed(name) else "steps"
-            parts[where].append((made[name].terms[0][0][0], value))
+            (once if sheet.fixed(name) else steps).append((made[name].terms[0][0][0], value))
         else:
             made[name] = value
-    order = {name.name: k for k, name in enumerate(sheet.results)}
-    results = sorted(parts["results"], key=lambda step: order[step[0].name])
-    waves = _waves(sheet)
-    once = [(wave, wave.content) for wave in waves if sheet.fixed(wave) and wave.content]
-    return _counted(
-        (*once, *parts["once"]),
-        tuple(wave for wave in waves if not sheet.fixed(wave)),
-        tuple(parts["steps"]),
-        tuple(results),
-    )
+    moving = tuple(wave for wave in waves if not sheet.fixed(wave))
+    return _counted(once, moving, steps, frozenset(sheet.results))
 
 
 def _computable(sheet: Sheet) -> list[Factor]:
@@ -231,33 +221,34 @@ def _waves(sheet: Sheet) -> list[Factor]:
 
 
 def _counted(
-    once: tuple[Step, ...],
+    once: Sequence[Step],
     waves: tuple[Factor, ...],
-    steps: tuple[Step, ...],
-    results: tuple[Step, ...],
+    steps: Sequence[Step],
+    results: frozenset[Factor],
 ) -> Program:
     """The program with its symbols and operations."""
     symbols: set[Factor] = set()
-    for value in [value for _, value in (*once, *steps, *results)]:
-        symbols |= {f for f in _leaves(value) if f.nature <= Nature.CONSTANT}
+    for value in [value for _, value in (*once, *steps)]:
+        symbols |= {f for f in leaves(value) if f.nature <= Nature.CONSTANT}
     for wave in waves:
         if wave.content is not None:
-            symbols |= set(_leaves(wave.content))
-    each = [cost(value) for _, value in (*steps, *results)]
+            symbols |= set(leaves(wave.content))
+    each = [cost(value) for _, value in steps]
     count = Count(
         sum(products for products, _ in each),
         sum(sums for _, sums in each),
         len(waves),
         sum(sum(cost(value)) for _, value in once),
     )
-    return Program(tuple(sorted(symbols)), once, waves, steps, results, count)
+    return Program(tuple(sorted(symbols)), tuple(once), waves, tuple(steps), results, count)
 
 
-def _leaves(value: Expression) -> Iterator[Factor]:
+def leaves(value: Expression) -> Iterator[Factor]:
+    """Every factor of an expression and of its brackets."""
     for factors, _ in value.terms:
         for factor in factors:
             if factor.nature is Nature.BRACKET and factor.content is not None:
-                yield from _leaves(factor.content)
+                yield from leaves(factor.content)
             else:
                 yield factor
 

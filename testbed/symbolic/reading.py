@@ -103,6 +103,8 @@ def read_listing(text: str, names: Mapping[str, Expression]) -> dict[str, Expres
                 raise ExpressionError(f"'{reader.next()}' where an operator should be")
         except ExpressionError as error:
             raise ExpressionError(f"line {line}: {error}") from None
+        except UnknownName as error:
+            raise UnknownName(f"name on line {line}", error.name, error.known) from None
         found[name.strip()] = known[name.strip()] = value
     return found
 

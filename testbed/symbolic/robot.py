@@ -16,11 +16,9 @@ import numpy as np
 
 from testbed.arrays import AnyArray, Array
 from testbed.parameters.formulas import length_name
+from testbed.symbolic.angles import EXACT
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
 from testbed.tree.tree import Tree
-
-EXACT = 1e-14
-"""Parts of a rotation this close to 0, 1 or -1 are; below it is rounding."""
 
 
 Group: TypeAlias = tuple[list[Factor], list[Expression]]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Nature, Number
 from testbed.symbolic.languages.python import COORDINATES
@@ -21,7 +23,7 @@ def _number(value: Number) -> str:
     return f"{value}.0" if isinstance(value, int) else decimal(value)
 
 
-STYLE = Style(own_name, _number)
+STYLE = Style(own_name, _number, plus_first=True)
 
 
 def c(listing: Listing, source: str) -> str:
@@ -62,14 +64,12 @@ def _function(each: Equations, joints: int) -> list[str]:
     separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
     lines = [f"void {name}(", *wrapped("   ", separated, "    "), "{"]
     lines += _unpacked(each)
-    for label, value in (*program.once, *program.steps):
+    targets = {name: _element(place) for name, place in each.places.items()}
+    style = replace(STYLE, name=lambda factor: targets.get(factor, factor.name))
+    for label, value in program.lines:
         if label.nature is Nature.AUXILIARY:
-            lines += _assigned(f"const double {label.name}", terms(value, STYLE))
-    places = dict(zip((name for name, _ in program.results), each.places, strict=True))
-    targets = {name: _element(place) for name, place in places.items()}
-    style = Style(lambda factor: targets.get(factor, factor.name), _number)
-    for label, value in program.results:
-        lines += _assigned(targets[label], terms(value, style))
+            target = targets.get(label, f"const double {label.name}")
+            lines += _assigned(target, terms(value, style))
     return [*lines, *_unused(each), "}"]
 
 

@@ -55,7 +55,7 @@ def definitions(listing: Listing) -> list[str]:
 def _equations(each: Equations) -> list[str]:
     program = each.program
     lines: list[str] = []
-    for name, value in (*program.once, *program.steps, *program.results):
+    for name, value in program.lines:
         if value.terms or len(each.shape) == 1:
             lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
     return lines

@@ -14,9 +14,9 @@ from testbed.symbolic.languages.text import (
     used_constants,
     wrapped,
 )
-from testbed.symbolic.program import Step
+from testbed.symbolic.program import Program, Step, leaves
 
-STYLE = Style(own_name, decimal)
+STYLE = Style(own_name, decimal, plus_first=True)
 
 _FRAME = '''
 
@@ -32,12 +32,10 @@ def _in_blocks(function, shape, motion, parameters, size):
             raise ValueError(f"{size} parameters, found {parameters.size}")
     flat = [signal.reshape(-1, JOINTS) for signal in motion]
     samples = len(flat[0])
-    result = np.empty((samples, *shape))
+    result = np.zeros((samples, *shape))
     for first in range(0, samples, BLOCK):
         part = [np.ascontiguousarray(signal[first : first + BLOCK].T) for signal in flat]
-        block = np.zeros((*shape, part[0].shape[1]))
-        function(*part, parameters, block)
-        result[first : first + BLOCK] = np.moveaxis(block, -1, 0)
+        function(*part, parameters, np.moveaxis(result[first : first + BLOCK], 0, -1))
     return result.reshape(*lead, *shape)
 '''
 
@@ -51,7 +49,7 @@ def python(listing: Listing, source: str) -> str:
     """
     lines = [f"# {line}".rstrip() for line in header(listing, source)]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
-    lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 512  # samples at once"]
+    lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
     constants = {factor for each in listing.equations for factor in used_constants(each)}
     for factor in sorted(constants):
         value = decimal(listing.constants[factor])
@@ -108,19 +106,21 @@ def _body(each: Equations) -> list[str]:
     for wave in program.waves:
         assert wave.content is not None
         lines.append(f"    {wave.name} = {_function(wave)}({' '.join(terms(wave.content, STYLE))})")
-    for label, value in (*program.once, *program.steps):
-        if label.nature is Nature.AUXILIARY:
-            lines += _assigned(label.name, terms(value, STYLE))
-    again = referred(program.results)
-    for (label, value), place in zip(program.results, each.places, strict=True):
-        if not value.terms:
+    again, done = referred(each), done_with(program)
+    for label, value in program.lines:
+        if label.nature is not Nature.AUXILIARY:
             continue
-        target = f"result[{', '.join(str(index) for index in place)}]"
         pieces = terms(value, STYLE)
-        if label in again:
+        if label not in each.places:
             lines += _assigned(label.name, pieces)
-            pieces = [label.name]
-        lines += _assigned(target, pieces)
+        elif value:
+            target = f"result[{', '.join(str(index) for index in each.places[label])}]"
+            if label in again:
+                lines += _assigned(label.name, pieces)
+                pieces = [label.name]
+            lines += _assigned(target, pieces)
+        if label in done:  # memory that is given back at once stays in the cache
+            lines += _deleted(done[label])
     if len(lines) == 1:
         lines.append("    del result  # all zero")
     return lines
@@ -132,10 +132,31 @@ MOST_TERMS = 500
 COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: "qp", Nature.ACCELERATION: "qpp"}
 
 
-def referred(results: tuple[Step, ...]) -> set[Factor]:
-    """Results that other results refer to."""
-    names = {name for name, _ in results}
-    return {f for _, value in results for factors, _ in value.terms for f in factors if f in names}
+def referred(each: Equations) -> set[Factor]:
+    """Results that other lines refer to."""
+    return {
+        factor
+        for _, value in each.program.steps
+        for factors, _ in value.terms
+        for factor in factors
+        if factor in each.places
+    }
+
+
+def done_with(program: Program) -> dict[Factor, list[str]]:
+    """After which line which auxiliary variables are needed no more."""
+    last: dict[Factor, Factor] = {}
+    made = {name for name, _ in program.steps} - program.results
+    for name, value in program.steps:
+        last |= dict.fromkeys((f for f in leaves(value) if f in made), name)
+    done: dict[Factor, list[str]] = {}
+    for factor, name in last.items():
+        done.setdefault(name, []).append(factor.name)
+    return done
+
+
+def _deleted(names: list[str]) -> list[str]:
+    return [f"    del {', '.join(names[k : k + 8])}" for k in range(0, len(names), 8)]
 
 
 def _waves(once: tuple[Step, ...]) -> list[tuple[Factor, list[str]]]:

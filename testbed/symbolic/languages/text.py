@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
+from testbed.symbolic.angles import almost_right
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor, Nature, Number, Term
 
@@ -26,12 +27,14 @@ class Style:
         number: A positive number.
         times: Between factors.
         parameter_first: Whether the number stands behind the parameter, as in the paper.
+        plus_first: Whether a sum begins with a term that is not subtracted, if it has one.
     """
 
     name: Callable[[Factor], str]
     number: Callable[[Number], str]
     times: str = "*"
     parameter_first: bool = False
+    plus_first: bool = False
 
 
 def own_name(factor: Factor) -> str:
@@ -54,7 +57,8 @@ def fraction(value: Number) -> str:
 def terms(value: Expression, style: Style) -> list[str]:
     """Every term with its sign, the first one's plus left out."""
     written: list[str] = []
-    for factors, size in sorted(value.terms, key=_is_no_result):
+    order = _is_subtracted if style.plus_first else _is_no_result
+    for factors, size in sorted(value.terms, key=order):
         parameters = [f for f in factors if f.nature is Nature.PARAMETER]
         rest = [f for f in factors if f.nature is not Nature.PARAMETER]
         number = [style.number(abs(size))] if abs(size) != 1 or not factors else []
@@ -64,6 +68,10 @@ def terms(value: Expression, style: Style) -> list[str]:
         lead = f"{sign} " if written else sign.replace("+", "")
         written.append(lead + style.times.join(parts))
     return written or ["0"]
+
+
+def _is_subtracted(term: Term) -> bool:
+    return term[1] < 0
 
 
 def _is_no_result(term: Term) -> bool:
@@ -104,6 +112,9 @@ def header(listing: Listing, source: str) -> Iterator[str]:
     yield "Joints, with the body that carries each (0 is the bedplate):"
     for j, joint in enumerate(tree.joints):
         yield f"  {j + 1:3d}  {joint.kind}, on {joint.parent + 1}: {harmless(joint.name)}"
+    for name, off in almost_right(tree).items():
+        about = f"{harmless(name)} is {off:.1g} rad off a right angle"
+        yield f"NOTE: {about}; --right-angles sets it right"
     zero = int(listing.known_zero.sum())
     if zero:
         yield f"{zero} barycentric parameters are known to be zero and left out"
