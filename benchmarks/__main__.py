@@ -74,12 +74,24 @@ def simulate() -> None:
     _print(measure())
 
 
+@app.command()
+def equations(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 10) -> None:
+    """Operations and cost of generated equations beside other generators'."""
+    from benchmarks.equations import growth, puma, speed, trees
+
+    _print(puma())
+    _print(trees())
+    _print(growth())
+    _print(speed(rounds))
+
+
 @app.command(name="all")
 def everything() -> None:
     """All of them."""
     minimal()
     regressor()
     identify()
+    equations()
     simulate()
 
 

@@ -131,7 +131,7 @@ def equations(
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
-    from testbed.symbolic.languages import as_document, write
+    from testbed.symbolic.languages import as_document, write_equations
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
@@ -142,7 +142,9 @@ def equations(
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
     known: bool | list[str] = list(zero) if zero else zeros
     listing = derived(tree, names, form.value, gravity, known, numbers)
-    text = write(listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}")
+    text = write_equations(
+        listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
+    )
     if out is not None:
         with replacing(out) as fresh:
             fresh.write_text(text, encoding="utf-8")

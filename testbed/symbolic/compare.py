@@ -8,10 +8,10 @@ from numpy.typing import ArrayLike
 
 from testbed.errors import UnknownName
 from testbed.symbolic.equations import ROUNDING, Form, Listing, equations
-from testbed.symbolic.expression import Expression, of
+from testbed.symbolic.expression import Expression, of, replaced
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.present import natural_angles, present
-from testbed.symbolic.reading import read_listing, substituted_names
+from testbed.symbolic.reading import read_listing
 from testbed.symbolic.robot import Robot, draw
 from testbed.tree.tree import Tree
 
@@ -50,7 +50,7 @@ def compare(
     meanings = dict(steps)
     ours = {}
     for name, value in steps:
-        meanings[name] = ours[name.name] = substituted_names(value, meanings)
+        meanings[name] = ours[name.name] = replaced(value, meanings.get)
     read = read_listing(text, _names(listing, robot))
     found = [name for name in read if name in ours]
     if not found:

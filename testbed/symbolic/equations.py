@@ -9,7 +9,9 @@ The recursions are those of `dynamics`, run on symbols.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -123,7 +125,8 @@ def equations(
     if form not in FORMS:
         raise UnknownName("form", form, FORMS)
     desk = _Desk(tree, form, tree.gravity_or(gravity), known_zeros(tree, zeros), zeros, numbers)
-    made = tuple(desk.write(KINDS[name]) for name in dict.fromkeys(what))
+    with _collector_at_rest():
+        made = tuple(desk.write(KINDS[name]) for name in dict.fromkeys(what))
     shown = {} if numbers else desk.robot.values
     return Listing(
         tree=tree,
@@ -135,6 +138,18 @@ def equations(
         definitions=desk.definitions() if form == "full" else (),
         equations=made,
     )
+
+
+@contextmanager
+def _collector_at_rest() -> Iterator[None]:
+    """No garbage collection: expressions have no cycles, and walking them costs a third."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 @dataclass(eq=False)

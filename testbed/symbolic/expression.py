@@ -198,6 +198,23 @@ def collect(terms: Iterable[Term]) -> Expression:
     return Expression(tuple(kept))
 
 
+def replaced(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
+    """The expression with other expressions in the place of some factors.
+
+    Args:
+        value: Any.
+        meaning: What to put in a factor's place; None leaves it.
+    """
+    terms: list[Term] = []
+    for factors, size in value.terms:
+        product = number(size)
+        for factor in factors:
+            part = meaning(factor)
+            product = expression(product * (of(factor) if part is None else part))
+        terms += product.terms
+    return collect(terms)
+
+
 def bracket(inside: Expression) -> tuple[Factor, Number]:
     """A sum as a factor, and the number taken out of it.
 

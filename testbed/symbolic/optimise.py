@@ -26,7 +26,6 @@ from testbed.symbolic.expression import (
 Line = dict[Factors, Number]
 Place = TypeVar("Place", bound=Hashable)
 Pair = TypeVar("Pair", bound=Hashable)
-ROUNDS = 3
 
 
 class Sheet:
@@ -49,23 +48,14 @@ class Sheet:
             self.lines[name] = dict(value.terms)
 
     def optimise(self) -> None:
-        """All that this module can do, until it changes nothing."""
+        """All that this module can do; more rounds of it were found to change nothing."""
         self.unify()
-        for _ in range(ROUNDS):
-            before = self.cost
-            self.gather_fixed()
-            self.share_products()
-            self.take_factors_out()
-            self.share_sums()
-            if self.cost == before:
-                break
-
-    @property
-    def cost(self) -> int:
-        """Operations for each sample."""
-        return sum(
-            sum(operations(line)) for name, line in self.lines.items() if not self.fixed(name)
-        )
+        self.gather_fixed()
+        self.share_products()
+        self.take_factors_out()
+        self.gather_fixed()
+        self.share_products()
+        self.share_sums()
 
     def fixed(self, factor: Factor) -> bool:
         """Whether a factor depends on parameters and constants alone."""

@@ -7,24 +7,18 @@ sines and cosines; then the auxiliary variables; then the results.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
-
-import numpy as np
 
 from testbed.symbolic.expression import (
     Expression,
     Factor,
-    Factors,
     Nature,
-    Number,
-    Term,
-    bracket,
     collect,
     depth_first,
-    expression,
     number,
+    replaced,
 )
 from testbed.symbolic.optimise import Sheet, operations
 
@@ -107,11 +101,6 @@ def with_numbers(program: Program, values: Values) -> Program:
     known = dict(values)
     once = []
     for name, value in program.once:
-        if name.nature in (Nature.SINE, Nature.COSINE):
-            function = np.sin if name.nature is Nature.SINE else np.cos
-            angle = substituted(value, known)
-            known[name] = float(function(angle.terms[0][1] if angle.terms else 0.0))
-            continue
         value = substituted(value, known)
         if all(not factors for factors, _ in value.terms):
             known[name] = float(value.terms[0][1]) if value.terms else 0.0
@@ -122,50 +111,25 @@ def with_numbers(program: Program, values: Values) -> Program:
 
 
 def substituted(value: Expression, known: Values) -> Expression:
-    """The expression with numbers for some of its factors.
+    """The expression with numbers for some of its factors, in its brackets too."""
 
-    Sums that are rounding of zero are left out.
-    """
-    sums: dict[Factors, float] = {}
-    sizes: dict[Factors, float] = {}
-    for factors, size in value.terms:
-        rest = []
-        total = float(size)
-        for factor in factors:
-            if factor in known:
-                total *= known[factor]
-            elif factor.nature is Nature.BRACKET and factor.content is not None:
-                inside = substituted(factor.content, known)
-                if len(inside.terms) > 1:
-                    name, out = bracket(inside)
-                    rest.append(name)
-                    total *= out
-                else:
-                    parts, out = inside.terms[0] if inside.terms else ((), 0)
-                    rest += parts
-                    total *= out
-            else:
-                rest.append(factor)
-        key = tuple(sorted(rest))
-        sums[key] = sums.get(key, 0.0) + total
-        sizes[key] = sizes.get(key, 0.0) + abs(total)
-    return collect((key, v) for key, v in sums.items() if abs(v) > ROUNDING * sizes[key])
+    def meaning(factor: Factor) -> Expression | None:
+        if factor.nature is Nature.BRACKET and factor.content is not None:
+            return substituted(factor.content, known)
+        return number(known[factor]) if factor in known else None
 
-
-ROUNDING = 1e-14
-"""A sum this much smaller than its terms is the rounding of zero."""
+    return replaced(value, meaning)
 
 
 def _program(sheet: Sheet, named: bool) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
     uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
-    waves = _waves(sheet)
-    once: list[Step] = [(w, w.content) for w in waves if sheet.fixed(w) and w.content]
+    once: list[Step] = []
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
     for name in _computable(sheet):
-        value = _rebuilt(sheet.lines[name], made)
+        value = replaced(collect(sheet.lines[name].items()), made.get)
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
             made[name] = _plain(name.name) if value else value
@@ -180,8 +144,7 @@ def _program(sheet: Sheet, named: bool) -> Program:
             (once if sheet.fixed(name) else steps).append((made[name].terms[0][0][0], value))
         else:
             made[name] = value
-    moving = tuple(wave for wave in waves if not sheet.fixed(wave))
-    return _counted(once, moving, steps, frozenset(sheet.results))
+    return _counted(once, _waves(sheet), steps, frozenset(sheet.results))
 
 
 def _computable(sheet: Sheet) -> list[Factor]:
@@ -192,23 +155,11 @@ def _computable(sheet: Sheet) -> list[Factor]:
     )
 
 
-def _rebuilt(line: Mapping[Factors, Number], made: Mapping[Factor, Expression]) -> Expression:
-    """A line with other lines' names, or what they stand for, put in."""
-    terms: list[Term] = []
-    for factors, size in collect(line.items()).terms:
-        product: Expression = number(size)
-        for factor in factors:
-            part = made.get(factor)
-            product = product * (Expression((((factor,), 1),)) if part is None else part)
-        terms += expression(product).terms
-    return collect(terms)
-
-
 def _plain(name: str) -> Expression:
     return Expression((((Factor(Nature.AUXILIARY, name),), 1),))
 
 
-def _waves(sheet: Sheet) -> list[Factor]:
+def _waves(sheet: Sheet) -> tuple[Factor, ...]:
     """Every sine and cosine in use, in order."""
     found = {
         factor
@@ -217,7 +168,7 @@ def _waves(sheet: Sheet) -> list[Factor]:
         for factor in factors
         if factor.nature in (Nature.COSINE, Nature.SINE)
     }
-    return sorted(found, key=lambda wave: wave.key)
+    return tuple(sorted(found))
 
 
 def _counted(
@@ -262,6 +213,3 @@ def cost(value: Expression) -> tuple[int, int]:
                 inner = cost(factor.content)
                 products, sums = products + inner[0], sums + inner[1]
     return products, sums
-
-
-Namer: TypeAlias = Callable[[Factor], str]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from testbed.errors import ExpressionError, UnknownName
 from testbed.symbolic.algebra import cosine, sine
-from testbed.symbolic.expression import Expression, Factor, collect, expression, number
+from testbed.symbolic.expression import Expression, collect, expression, number
 
 _TOKEN = re.compile(r"\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/()]))")
 _WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)")
@@ -127,17 +127,6 @@ def wave(name: str, names: Mapping[str, Expression]) -> Expression:
     if not angle:
         return number(0 if name[0] == "S" else 1)
     return sine(angle) if name[0] == "S" else cosine(angle)
-
-
-def substituted_names(value: Expression, meanings: Mapping[Factor, Expression]) -> Expression:
-    """The expression with other equations' left-hand sides replaced by their right-hand sides."""
-    total = number(0)
-    for factors, size in value.terms:
-        product = number(size)
-        for factor in factors:
-            product = expression(product * meanings.get(factor, collect([((factor,), 1)])))
-        total = total + product
-    return total
 
 
 def _statements(text: str) -> Iterator[tuple[int, str]]:

@@ -20,7 +20,6 @@ from testbed.symbolic.angles import EXACT
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
 from testbed.tree.tree import Tree
 
-
 Group: TypeAlias = tuple[list[Factor], list[Expression]]
 Followers: TypeAlias = tuple[tuple[int, int], ...]
 

@@ -23,7 +23,7 @@ WRITERS: dict[Language, Callable[[Listing, str], str]] = {
 }
 
 
-def write(listing: Listing, language: Language, source: str = "") -> str:
+def write_equations(listing: Listing, language: Language, source: str = "") -> str:
     """Equations in a language.
 
     Args:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Nature, Number
-from testbed.symbolic.languages.python import COORDINATES
+from testbed.symbolic.languages.code import COORDINATES, function_name, given
 from testbed.symbolic.languages.text import (
     Style,
     constant_unit,
@@ -60,40 +60,15 @@ def _function(each: Equations, joints: int) -> list[str]:
         arguments.append(f"const double {each.vector}[{max(1, len(each.parameters))}]")
     size = "".join(f"[{max(1, size)}]" for size in each.shape)
     arguments.append(f"double result{size}")
-    name = each.kind.name.replace("-", "_")
     separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
-    lines = [f"void {name}(", *wrapped("   ", separated, "    "), "{"]
-    lines += _unpacked(each)
+    lines = [f"void {function_name(each)}(", *wrapped("   ", separated, "    "), "{"]
+    lines += [f"    const double {name} = {source};" for name, source in given(each, STYLE)]
     targets = {name: _element(place) for name, place in each.places.items()}
     style = replace(STYLE, name=lambda factor: targets.get(factor, factor.name))
     for label, value in program.lines:
-        if label.nature is Nature.AUXILIARY:
-            target = targets.get(label, f"const double {label.name}")
-            lines += _assigned(target, terms(value, style))
+        target = targets.get(label, f"const double {label.name}")
+        lines += _assigned(target, terms(value, style))
     return [*lines, *_unused(each), "}"]
-
-
-def _unpacked(each: Equations) -> list[str]:
-    """Coordinates, parameters, sines and cosines under their names."""
-    program = each.program
-    lines = []
-    for symbol in program.symbols:
-        if symbol.nature in COORDINATES:
-            letter = COORDINATES[symbol.nature]
-            place = int(symbol.name[len(letter) :]) - 1
-            lines.append(f"    const double {symbol.name} = {letter}[{place}];")
-    used = set(program.symbols)
-    for k, parameter in enumerate(each.parameters):
-        if parameter.symbol in used:
-            divided = f" / {_number(parameter.times)}" if parameter.times != 1 else ""
-            lines.append(f"    const double {parameter.symbol} = {each.vector}[{k}]{divided};")
-    angles = {name: value for name, value in program.once if name.nature is not Nature.AUXILIARY}
-    angles |= {wave: wave.content for wave in program.waves if wave.content is not None}
-    for wave, angle in angles.items():
-        function = "cos" if wave.nature is Nature.COSINE else "sin"
-        inside = " ".join(terms(angle, STYLE))
-        lines.append(f"    const double {wave.name} = {function}({inside});")
-    return lines
 
 
 def _unused(each: Equations) -> list[str]:

@@ -13,8 +13,6 @@ WIDTH = 60
 """Characters of a line of an equation, as printed."""
 
 _GREEK = {"w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
-_TURNS = {"roll": r"\varphi", "pitch": r"\vartheta", "yaw": r"\psi", "turn": r"\alpha",
-          "lean": r"\beta"}  # fmt: skip
 
 
 def latex(listing: Listing, source: str) -> str:
@@ -38,7 +36,7 @@ def _equations(each: Equations) -> list[str]:
     style = Style(lambda factor: _name(factor, stars), _number, r"\,")
     lines = []
     for label, value in each.program.lines:
-        if label.nature is Nature.AUXILIARY and (value.terms or len(each.shape) == 1):
+        if value or len(each.shape) == 1:
             rows = _broken(terms(value, style))
             lines.append(rf"{_name(label, stars)} ={{}}& " + " \\\\\n&".join(rows))
     return [" \\\\\n".join(lines) or "0 ={}& 0"]
@@ -83,19 +81,13 @@ def _name(factor: Factor, stars: dict[Factor, str]) -> str:
 
 
 def _wave(name: str) -> str:
-    """S223 is s_{223}, S_2_m3 is s_{2,-3}, Croll4 the cosine of its angle."""
+    """S223 is s_{223}, S_2_m3 is s_{2,-3}."""
     letter, label = name[0].lower(), name[1:]
-    turned = re.fullmatch(r"_?([a-z]+)(\d+)", label)
-    if turned and turned[1] in _TURNS:
-        return rf"\{ {'c': 'cos', 's': 'sin'}[letter] }{_TURNS[turned[1]]}_{{{turned[2]}}}"
     inside = label.strip("_").replace("_", ",").replace("m", "-")
     return rf"{letter}_{{{inside}}}"
 
 
 def _constant(name: str) -> str:
-    angle = re.fullmatch(r"([a-z]+?)(\d+)", name)
-    if angle and angle[1] in _TURNS:
-        return rf"{_TURNS[angle[1]]}_{{{angle[2]}}}"
     return formula(name) if name[0] == "l" else re.sub(r"^g(.)$", r"g_{\1}", name)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.expression import Factor, Nature
+from testbed.symbolic.languages.code import done_with, function_name, given, referred
 from testbed.symbolic.languages.text import (
     Style,
     constant_unit,
@@ -14,7 +14,6 @@ from testbed.symbolic.languages.text import (
     used_constants,
     wrapped,
 )
-from testbed.symbolic.program import Program, Step, leaves
 
 STYLE = Style(own_name, decimal, plus_first=True)
 
@@ -64,14 +63,14 @@ def python(listing: Listing, source: str) -> str:
 
 def _vector(each: Equations) -> list[str]:
     """Names and units of the parameters, in order."""
-    lines = ["", f"{each.kind.name.replace('-', '_').upper()}_{each.vector.upper()} = ("]
+    lines = ["", f"{function_name(each).upper()}_{each.vector.upper()} = ("]
     lines += [f'    "{each.name}",  # {each.unit}' for each in each.parameters]
     return [*lines, ")"]
 
 
 def _front(each: Equations) -> list[str]:
     """The function people call."""
-    name, size = each.kind.name.replace("-", "_"), len(each.parameters)
+    name, size = function_name(each), len(each.parameters)
     takes, shape = ", ".join(each.kind.takes), str(each.shape)
     given = "" if each.kind.is_regressor else f", {each.vector}"
     needs = "" if each.kind.is_regressor else f" and {each.vector} of shape ({size},)"
@@ -89,27 +88,10 @@ def _front(each: Equations) -> list[str]:
 
 def _body(each: Equations) -> list[str]:
     """The lines of the program, on one block: coordinates (joints, samples)."""
-    name = each.kind.name.replace("-", "_")
-    program = each.program
+    name, again, done = function_name(each), referred(each), done_with(each.program)
     lines = [f"def _{name}({', '.join(each.kind.takes)}, {each.vector}, result):"]
-    used = set(program.symbols)
-    for symbol in program.symbols:
-        if symbol.nature in COORDINATES:
-            letter = COORDINATES[symbol.nature]
-            lines.append(f"    {symbol.name} = {letter}[{int(symbol.name[len(letter) :]) - 1}]")
-    for k, parameter in enumerate(each.parameters):
-        if parameter.symbol in used:
-            divided = f" / {parameter.times}" if parameter.times != 1 else ""
-            lines.append(f"    {parameter.symbol} = {each.vector}[{k}]{divided}")
-    for wave, angle in _waves(program.once):
-        lines.append(f"    {wave.name} = {_function(wave)}({' '.join(angle)})")
-    for wave in program.waves:
-        assert wave.content is not None
-        lines.append(f"    {wave.name} = {_function(wave)}({' '.join(terms(wave.content, STYLE))})")
-    again, done = referred(each), done_with(program)
-    for label, value in program.lines:
-        if label.nature is not Nature.AUXILIARY:
-            continue
+    lines += [f"    {name} = {source}" for name, source in given(each, STYLE)]
+    for label, value in each.program.lines:
         pieces = terms(value, STYLE)
         if label not in each.places:
             lines += _assigned(label.name, pieces)
@@ -121,51 +103,15 @@ def _body(each: Equations) -> list[str]:
             lines += _assigned(target, pieces)
         if label in done:  # memory that is given back at once stays in the cache
             lines += _deleted(done[label])
-    if len(lines) == 1:
-        lines.append("    del result  # all zero")
-    return lines
-
-
-MOST_TERMS = 500
-"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
-
-COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: "qp", Nature.ACCELERATION: "qpp"}
-
-
-def referred(each: Equations) -> set[Factor]:
-    """Results that other lines refer to."""
-    return {
-        factor
-        for _, value in each.program.steps
-        for factors, _ in value.terms
-        for factor in factors
-        if factor in each.places
-    }
-
-
-def done_with(program: Program) -> dict[Factor, list[str]]:
-    """After which line which auxiliary variables are needed no more."""
-    last: dict[Factor, Factor] = {}
-    made = {name for name, _ in program.steps} - program.results
-    for name, value in program.steps:
-        last |= dict.fromkeys((f for f in leaves(value) if f in made), name)
-    done: dict[Factor, list[str]] = {}
-    for factor, name in last.items():
-        done.setdefault(name, []).append(factor.name)
-    return done
+    return lines if len(lines) > 1 else [*lines, "    del result  # all zero"]
 
 
 def _deleted(names: list[str]) -> list[str]:
     return [f"    del {', '.join(names[k : k + 8])}" for k in range(0, len(names), 8)]
 
 
-def _waves(once: tuple[Step, ...]) -> list[tuple[Factor, list[str]]]:
-    trigonometric = (Nature.COSINE, Nature.SINE)
-    return [(name, terms(value, STYLE)) for name, value in once if name.nature in trigonometric]
-
-
-def _function(wave: Factor) -> str:
-    return "cos" if wave.nature is Nature.COSINE else "sin"
+MOST_TERMS = 500
+"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
 
 
 def _assigned(target: str, pieces: list[str]) -> list[str]:
