@@ -33,6 +33,10 @@ if TYPE_CHECKING:
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
+    from testbed.symbolic.compare import compare_equations as compare_equations
+    from testbed.symbolic.equations import Listing as Listing
+    from testbed.symbolic.equations import equations as equations
+    from testbed.symbolic.languages import write_equations as write_equations
     from testbed.tree.inertia import Inertia as Inertia
     from testbed.tree.load import load_tree as load_tree
     from testbed.tree.tree import Joint as Joint
@@ -57,6 +61,9 @@ _HOMES = {
     "testbed.measurement.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),
+    "testbed.symbolic.compare": ("compare_equations",),
+    "testbed.symbolic.equations": ("Listing", "equations"),
+    "testbed.symbolic.languages": ("write_equations",),
     "testbed.tree.inertia": ("Inertia",),
     "testbed.tree.load": ("load_tree",),
     "testbed.tree.tree": ("Joint", "Tree"),

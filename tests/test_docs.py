@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
+import subprocess
+import sys
 import tomllib
 from itertools import chain
 from pathlib import Path
@@ -77,3 +79,27 @@ def test_every_public_argument_is_documented(name: str) -> None:
         assert re.search(rf"^ +{argument}: ", said, flags=re.MULTILINE) or (
             len(inspect.signature(function).parameters) == 1
         ), f"{name}: {argument}"
+
+
+CONSOLE = [
+    pytest.param(command, output, id=command[:60])
+    for command, output in re.findall(
+        r"```console\n\$ (.*)\n(.*?)```", (ROOT / "docs/robotran.md").read_text(), re.DOTALL
+    )
+]
+
+
+@pytest.mark.parametrize(("command", "output"), CONSOLE)
+def test_what_the_documents_show_is_what_the_tool_prints(command: str, output: str) -> None:
+    words = command.split()
+    assert words[0] == "testbed"
+    call = [sys.executable, "-m", "testbed.cli", *words[1:]]
+    assert (
+        subprocess.run(call, capture_output=True, text=True, cwd=ROOT, check=False).stdout == output
+    )
+
+
+def test_the_python_of_the_documents_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    for block in code((ROOT / "docs/robotran.md").read_text(), "python"):
+        exec(compile(block, "robotran.md", "exec"), {})

@@ -164,11 +164,11 @@ def _compare(
     zeros: bool | list[str],
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
-    from testbed.symbolic.compare import compare
+    from testbed.symbolic.compare import compare_equations
     from testbed.symbolic.languages.paper import line
 
     text = path.read_text(encoding="utf-8", errors="replace")
-    found = compare(tree, text, form.value, gravity, zeros)
+    found = compare_equations(tree, text, form.value, gravity, zeros)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")

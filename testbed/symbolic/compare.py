@@ -18,7 +18,7 @@ from testbed.tree.tree import Tree
 COMPARABLE = ("joint-forces", "base-wrench", "mass-matrix", "gravity-forces")
 
 
-def compare(
+def compare_equations(
     tree: Tree,
     text: str,
     form: Form = "full",

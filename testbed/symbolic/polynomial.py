@@ -90,6 +90,9 @@ class Ring:
                     product = self.multiply(product, self._factor(factor))
             degree = max(degree, product.degree + plain)
             for wave, part in product.parts.items():
+                if not monomial and wave not in total:
+                    total[wave] = part
+                    continue
                 into = total.setdefault(wave, {})
                 for exponents, size in part.items():
                     key = exponents + monomial
@@ -131,13 +134,11 @@ class Ring:
         """Without zeros."""
         if degree > LARGEST:
             raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
-        kept: dict[int, dict[int, Number]] = {}
         least = self._rounding
-        for wave, part in parts.items():
-            there = {key: number for key, number in part.items() if abs(number) > least}
-            if there:
-                kept[wave] = there
-        polynomial = Polynomial(kept, degree)
+        for part in parts.values():
+            for key in [key for key, number in part.items() if -least <= number <= least]:
+                del part[key]
+        polynomial = Polynomial({wave: part for wave, part in parts.items() if part}, degree)
         if polynomial.size > LONGEST:
             raise ExpressionError(
                 f"an equation of more than {LONGEST} terms when multiplied out; the recursive "
