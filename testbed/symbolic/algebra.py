@@ -39,9 +39,9 @@ class Symbols:
 
 def component(name: str, place: tuple[int, ...], shape: tuple[int, ...]) -> str:
     """Name of one component: ("w3", (0,)) gives w3x, of a matrix W3xy, of many columns F3x_7."""
-    if len(shape) == 2 and shape[1] != 3:
-        return name + "xyz"[place[0]] + (f"_{place[1] + 1}" if shape[1] > 1 else "")
-    return name + "".join("xyz"[index] for index in place)
+    if len(shape) == 1 or name.startswith("W"):
+        return name + "".join("xyz"[index] for index in place)
+    return name + "xyz"[place[0]] + (f"_{place[1] + 1}" if shape[1] > 1 else "")
 
 
 def auxiliary(name: str, value: Any) -> Any:

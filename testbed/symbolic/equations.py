@@ -113,7 +113,7 @@ def equations(
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         zeros: Barycentric parameters known to be zero: True for those that are zero in the
             model file, or a list of names.
-        numbers: Whether lengths, angles and gravity are written as numbers.
+        numbers: Whether lengths and gravity are written as numbers.
 
     Raises:
         UnknownName: There is no such kind or form.

@@ -33,7 +33,7 @@ def latex(listing: Listing, source: str) -> str:
 
 def _equations(each: Equations) -> list[str]:
     stars = {p.symbol: p.name.removeprefix("2*") for p in each.parameters if p.symbol}
-    style = Style(lambda factor: _name(factor, stars), _number, r"\,")
+    style = Style(lambda factor: _name(factor, stars), _number, r"\,", power=_power)
     lines = []
     for label, value in each.program.lines:
         if value or len(each.shape) == 1:
@@ -52,6 +52,11 @@ def _broken(pieces: list[str]) -> list[str]:
         rows[-1] = f"{rows[-1]} {piece}".strip()
         width += size
     return rows
+
+
+def _power(name: str, times: int) -> str:
+    base = rf"({name})" if "^" in name else name
+    return rf"{base}^{{{times}}}"
 
 
 def _number(value: Number) -> str:

@@ -7,6 +7,7 @@ names of joints, is shown in comments only, and only its harmless characters.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
@@ -28,6 +29,7 @@ class Style:
         times: Between factors.
         parameter_first: Whether the number stands behind the parameter, as in the paper.
         plus_first: Whether a sum begins with a term that is not subtracted, if it has one.
+        power: A factor that stands several times in a term; None writes it so.
     """
 
     name: Callable[[Factor], str]
@@ -35,6 +37,7 @@ class Style:
     times: str = "*"
     parameter_first: bool = False
     plus_first: bool = False
+    power: Callable[[str, int], str] | None = None
 
 
 def own_name(factor: Factor) -> str:
@@ -62,7 +65,7 @@ def terms(value: Expression, style: Style) -> list[str]:
         parameters = [f for f in factors if f.nature is Nature.PARAMETER]
         rest = [f for f in factors if f.nature is not Nature.PARAMETER]
         number = [style.number(abs(size))] if abs(size) != 1 or not factors else []
-        names, others = ([_factor(f, style) for f in each] for each in (parameters, rest))
+        names, others = (_product(each, style) for each in (parameters, rest))
         parts = [*names, *number, *others] if style.parameter_first else [*number, *names, *others]
         sign = "-" if size < 0 else "+"
         lead = f"{sign} " if written else sign.replace("+", "")
@@ -78,6 +81,17 @@ def _is_no_result(term: Term) -> bool:
     """False for another equation's left-hand side: Q2 = Q3 + ..."""
     (factors, _) = term
     return not (len(factors) == 1 and re.fullmatch(r"Q\d+", factors[0].name))
+
+
+def _product(factors: list[Factor], style: Style) -> list[str]:
+    """Factors as written, repeated ones as powers if the language has them."""
+    if style.power is None:
+        return [_factor(factor, style) for factor in factors]
+    written = []
+    for factor, times in Counter(factors).items():
+        name = _factor(factor, style)
+        written.append(style.power(name, times) if times > 1 else name)
+    return written
 
 
 def _factor(factor: Factor, style: Style) -> str:
