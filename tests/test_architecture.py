@@ -40,8 +40,9 @@ ANYWHERE = {"__init__", "cli"}
 
 # Packages that only some modules may import.
 GUESTS = {
-    "mujoco": ("tree/mjcf.py", "simulation/"),
-    "pinocchio": ("tree/urdf.py",),
+    "mujoco": ("tree/mjcf.py", "tree/mjcf_shapes.py", "simulation/"),
+    "pinocchio": ("tree/urdf.py", "tree/urdf_shapes.py"),
+    "coal": ("tree/urdf_shapes.py",),
     "rerun": ("viewer/",),
     "numba": ("dynamics/kernel/",),
     "llvmlite": ("dynamics/kernel/target.py",),

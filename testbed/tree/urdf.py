@@ -48,8 +48,8 @@ def read_urdf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
     return _tree_of(model, root.get("name", path.stem), tuple(flaws))
 
 
-def supported_xml(path: Path, *, weld_root: bool = False) -> ET.Element:
-    """The file's XML without shapes, checked for what is supported.
+def supported_xml(path: Path, *, weld_root: bool = False, keep_visuals: bool = False) -> ET.Element:
+    """The file's XML without shapes (or with those to be seen), checked for what is supported.
 
     Raises:
         ModelError: The file is not XML, or holds what is not supported.
@@ -60,7 +60,8 @@ def supported_xml(path: Path, *, weld_root: bool = False) -> ET.Element:
     except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
         raise ModelError(f"{path}: not well-formed XML ({error})") from None
     for link in root.findall("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
+        visuals = [] if keep_visuals else link.findall("visual")
+        for shape in (*visuals, *link.findall("collision")):
             link.remove(shape)
     for joint in root.findall("joint"):
         _check_joint(joint, root, path, weld_root)
