@@ -84,3 +84,7 @@ class UnseenParameters(TestbedError):
 
 class ExpressionError(TestbedError):
     """An expression that is too long, or of too high a degree, to be multiplied out."""
+
+
+class ViewerError(TestbedError):
+    """The viewer cannot be opened."""

@@ -28,6 +28,9 @@ PLAN = {
     "measurement": {"errors", "arrays", "files", "tree"},
     "simulation": {"errors", "arrays", "tree", "dynamics", "excitation", "measurement"},
     "identification": {"errors", "arrays", "tree", "parameters", "dynamics", "measurement"},
+    "viewer": {
+        "errors", "arrays", "files", "tree", "dynamics", "measurement", "identification",
+    },
     "report": {
         "errors", "arrays", "tree", "parameters", "dynamics", "identification", "measurement",
     },

@@ -12,12 +12,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.carry_out import Outcome, versions
+from testbed.campaign.carry_out import Outcome, evaluate, robot_of, versions
 from testbed.campaign.compare import Errors
 from testbed.campaign.experiment import Experiment
 from testbed.errors import ExperimentError
 from testbed.files import fingerprint, replacing
 from testbed.identification.identify import Estimate
+from testbed.measurement.recording import Recording
 
 FILES = ("experiment.toml", "recording.parquet", "result.json")
 """What a run folder holds."""
@@ -61,6 +62,28 @@ def write_run(outcome: Outcome, folder: Path) -> None:
         outcome.recording.save(fresh / "recording.parquet")
         text = json.dumps(result(outcome), indent=1, sort_keys=True)
         (fresh / "result.json").write_text(text + "\n", encoding="utf-8")
+
+
+def read_run(folder: Path) -> Outcome:
+    """A run folder as it was when it was written: the estimates are made again.
+
+    Args:
+        folder: The run folder.
+
+    Raises:
+        ExperimentError: It is no run folder, or the model file is not the run's.
+    """
+    missing = [name for name in FILES if not (folder / name).is_file()]
+    if missing:
+        raise ExperimentError(f"'{folder}' is no run folder: it has no {', '.join(missing)}")
+    experiment = Experiment.load(folder / "experiment.toml")
+    recording = Recording.load(folder / "recording.parquet")
+    model = Path(experiment.model)
+    if not model.is_file():
+        raise ExperimentError(f"the run's model file '{model}' is not there any more")
+    if fingerprint(model) != recording.facts.get("model_sha256"):
+        raise ExperimentError(f"'{model}' has changed since the run was made; run it again")
+    return evaluate(experiment, robot_of(experiment), recording)
 
 
 def result(outcome: Outcome) -> dict[str, Any]:

@@ -83,8 +83,18 @@ def carry_out(experiment: Experiment, progress: Progress = lambda done, total: N
         experiment: What to do.
         progress: Called with samples done and samples in all.
     """
-    tree = _tree_of(experiment)
-    recording = _simulated(experiment, tree, progress)
+    tree = robot_of(experiment)
+    return evaluate(experiment, tree, _simulated(experiment, tree, progress))
+
+
+def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcome:
+    """Identify by both methods and compare with the truth.
+
+    Args:
+        experiment: What was carried out.
+        tree: The robot.
+        recording: What the instrument measured.
+    """
     table = experiment.identification
     pipeline = Pipeline(
         position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
@@ -111,10 +121,18 @@ def simulate(experiment: Experiment, progress: Progress = lambda done, total: No
         experiment: What to do.
         progress: Called with samples done and samples in all.
     """
-    return _simulated(experiment, _tree_of(experiment), progress)
+    return _simulated(experiment, robot_of(experiment), progress)
 
 
-def _tree_of(experiment: Experiment) -> Tree:
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment, under its gravity.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        ExperimentError: A table names a joint that the robot has not.
+    """
     tree = load_tree(experiment.model, weld_root=experiment.weld_root)
     for table, entries in joint_tables(experiment).items():
         for name in entries:

@@ -12,11 +12,11 @@ from typing import NoReturn
 
 import typer
 
-from testbed.cli import experiments, models
+from testbed.cli import experiments, models, pictures
 from testbed.cli.options import app
 from testbed.errors import TestbedError
 
-__all__ = ["app", "experiments", "main", "models"]
+__all__ = ["app", "experiments", "main", "models", "pictures"]
 
 
 def main() -> None:

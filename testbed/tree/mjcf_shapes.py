@@ -78,4 +78,4 @@ def _mesh(model: mujoco.MjModel, geom: int) -> tuple[Array, Array]:
 def _colour(model: mujoco.MjModel, geom: int) -> Array:
     material = int(model.geom_matid[geom])
     colour = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-    return colour.astype(np.float64)
+    return np.array(colour, dtype=np.float64)

@@ -1,0 +1,116 @@
+"""Commands about what people would rather look at: view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from testbed.cli.options import Accept, Weld, Zeros, app
+
+if TYPE_CHECKING:
+    from testbed.identification.identify import Estimate
+    from testbed.viewer.story import Story
+
+STAGES = 12
+"""Estimates from more and more of a recording."""
+
+
+@app.command()
+def view(
+    runs: Annotated[
+        list[Path],
+        typer.Argument(metavar="RUN...", help="Run folders, or recordings (with --model)."),
+    ],
+    model: Annotated[
+        Path | None, typer.Option(help="MJCF or URDF file of the robot, for recordings.")
+    ] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Only write this .rrd file; default RUN.rrd, and open it.")
+    ] = None,
+    serve: Annotated[
+        bool, typer.Option("--serve", help="Show it in a browser on this machine.")
+    ] = False,
+    port: Annotated[int, typer.Option(help="Of the page, with --serve.")] = 9090,
+    zeros: Zeros = False,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+) -> None:
+    """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
+
+    Example: testbed view runs/table6-286a25ef
+    """
+    from testbed.errors import ViewerError
+    from testbed.report import terminal
+    from testbed.viewer.log import write_rrd
+    from testbed.viewer.show import open_viewer
+    from testbed.viewer.show import serve as served
+
+    stories = []
+    with terminal.Progress("looking") as progress:
+        for k, run in enumerate(runs):
+            progress(k, len(runs))
+            if run.is_dir():
+                stories.append(_of_run(run))
+            elif model is None:
+                raise ViewerError(f"'{run}' is no run folder; a recording needs --model")
+            else:
+                stories.append(_of_recording(run, model, zeros, weld_root, accept_inertia))
+    path = save or Path(f"{str(runs[0]).rstrip('/').removesuffix('.parquet')}.rrd")
+    write_rrd(stories, path)
+    terminal.console().print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
+    if serve:
+        served(path, port)
+    elif save is None:
+        open_viewer(path)
+
+
+def _of_run(folder: Path) -> Story:
+    """A run folder's story, with its truth."""
+    from testbed.campaign.archive import read_run
+    from testbed.identification.predict import growth
+    from testbed.report.tables import truths_by_name
+    from testbed.tree.shapes import load_shapes
+    from testbed.viewer.story import tell
+
+    outcome = read_run(folder)
+    experiment, compared = outcome.experiment, outcome.comparison
+    truths = truths_by_name(outcome.internal, compared.internal.truth)
+    truths |= truths_by_name(outcome.external, compared.external.truth)
+    duration = outcome.recording.time[-1] - outcome.recording.time[0]
+    times = np.geomspace(duration / 30, duration, STAGES)
+    times[-1] = duration + 1.0  # all of it
+    zeros = experiment.identification.zeros
+    estimates = {"external": outcome.external, "internal": outcome.internal}
+    grown = {
+        "external": growth(outcome.tree, outcome.recording, "external", times, zeros=zeros),
+        "internal": growth(outcome.tree, outcome.recording, "internal", times, zeros=zeros),
+    }
+    shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
+    return tell(experiment.name, outcome.tree, outcome.recording, shapes, estimates, truths, grown)
+
+
+def _of_recording(
+    path: Path, model: Path, zeros: bool, weld_root: bool, accept_inertia: bool
+) -> Story:
+    """A recording's story: estimates where the data suffice, no truth."""
+    from testbed.errors import RecordingError, UnseenParameters
+    from testbed.identification.identify import Method, identify
+    from testbed.measurement.recording import Recording
+    from testbed.tree.load import load_tree
+    from testbed.tree.shapes import load_shapes
+    from testbed.viewer.story import tell
+
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    recording = Recording.load(path)
+    estimates: dict[str, Estimate] = {}
+    methods: tuple[Method, ...] = ("external", "internal")
+    for method in methods:
+        try:
+            estimates[method] = identify(tree, recording, method, zeros=zeros)
+        except (RecordingError, UnseenParameters) as error:
+            typer.echo(f"note: no {method} estimate: {error}", err=True)
+    shapes = load_shapes(model, tree, weld_root=weld_root)
+    return tell(path.stem, tree, recording, shapes, estimates)

@@ -1,0 +1,166 @@
+"""What an estimate says the instruments should have read; and how it grew with the data.
+
+A prediction takes the motion as the identification does: sensed, or encoder positions
+through the filter on positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array
+from testbed.dynamics.dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError, UnseenParameters
+from testbed.identification.filters import motion_taps
+from testbed.identification.identify import Estimate, Method, identify
+from testbed.identification.pipeline import Pipeline
+from testbed.measurement.recording import Recording
+from testbed.tree.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Growth:
+    """Estimates from the first seconds of a recording, and from more and more of it.
+
+    Attributes:
+        time: Until when, (k,) [s].
+        values: (k, p); not a number where the data did not suffice.
+        sigma: (k, p).
+    """
+
+    time: Array
+    values: Array
+    sigma: Array
+
+
+def motion_in(recording: Recording, pipeline: Pipeline | None = None) -> tuple[Motion, slice]:
+    """The motion that a recording shows, and which of its samples that is.
+
+    Args:
+        recording: Encoders, and velocities and accelerations where they were sensed.
+        pipeline: Whose filter on positions to use; default `Pipeline()`.
+
+    Returns:
+        The motion, and the slice of samples that it covers: filters take both ends.
+    """
+    if recording.velocity is not None and recording.acceleration is not None:
+        whole = slice(0, recording.samples)
+        rates = recording.velocity, recording.acceleration
+        return Motion(recording.time, recording.position, *rates), whole
+    taps = motion_taps(recording.rate, (pipeline or Pipeline()).position_cutoff)
+    reach = taps.shape[1] // 2
+    inner = slice(reach, recording.samples - reach)
+    if recording.samples <= 2 * reach:
+        raise RecordingError("the recording is too short for the filter on positions")
+    signals = [
+        np.column_stack([np.convolve(q, tap[::-1], "valid") for q in recording.position.T])
+        for tap in taps
+    ]
+    return Motion(recording.time[inner], *signals), inner
+
+
+def parameters_of(estimate: Estimate, n: int, others: Array | None = None) -> Array:
+    """Barycentric parameters that an estimate's minimal ones allow, (n, 10).
+
+    Of all that do, the smallest, or those nearest to `others`: forces are the same.
+
+    Args:
+        estimate: Its first `count` values are minimal parameters.
+        n: Number of joints.
+        others: What to keep of the parameters that the estimate cannot tell, (n, 10).
+    """
+    start = np.zeros(10 * n) if others is None else others.ravel()
+    gap = estimate.values[: estimate.count] - estimate.matrix @ start
+    theta: Array = start + np.linalg.lstsq(estimate.matrix, gap, rcond=None)[0]
+    return theta.reshape(n, 10)
+
+
+def predicted_wrench(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
+) -> Array:
+    """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples.
+        theta: Barycentric parameters, (n, 10).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    return linear(tree, motion, theta[..., None], gravity)[1][..., 0]
+
+
+def predicted_torque(
+    tree: Tree,
+    motion: Motion,
+    theta: Array,
+    estimate: Estimate | None = None,
+    gravity: ArrayLike | None = None,
+) -> Array:
+    """Motor torques, (M, n) [N m or N], friction included where an estimate tells it.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples.
+        theta: Barycentric parameters, (n, 10).
+        estimate: Of the internal method, for friction; None for none.
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+    """
+    torque = linear(tree, motion, theta[..., None], gravity)[0][..., 0]
+    return torque if estimate is None else torque + friction(tree, motion.qd, estimate)
+
+
+def friction(tree: Tree, speed: Array, estimate: Estimate) -> Array:
+    """Friction torque that an estimate tells, (M, n) [N m or N].
+
+    Args:
+        tree: Gives joint names.
+        speed: Joint velocities, (M, n) [rad/s or m/s].
+        estimate: Of the internal method.
+    """
+    found = dict(zip(estimate.names, estimate.values, strict=True))
+    dry, wet = (
+        np.array([found.get(f"{kind}/{name}", 0.0) for name in tree.names])
+        for kind in ("coulomb", "viscous")
+    )
+    return np.asarray(dry * np.sign(speed) + wet * speed)
+
+
+def growth(
+    tree: Tree,
+    recording: Recording,
+    method: Method,
+    times: ArrayLike,
+    *,
+    zeros: bool | Sequence[str] = False,
+    pipeline: Pipeline | None = None,
+) -> Growth:
+    """Estimates from more and more of a recording.
+
+    Args:
+        tree: The robot, as for `identify`.
+        recording: In memory.
+        method: "external" or "internal".
+        times: From the beginning until when [s].
+        zeros: As for `identify`.
+        pipeline: As for `identify`.
+    """
+    until = np.asarray(times, dtype=np.float64)
+    last = np.searchsorted(recording.time, recording.time[0] + until, "right")
+    whole = identify(tree, recording, method, zeros=zeros, pipeline=pipeline)
+    values, sigma = np.full((2, len(until), len(whole.names)), np.nan)
+    for k, samples in enumerate(last):
+        if samples >= recording.samples:
+            values[k], sigma[k] = whole.values, whole.sigma
+            continue
+        try:
+            part = recording.part(0, int(samples))
+            found = identify(tree, part, method, zeros=zeros, pipeline=pipeline)
+        except (RecordingError, UnseenParameters):
+            continue
+        values[k], sigma[k] = found.values, found.sigma
+    return Growth(np.minimum(until, recording.time[-1]), values, sigma)

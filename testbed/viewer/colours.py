@@ -1,0 +1,36 @@
+"""Colours that mean the same in every picture; told apart also by the colour-blind."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+Colour: TypeAlias = tuple[int, int, int, int]
+
+COLOURS: dict[str, Colour] = {
+    "measured": (140, 150, 165, 255),
+    "external": (0, 114, 178, 255),
+    "internal": (213, 94, 0, 255),
+    "external band": (0, 114, 178, 110),
+    "internal band": (213, 94, 0, 110),
+    "truth": (0, 158, 115, 255),
+    "force": (217, 38, 33, 255),
+    "moment": (24, 84, 217, 255),
+    "pressure": (240, 180, 40, 255),
+    "path": (0, 158, 115, 255),
+    "axis": (110, 118, 130, 255),
+}
+
+_JOINTS: tuple[Colour, ...] = (
+    (0, 114, 178, 255),
+    (213, 94, 0, 255),
+    (0, 158, 115, 255),
+    (204, 121, 167, 255),
+    (230, 159, 0, 255),
+    (86, 180, 233, 255),
+    (120, 94, 240, 255),
+)
+
+
+def joint_colours(n: int) -> list[Colour]:
+    """One a joint; they repeat after seven."""
+    return [_JOINTS[j % len(_JOINTS)] for j in range(n)]

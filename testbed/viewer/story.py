@@ -1,0 +1,209 @@
+"""What there is to see of a run, computed: poses, arrows, predictions, friction, growth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.dynamics import pedestal_wrench
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError
+from testbed.identification.identify import Estimate
+from testbed.identification.predict import (
+    Growth,
+    friction,
+    motion_in,
+    parameters_of,
+    predicted_torque,
+    predicted_wrench,
+)
+from testbed.measurement.recording import Recording
+from testbed.tree.shapes import Shape, sticks
+from testbed.tree.tree import Tree
+
+POSES = 50.0
+"""Poses shown a second [Hz]; the eye sees no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Story:
+    """One run, ready to be shown.
+
+    Attributes:
+        name: Of the run.
+        tree: The robot.
+        shapes: What it looks like.
+        recording: What was measured.
+        motion: What the recording shows, without the ends that filters take.
+        inner: The samples of that motion.
+        wrench: Predictions by method, (M, 6) [N, N m], pedestal included.
+        torque: Predictions by method, (M, n) [N m or N].
+        estimates: By method.
+        truths: True values of parameters by name, where they are known.
+        growth: Estimates from more and more of the recording, by method.
+    """
+
+    name: str
+    tree: Tree
+    shapes: tuple[Shape, ...]
+    recording: Recording
+    motion: Motion
+    inner: slice
+    wrench: Mapping[str, Array] = field(default_factory=dict)
+    torque: Mapping[str, Array] = field(default_factory=dict)
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    truths: Mapping[str, float] = field(default_factory=dict)
+    growth: Mapping[str, Growth] = field(default_factory=dict)
+
+    @property
+    def frames(self) -> slice:
+        """Samples of the motion at which poses are shown."""
+        return slice(0, self.motion.samples, max(1, round(self.recording.rate / POSES)))
+
+    def measured(self, signal: Array) -> Array:
+        """The samples of a measured signal that the motion covers."""
+        return signal[self.inner]
+
+    @cached_property
+    def rubbing(self) -> Array | None:
+        """Torque that the robot's own dynamics do not explain, (M, n) [N m or N]."""
+        theta = self._theta("external") if "external" in self.estimates else None
+        if theta is None:
+            return None
+        clean = predicted_torque(self.tree, self.motion, theta)
+        return self.measured(self.recording.torque) - clean
+
+    def rubbing_model(self, speed: Array) -> Array | None:
+        """Friction at speeds, (k, n), that the internal estimate tells."""
+        internal = self.estimates.get("internal")
+        return None if internal is None else friction(self.tree, speed, internal)
+
+    def _theta(self, method: str) -> Array:
+        return parameters_of(self.estimates[method], self.tree.n)
+
+
+def tell(
+    name: str,
+    tree: Tree,
+    recording: Recording,
+    shapes: Sequence[Shape] = (),
+    estimates: Mapping[str, Estimate] | None = None,
+    truths: Mapping[str, float] | None = None,
+    growth: Mapping[str, Growth] | None = None,
+) -> Story:
+    """Compute what there is to see of a run.
+
+    The plate's wrench by the internal estimate is the external one with those parameters
+    put in that joint torques tell; joint torques by the external one lack friction.
+
+    Args:
+        name: Of the run.
+        tree: The robot.
+        recording: What was measured.
+        shapes: What the robot looks like; default a figure of sticks.
+        estimates: By method, "external" and "internal"; default none.
+        truths: True values by parameter name.
+        growth: Estimates from more and more of the recording, by method.
+    """
+    if recording.names != tree.names:
+        recording = recording.ordered(tree)
+    motion, inner = _motion(recording)
+    story = Story(
+        name, tree, tuple(shapes) or tuple(sticks(tree)), recording, motion, inner,
+        estimates=estimates or {}, truths=truths or {}, growth=growth or {},
+    )  # fmt: skip
+    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
+    wrench, torque = {}, {}
+    external = story.estimates.get("external")
+    theta = None
+    for method, estimate in story.estimates.items():
+        own = parameters_of(estimate, tree.n, theta if method == "internal" else None)
+        theta = own if method == "external" else theta
+        rubs = estimate if method == "internal" else None
+        torque[method] = predicted_torque(tree, motion, own, rubs)
+        if method == "external" or external is not None:
+            wrench[method] = predicted_wrench(tree, motion, own) + tare
+    return Story(**{**vars(story), "wrench": wrench, "torque": torque})
+
+
+def poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes (M, 3, 3) and position (M, 3) of every body.
+
+    Args:
+        tree: The robot.
+        q: Joint positions, (M, n) [rad or m].
+    """
+    found: list[tuple[Array, Array]] = []
+    for j, joint in enumerate(tree.joints):
+        base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        rotation, position = base if joint.parent < 0 else found[joint.parent]
+        position = position + rotation @ joint.offset
+        rotation = rotation @ joint.rotation
+        if joint.revolute:
+            e, c, s = joint.axis, np.cos(q[:, j, None, None]), np.sin(q[:, j, None, None])
+            cross = np.cross(np.eye(3), -e)
+            axial = np.outer(e, e)
+            rotation = rotation @ (axial + c * (np.eye(3) - axial) + s * cross)
+        else:
+            position = position + rotation @ joint.axis * q[:, j, None]
+        found.append((rotation, position))
+    return found
+
+
+def tips(story: Story) -> dict[int, Array]:
+    """A point on each last body, in its frame: the centre of its farthest shape."""
+    found = {}
+    for j in range(story.tree.n):
+        if story.tree.children(j):
+            continue
+        own = [shape.position for shape in story.shapes if shape.body == j]
+        own.append(story.tree.inertias[j].com)
+        found[j] = max(own, key=lambda point: float(np.linalg.norm(point)))
+    return found
+
+
+def extent(story: Story, j: int) -> tuple[float, float]:
+    """Largest speed and largest unexplained torque of a joint, where its curve's axes end."""
+    rest = story.rubbing
+    torque = 1e-9 if rest is None else max(float(np.abs(rest[:, j]).max()), 1e-9)
+    return max(float(np.abs(story.motion.qd[:, j]).max()), 1e-9), torque
+
+
+def safe(name: str) -> str:
+    """A parameter's name as a part of an entity's path."""
+    return name.replace("*", "'")
+
+
+def pressure(wrench: Array) -> Array:
+    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m]; nan where nothing presses.
+
+    Args:
+        wrench: Of the bedplate on the robot, (M, 6) [N, N m].
+    """
+    fz = wrench[:, 2]
+    pressed = np.abs(fz) > 1e-3 * np.abs(wrench[:, :3]).max(initial=1e-9)
+    safe = np.where(pressed, fz, np.nan)
+    return np.column_stack([-wrench[:, 4] / safe, wrench[:, 3] / safe])
+
+
+def means(signal: Array, size: int) -> Array:
+    """Means of consecutive blocks of `size` samples, (blocks, k)."""
+    blocks = -(-len(signal) // size)
+    starts = np.arange(blocks) * size
+    counts = np.diff([*starts, len(signal)])
+    return np.asarray(np.add.reduceat(signal, starts, axis=0) / counts[:, None])
+
+
+def _motion(recording: Recording) -> tuple[Motion, slice]:
+    """The recording's motion; unfiltered where it is too short for filters."""
+    try:
+        return motion_in(recording)
+    except RecordingError:
+        step = 1 / recording.rate
+        speed = np.gradient(recording.position, step, axis=0)
+        rates = speed, np.gradient(speed, step, axis=0)
+        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)
