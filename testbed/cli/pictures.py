@@ -1,4 +1,4 @@
-"""Commands about what people would rather look at: view."""
+"""Commands about what people would rather look at: view, report."""
 
 from __future__ import annotations
 
@@ -65,6 +65,29 @@ def view(
         served(path, port)
     elif save is None:
         open_viewer(path)
+
+
+@app.command()
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    out: Annotated[Path | None, typer.Option(help="HTML file; default RUN.html.")] = None,
+) -> None:
+    """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
+
+    Example: testbed report runs/table6-286a25ef
+    """
+    from testbed.campaign.archive import read_run
+    from testbed.campaign.story import subject_of
+    from testbed.report import terminal
+    from testbed.report.html import write_report
+
+    path = out or Path(f"{str(run).rstrip('/')}.html")
+    with terminal.Progress("simulating an unseen motion") as progress:
+        subject = subject_of(read_run(run), progress)
+    beside = write_report(subject, path)
+    terminal.console().print(
+        f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
+    )
 
 
 def _of_run(folder: Path) -> Story:

@@ -56,7 +56,7 @@ def estimate_table(estimates: Sequence[Estimate]) -> Table:
         table.add_column(estimate.method, justify="right")
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
     for name, unit in units.items():
-        table.add_row(name, unit, *(_with_sigma(estimate, name) for estimate in estimates))
+        table.add_row(name, unit, *(with_sigma(estimate, name) for estimate in estimates))
     return table
 
 
@@ -77,10 +77,11 @@ def _cells(estimate: Estimate, name: str, truth: float) -> tuple[str, str]:
     k = estimate.names.index(name)
     sigma = estimate.sigma[k]
     z = (estimate.values[k] - truth) / sigma if sigma > 0 else 0.0
-    return _with_sigma(estimate, name), f"{z:+.1f}"
+    return with_sigma(estimate, name), f"{z:+.1f}"
 
 
-def _with_sigma(estimate: Estimate, name: str) -> str:
+def with_sigma(estimate: Estimate, name: str) -> str:
+    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there."""
     if name not in estimate.names:
         return "-"
     k = estimate.names.index(name)

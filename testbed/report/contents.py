@@ -1,0 +1,174 @@
+"""What a report says, as plain data: for the page, and as JSON beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.dynamics import pedestal_wrench
+from testbed.identification.identify import Estimate
+from testbed.identification.predict import (
+    friction,
+    motion_in,
+    parameters_of,
+    predicted_torque,
+    predicted_wrench,
+)
+from testbed.measurement.recording import AXES, Recording
+from testbed.report.tables import with_sigma
+from testbed.tree.tree import Tree
+
+CLOSE = 0.9
+"""Correlation above which two parameters are told apart poorly."""
+UNITS = ("N", "N", "N", "N m", "N m", "N m")
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """What a report is about.
+
+    Attributes:
+        title: Its name.
+        tree: The robot.
+        recording: What was measured.
+        unseen: Another recording, of a motion that no estimate has seen; None for none.
+        external: Estimate from the plate.
+        internal: Estimate from the motor torques.
+        truths: True values by name; empty where they are not known.
+        claim: What the experiment shows.
+        verdicts: Claims with what came out: name, wanted, value, holds.
+        asked: Facts on model, instrument and motion, in order.
+        origin: Facts on files, versions and how to repeat it, in order.
+        doubts: What a careful reader should know.
+    """
+
+    title: str
+    tree: Tree
+    recording: Recording
+    unseen: Recording | None
+    external: Estimate
+    internal: Estimate
+    truths: Mapping[str, float] = field(default_factory=dict)
+    claim: str = ""
+    verdicts: Sequence[Mapping[str, Any]] = ()
+    asked: Sequence[tuple[str, str]] = ()
+    origin: Sequence[tuple[str, str]] = ()
+    doubts: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """Measured against predicted on one recording.
+
+    Attributes:
+        time: (M,) [s].
+        speed: Joint velocities, (M, n).
+        channels: Names of the plate's channels and of the joints.
+        units: One a channel.
+        measured: (M, 6 + n).
+        external: Predicted by the external estimate; joint torques lack friction, (M, 6 + n).
+        internal: Predicted by the internal estimate, which takes from the external one what
+            joint torques cannot tell, (M, 6 + n).
+    """
+
+    time: Array
+    speed: Array
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    measured: Array
+    external: Array
+    internal: Array
+
+    def relative(self, predicted: Array) -> Array:
+        """Rms of the residual over rms of the measured signal about its mean, per channel."""
+        rest = np.sqrt(np.mean((self.measured - predicted) ** 2, axis=0))
+        return np.asarray(rest / np.maximum(self.measured.std(axis=0), 1e-300))
+
+
+def check(subject: Subject) -> Check:
+    """Predictions for the unseen recording, or for the one that was identified."""
+    tree = subject.tree
+    recording = subject.unseen or subject.recording
+    recording = recording if recording.names == tree.names else recording.ordered(tree)
+    motion, inner = motion_in(recording)
+    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
+    own = parameters_of(subject.external, tree.n)
+    other = parameters_of(subject.internal, tree.n, own)
+    pairs = [
+        np.hstack(
+            [
+                predicted_wrench(tree, motion, theta) + tare,
+                predicted_torque(tree, motion, theta, estimate),
+            ]
+        )
+        for theta, estimate in ((own, None), (other, subject.internal))
+    ]
+    units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
+    measured = np.hstack([recording.wrench[inner], recording.torque[inner]])
+    channels = (*AXES, *tree.names)
+    return Check(motion.t, motion.qd, channels, (*UNITS, *units), measured, *pairs)
+
+
+def friction_points(subject: Subject, found: Check) -> tuple[Array, Array]:
+    """Torque that the plate's estimate leaves unexplained, and what the torques' friction says."""
+    rest = found.measured[:, 6:] - found.external[:, 6:]
+    return rest, friction(subject.tree, found.speed, subject.internal)
+
+
+def parameter_rows(subject: Subject) -> list[dict[str, Any]]:
+    """The Table-6-like table: every parameter, by both methods."""
+    estimates = (subject.external, subject.internal)
+    internal = subject.internal
+    names = dict.fromkeys((*internal.names[: internal.count], *subject.external.names))
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
+    rows = []
+    for name in (*names, *internal.names[internal.count :]):
+        truth = subject.truths.get(name)
+        rows.append(
+            {
+                "name": name,
+                "unit": units[name],
+                "truth": "" if truth is None else f"{truth:.6g}",
+                "cells": [_cell(estimate, name, truth) for estimate in estimates],
+            }
+        )
+    return rows
+
+
+def _cell(estimate: Estimate, name: str, truth: float | None) -> dict[str, Any]:
+    cell: dict[str, Any] = {
+        "method": estimate.method,
+        "text": with_sigma(estimate, name),
+        "z": None,
+    }
+    if truth is not None and name in estimate.names:
+        k = estimate.names.index(name)
+        sigma = float(estimate.sigma[k])
+        z = (float(estimate.values[k]) - truth) / sigma if sigma > 0 else 0.0
+        share = min(abs(z), 5.0) * 10.0
+        left = 50.0 if z > 0 else 50.0 - share
+        cell |= {"z": z, "shown": f"{z:+.1f}", "left": round(left, 1), "width": round(share, 1)}
+    return cell
+
+
+def notes(subject: Subject) -> list[str]:
+    """Doubts, and pairs of parameters that the data tell apart poorly, in words."""
+    found = list(dict.fromkeys(subject.doubts))
+    for estimate in (subject.external, subject.internal):
+        found += _close_pairs(estimate)
+    return found
+
+
+def _close_pairs(estimate: Estimate) -> list[str]:
+    scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
+    correlation = estimate.covariance / np.outer(scale, scale)
+    pairs = np.argwhere(np.triu(np.abs(correlation) > CLOSE, 1))
+    return [
+        f"{estimate.names[a]} and {estimate.names[b]} are told apart poorly by the "
+        f"{estimate.method} method: their correlation is {correlation[a, b]:.2f}"
+        for a, b in pairs
+    ]
