@@ -32,7 +32,8 @@ PLAN = {
         "errors", "arrays", "files", "tree", "dynamics", "measurement", "identification",
     },
     "report": {
-        "errors", "arrays", "files", "tree", "parameters", "dynamics", "identification", "measurement",
+        "errors", "arrays", "files", "tree", "parameters", "dynamics", "identification",
+        "measurement",
     },
     "campaign": {
         "errors", "arrays", "files", "tree", "parameters", "dynamics", "excitation",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.dynamics import pedestal_wrench
+from testbed.identification.filters import row_weights
 from testbed.identification.identify import Estimate
 from testbed.identification.predict import (
     friction,
@@ -24,6 +25,8 @@ from testbed.tree.tree import Tree
 
 CLOSE = 0.9
 """Correlation above which two parameters are told apart poorly."""
+CUTOFF = 10.0
+"""Of the low-pass on signals that are drawn [Hz]."""
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
 
 
@@ -66,6 +69,7 @@ class Check:
 
     Attributes:
         time: (M,) [s].
+        rate: Samples a second [Hz].
         speed: Joint velocities, (M, n).
         channels: Names of the plate's channels and of the joints.
         units: One a channel.
@@ -76,12 +80,25 @@ class Check:
     """
 
     time: Array
+    rate: float
     speed: Array
     channels: tuple[str, ...]
     units: tuple[str, ...]
     measured: Array
     external: Array
     internal: Array
+
+    def smooth(self) -> Check:
+        """All signals through one low-pass, as the identification's rows pass it."""
+        weights = row_weights(self.rate, CUTOFF)
+        reach = len(weights) // 2
+
+        def filtered(signals: Array) -> Array:
+            return np.column_stack([np.convolve(s, weights, "valid") for s in signals.T])
+
+        inner = slice(reach, len(self.time) - reach)
+        signals = {k: filtered(getattr(self, k)) for k in ("measured", "external", "internal")}
+        return replace(self, time=self.time[inner], speed=self.speed[inner], **signals)
 
     def relative(self, predicted: Array) -> Array:
         """Rms of the residual over rms of the measured signal about its mean, per channel."""
@@ -110,7 +127,8 @@ def check(subject: Subject) -> Check:
     units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
     measured = np.hstack([recording.wrench[inner], recording.torque[inner]])
     channels = (*AXES, *tree.names)
-    return Check(motion.t, motion.qd, channels, (*UNITS, *units), measured, *pairs)
+    units = (*UNITS, *units)
+    return Check(motion.t, recording.rate, motion.qd, channels, units, measured, *pairs)
 
 
 def friction_points(subject: Subject, found: Check) -> tuple[Array, Array]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -29,7 +30,7 @@ _VARIABLES = {
     "#010207": "var(--internal)",
     "#010208": "var(--truth)",
 }
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "svg.hashsalt": "testbed",
     "font.family": "sans-serif",
@@ -108,7 +109,8 @@ def panels(
 def _svg(figure: Figure, name: str) -> str:
     """The figure as an element of a page."""
     text = io.StringIO()
-    FigureCanvasSVG(figure).print_svg(text, metadata={"Date": None, "Creator": None})
+    canvas: Any = FigureCanvasSVG(figure)
+    canvas.print_svg(text, metadata={"Date": None, "Creator": None})
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     for colour, variable in _VARIABLES.items():
@@ -124,7 +126,7 @@ def thinned(x: Array, y: Array, most: int = 1500) -> tuple[Array, Array]:
     return x[::step], y[::step]
 
 
-def spectrum(signal: Array, rate: float, size: int = 4096) -> tuple[Array, Array]:
+def spectrum(signal: Array, rate: float, size: int = 2048) -> tuple[Array, Array]:
     """Amplitude density of a signal over frequency [Hz], [unit/sqrt(Hz)]: Welch's means.
 
     Args:
@@ -137,5 +139,5 @@ def spectrum(signal: Array, rate: float, size: int = 4096) -> tuple[Array, Array
     starts = range(0, len(signal) - size + 1, max(1, size // 2))
     parts = np.array([signal[s : s + size] - signal[s : s + size].mean() for s in starts])
     power = np.mean(np.abs(np.fft.rfft(parts * window)) ** 2, axis=0)
-    density = np.sqrt(2 * power / (rate * np.sum(window**2)))
-    return np.fft.rfftfreq(size, 1 / rate)[1:], density[1:]
+    density: Array = np.sqrt(2 * power / (rate * np.sum(window**2)))
+    return np.asarray(np.fft.rfftfreq(size, 1 / rate)[1:], dtype=np.float64), density[1:]

@@ -82,7 +82,8 @@ def contents(subject: Subject) -> dict[str, Any]:
     }
 
 
-def _predictions(subject: Subject, found: Check) -> dict[str, Any]:
+def _predictions(subject: Subject, raw: Check) -> dict[str, Any]:
+    found = raw.smooth()
     shown = found.time <= found.time[0] + SHOWN
     curves = []
     for c in range(len(found.channels)):
@@ -102,9 +103,9 @@ def _predictions(subject: Subject, found: Check) -> dict[str, Any]:
     return {
         "id": "prediction",
         "title": f"Measured and predicted, on {motion}",
-        "says": "Forces and moments of the bedplate, then joint torques. The external estimate knows "
-        "no friction, so its torques are those of a robot that does not rub; the internal one takes "
-        "from the external what joint torques cannot tell.",
+        "says": "Forces and moments of the bedplate, then joint torques. The external estimate "
+        "knows no friction, so its torques are those of a robot that does not rub; the internal "
+        "one takes from the external what joint torques cannot tell.",
         "svg": Markup(
             panels(
                 [f"{c}" for c in found.channels],
@@ -113,8 +114,9 @@ def _predictions(subject: Subject, found: Check) -> dict[str, Any]:
                 [f"{c} [{u}]" for c, u in zip(found.channels, found.units, strict=True)],
                 name=f"Measured and predicted wrench and joint torques on {motion}",
             )
-        ),  # fmt: skip
-        "caption": "Residuals as part of the signal's spread stand in the table.",
+        ),
+        "caption": "All through one low-pass of 10 Hz; residuals as part of the signal's spread "
+        "stand in the table.",
         "heads": ["channel", "unit", "spread (rms)", "residual, external", "residual, internal"],
         "rows": rows,
     }
@@ -131,13 +133,14 @@ def _spectra(found: Check, subject: Subject) -> dict[str, Any]:
             name: spectrum(found.measured[:, c] - values[:, c], rate)
             for name, values in both.items()
         }
-        curves.append({name: thinned(*curve) for name, curve in spectra.items()})
+        curves.append({name: curve for name, curve in spectra.items()})
         rows.append([channel, found.units[c], *_bands(spectra)])
     return {
         "id": "spectra",
         "title": "What is left over, by frequency",
-        "says": "Amplitude density of the residuals. White noise of the instrument is flat; a hill at "
-        "the motion's frequencies would be a part of the robot that the model lacks.",
+        "says": "Amplitude density of the residuals. White noise of the instrument is flat, noise "
+        "of the encoders rises until the filter on positions ends it; what stands at the motion's "
+        "frequencies is a part of the robot, or of its friction, that the model lacks.",
         "svg": Markup(
             panels(
                 list(found.channels),
@@ -147,8 +150,8 @@ def _spectra(found: Check, subject: Subject) -> dict[str, Any]:
                 log=True,
                 name="Spectra of the residuals",
             )
-        ),  # fmt: skip
-        "caption": "Welch's method, segments of 4096 samples.",
+        ),
+        "caption": "Welch's method, segments of 2048 samples.",
         "heads": ["channel", "unit", "rms below 5 Hz", "rms above 5 Hz", "of"],
         "rows": rows,
     }
@@ -196,15 +199,9 @@ def _friction(subject: Subject, found: Check) -> dict[str, Any]:
                 points=("measured",),
                 name="Friction torque over velocity, a panel a joint",
             )
-        ),  # fmt: skip
-        "caption": "Points are samples, the line is Coulomb and viscous friction as estimated.",
-        "heads": [
-            "joint",
-            "Coulomb, estimated",
-            "viscous, estimated",
-            "Coulomb, true",
-            "viscous, true",
-        ],
+        ),
+        "caption": "Points are samples, the line is dry and viscous friction as estimated.",
+        "heads": ["joint", *(f"{a}, {b}" for b in ("found", "true") for a in ("dry", "viscous"))],
         "rows": rows,
     }
 
