@@ -23,13 +23,21 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         removed and `path` is left as it was.
 
     Raises:
-        OSError: A folder stands where a file is to appear or the other way round, or
-            the place may not be written to.
+        OSError: A folder stands where a file is to appear or the other way round, or a
+            device, or the place may not be written to.
     """
+    shown, path = path, path.resolve()  # a link stays, what it points to is replaced
     if path.exists() and path.is_dir() is not folder:
-        raise OSError(f"'{path}' is a {'folder' if path.is_dir() else 'file'}; choose another name")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    nest = Path(tempfile.mkdtemp(prefix=".testbed-", dir=path.parent))
+        raise OSError(
+            f"'{shown}' is a {'folder' if path.is_dir() else 'file'}; choose another name"
+        )
+    if path.exists() and not folder and not path.is_file():
+        raise OSError(f"'{shown}' is a device or pipe, not a file; choose another name")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        nest = Path(tempfile.mkdtemp(prefix=".testbed-", dir=path.parent))
+    except OSError as error:
+        raise OSError(f"'{shown}' may not be written there: {error.strerror}") from None
     try:
         fresh = nest / "fresh"
         yield fresh

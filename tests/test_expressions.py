@@ -223,15 +223,28 @@ def test_numbers_are_exact(over: int, shift: int) -> None:
         ("Q1 = g*", "line 1: 'the end' where a number or name"),
         ("\nQ1 = (g + qp1", "line 2: a bracket is not closed"),
         ("Q1 = g g", "line 1: 'g' where an operator"),
-        ("Q1 = g / qp1", "line 1: only numbers divide"),
+        ("Q1 = g / qp1", "line 1: a listing divides by numbers only"),
+        ("Q1 = 1 / 0", "line 1: a listing divides by numbers only, and not by zero"),
+        ("Q1 = 1e999*g", "line 1: the number 1e999 is too large"),
+        ("Q1 = " + "(" * 3000, "line 1: brackets in more than 50 brackets"),
+        ("Q1 = g ** 99", "line 1: an exponent is a number from 1 to 20"),
+        ("Q1 = g\nQ1 = g", "line 2: Q1 is defined twice"),
+        ("Q1 = ٣*g", "line 1: '٣.g' cannot be read"),
         ("hello", "line 1: NAME = expression"),
-        ("Q1 = g ** 2", "line 1: '[*]' where a number"),
         ("Q1 = __import__('os')", "line 1: ''os'.' cannot be read"),
     ],
 )
 def test_what_is_no_listing_is_refused(text: str, message: str) -> None:
     with pytest.raises(ExpressionError, match=message):
         read_listing(text, NAMES)
+
+
+def test_signs_powers_and_bare_decimals_are_read() -> None:
+    g, q = NAMES["g"], NAMES["q1"]
+    read = read_listing(f"Q1 = {'-' * 3000}g\nQ2 = .5*g**2 - 2*q1^3\ng = 7*q1", NAMES)
+    assert read["Q1"] == g
+    assert same(read["Q2"], expression(g * g) / 2 - 2 * expression(expression(q * q) * q))
+    assert NAMES["g"] == g
 
 
 @pytest.mark.parametrize("text", ["Q1 = K9zz*qpp1", "Q1 = S9", "Q1 = S_1_m9"])

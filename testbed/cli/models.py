@@ -136,7 +136,15 @@ def equations(
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     tree = right_angles(tree) if square else tree
+    if zeros and zero:
+        raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
+    if out is not None and out.resolve() == model.resolve():
+        raise typer.BadParameter(f"--out {out} is the model file itself")
     if against is not None:
+        if what or numbers or out is not None or as_json:
+            raise typer.BadParameter(
+                "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
+            )
         _compare(tree, against, form, gravity, list(zero) if zero else zeros)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from testbed.cli.options import Accept, Weld, Zeros, app
@@ -92,6 +91,8 @@ def report(
 
 def _of_run(folder: Path) -> Story:
     """A run folder's story, with its truth."""
+    import numpy as np
+
     from testbed.campaign.archive import read_run
     from testbed.identification.predict import growth
     from testbed.report.tables import truths_by_name

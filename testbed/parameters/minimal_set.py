@@ -249,7 +249,7 @@ def known_zeros(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_]:
     if isinstance(zeros, bool):
         return _zeros_of_the_file(tree) if zeros else known.reshape(tree.n, 10)
     names = parameter_names(tree)
-    for name in zeros:
+    for name in [zeros] if isinstance(zeros, str) else zeros:
         if name not in names:
             raise UnknownName("barycentric parameter", name, names)
         known[names.index(name)] = True

@@ -97,7 +97,9 @@ class Check:
             return np.column_stack([np.convolve(s, weights, "valid") for s in signals.T])
 
         inner = slice(reach, len(self.time) - reach)
-        signals = {k: filtered(getattr(self, k)) for k in ("measured", "external", "internal")}
+        signals: dict[str, Any] = {
+            k: filtered(getattr(self, k)) for k in ("measured", "external", "internal")
+        }
         return replace(self, time=self.time[inner], speed=self.speed[inner], **signals)
 
     def relative(self, predicted: Array) -> Array:

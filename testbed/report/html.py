@@ -133,7 +133,7 @@ def _spectra(found: Check, subject: Subject) -> dict[str, Any]:
             name: spectrum(found.measured[:, c] - values[:, c], rate)
             for name, values in both.items()
         }
-        curves.append({name: curve for name, curve in spectra.items()})
+        curves.append(spectra)
         rows.append([channel, found.units[c], *_bands(spectra)])
     return {
         "id": "spectra",

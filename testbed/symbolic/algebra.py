@@ -45,12 +45,17 @@ def component(name: str, place: tuple[int, ...], shape: tuple[int, ...]) -> str:
 
 
 def auxiliary(name: str, value: Any) -> Any:
-    """`value` under a name, unless it is a number or a single factor."""
+    """`value` under a name, unless it is a number, a single factor, or the same for all samples.
+
+    Products of parameters and lengths without a name can cancel.
+    """
     if not isinstance(value, Expression) or len(value.terms) < 1:
         return value
     factors, size = value.terms[0]
-    if len(value.terms) == 1 and len(factors) <= 1 and abs(size) == 1:
-        return value
+    if len(value.terms) == 1:
+        fixed = all(f.nature in (Nature.PARAMETER, Nature.CONSTANT) for f in factors)
+        if fixed or (len(factors) <= 1 and abs(size) == 1):
+            return value
     return of(Factor(Nature.AUXILIARY, name, value))
 
 

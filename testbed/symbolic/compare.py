@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 from numpy.typing import ArrayLike
 
-from testbed.errors import UnknownName
-from testbed.symbolic.equations import ROUNDING, Form, Listing, equations
+from testbed.errors import ExpressionError, UnknownName
+from testbed.symbolic.equations import FORMS, ROUNDING, Form, Listing, equations
 from testbed.symbolic.expression import Expression, of, replaced
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.present import natural_angles, present
@@ -41,8 +42,11 @@ def compare_equations(
 
     Raises:
         ExpressionError: The listing cannot be read.
-        UnknownName: It holds a name that stands for nothing, or none of the robot's equations.
+        UnknownName: It holds a name that stands for nothing, or an equation that is none of
+            the robot's and no definition for others.
     """
+    if form not in FORMS:
+        raise UnknownName("form", form, FORMS)
     literal: Form = "full" if form == "full" else "reduced"
     listing = equations(tree, COMPARABLE, literal, gravity, zeros)
     robot = draw(tree, tree.gravity_or(gravity))
@@ -51,13 +55,28 @@ def compare_equations(
     ours = {}
     for name, value in steps:
         meanings[name] = ours[name.name] = replaced(value, meanings.get)
-    read = read_listing(text, _names(listing, robot))
+    for label, value in listing.definitions:
+        ours[label] = ours[label.replace("mbar", "mm")] = value
+    names = _names(listing, robot)
+    read = read_listing(text, names)
+    if not read:
+        raise ExpressionError("the listing holds no equation")
+    _check_definitions(text, [name for name in read if name not in ours], names, ours)
     found = [name for name in read if name in ours]
-    if not found:
-        raise UnknownName("equation", next(iter(read), ""), ours)
     ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING)
     natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
     return {name: present(ring, ring.expand(read[name] - ours[name]), natural) for name in found}
+
+
+def _check_definitions(
+    text: str, others: Sequence[str], names: Mapping[str, Expression], ours: Iterable[str]
+) -> None:
+    """What is none of the robot's equations must be new, and of use below."""
+    for name in others:
+        if name in names:
+            raise ExpressionError(f"'{name}' is the robot's own and not for a listing to define")
+        if len(re.findall(rf"\b{name}\b", text)) < 2:
+            raise UnknownName("equation", name, ours)
 
 
 def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
@@ -68,5 +87,7 @@ def _names(listing: Listing, robot: Robot) -> dict[str, Expression]:
         for parameter in each.parameters:
             if parameter.symbol is not None:
                 names[parameter.symbol.name] = of(parameter.symbol)
+    for _, value in listing.definitions:
+        names |= {factor.name: of(factor) for factors, _ in value.terms for factor in factors}
     names |= {name.replace("mbar", "mm"): value for name, value in names.items()}
     return names

@@ -12,6 +12,7 @@ from testbed.arrays import AnyArray
 from testbed.parameters.barycentric import COMPONENTS, UPPER, parameter_name, point_mass
 from testbed.parameters.formulas import length_name
 from testbed.symbolic.expression import Expression, Nature, expression, symbol
+from testbed.symbolic.parameters import parameter_symbol
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.present import present
 from testbed.symbolic.robot import Robot
@@ -35,7 +36,7 @@ def barycentric_definitions(
     for j in range(tree.n):
         values = _own(tree, j, bool(known_zero[j].any()))
         for child in tree.children(j):
-            mass = symbol(Nature.PARAMETER, f"mbar{child + 1}", child)
+            mass = parameter_symbol(f"mbar{child + 1}", child)
             values[1:] = values[1:] + point_mass(robot.joints[child].offset)[1:] * mass
         values[0] = masses[j]
         for component, value, zero in zip(COMPONENTS, values, known_zero[j], strict=True):

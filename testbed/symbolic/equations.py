@@ -97,7 +97,7 @@ class Listing:
 
 def equations(
     tree: Tree,
-    what: Sequence[str] = ("joint-forces",),
+    what: str | Sequence[str] = ("joint-forces",),
     form: Form = "full",
     gravity: ArrayLike | None = None,
     zeros: bool | Sequence[str] = False,
@@ -119,6 +119,7 @@ def equations(
         UnknownName: There is no such kind or form.
         ExpressionError: The literal equations are too long to write.
     """
+    what = [what] if isinstance(what, str) else what
     for name in what:
         if name not in KINDS:
             raise UnknownName("kind of equations", name, tuple(KINDS))

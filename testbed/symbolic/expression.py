@@ -58,7 +58,7 @@ class Factor:
         cls, nature: Nature, name: str, content: Expression | None = None, rank: int = 0
     ) -> Factor:
         """The factor of these properties, made if there is none yet."""
-        label = (nature, name, content.terms if content else ())
+        label = (nature, rank, name, content.terms if content else ())
         found = _FACTORS.get(label)
         if found is None:
             found = object.__new__(cls)
@@ -81,7 +81,9 @@ class Factor:
         return self.key < other.key
 
 
-_FACTORS: WeakValueDictionary[tuple[Nature, str, tuple[Term, ...]], Factor] = WeakValueDictionary()
+_FACTORS: WeakValueDictionary[tuple[Nature, int, str, tuple[Term, ...]], Factor] = (
+    WeakValueDictionary()
+)
 
 Factors: TypeAlias = tuple[Factor, ...]
 Term: TypeAlias = tuple[Factors, Number]

@@ -14,7 +14,7 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.parameters.rules import Model
 from testbed.symbolic.algebra import Symbols
 from testbed.symbolic.expression import Factor, Nature, of
-from testbed.symbolic.parameters import identifier
+from testbed.symbolic.parameters import distinct
 from testbed.symbolic.robot import Robot
 
 WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
@@ -143,9 +143,9 @@ def _moved(
 
 def _columns(values: AnyArray, rows: list[str], names: list[str]) -> Content:
     """Column by column, those of the first bodies first: what they need is soon done with."""
-    for k, name in reversed(list(enumerate(names))):
+    for k, name in reversed(list(enumerate(distinct(names)))):
         for i, row in enumerate(rows):
-            yield _name(f"phi_{row}_{identifier(name)}"), ((i, k), values[i, k])
+            yield _name(f"phi_{row}_{name}"), ((i, k), values[i, k])
 
 
 def _name(name: str) -> Factor:

@@ -83,6 +83,7 @@ class Sheet:
         while True:
             first: dict[tuple[tuple[Factors, Number], ...], tuple[Factor, int]] = {}
             other: dict[Factor, tuple[Factor, Number]] = {}
+            nothing = {name for name, line in self.lines.items() if not line} - set(self.results)
             for name, line in self.lines.items():
                 if name in self.results or not line:
                     continue
@@ -96,19 +97,22 @@ class Sheet:
                 found, its = first.setdefault(key, (name, sign))
                 if found is not name:
                     other[name] = (found, sign * its)
-            if not other:
+            if not other and not nothing:
                 break
-            self._rename(other)
+            self._rename(other, nothing)
         self._prune()
 
-    def _rename(self, other: dict[Factor, tuple[Factor, Number]]) -> None:
-        for name in other:
+    def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
+        """Put other lines' names in the place of some, and zero in the place of `nothing`."""
+        for name in (*other, *nothing):
             del self.lines[name]
         self._fixed.clear()
         for name, line in self.lines.items():
-            if any(factor in other for factors in line for factor in factors):
+            if any(f in other or f in nothing for factors in line for f in factors):
                 terms = []
                 for factors, number in line.items():
+                    if not nothing.isdisjoint(factors):
+                        continue
                     renamed = []
                     for factor in factors:
                         while factor in other:

@@ -63,7 +63,7 @@ def all_parameters(tree: Tree, known_zero: AnyArray) -> AnyArray:
     theta = np.zeros(10 * tree.n, dtype=object)
     for k, name in enumerate(parameter_names(tree)):
         if not known_zero.ravel()[k]:
-            theta[k] = _parameter(name, k // 10)
+            theta[k] = parameter_symbol(name, k // 10)
     return theta.reshape(tree.n, 10, 1)
 
 
@@ -73,15 +73,21 @@ def minimal_parameters(minimal: MinimalSet) -> AnyArray:
     2*K3d is twice the symbol K3d; a star becomes an s.
     """
     delta = np.zeros(minimal.count, dtype=object)
-    taken: set[str] = set()
+    safe = distinct([name.removeprefix("2*") for name in minimal.names])
     for k, (name, body) in enumerate(zip(minimal.names, minimal.bodies, strict=True)):
-        twice = name.startswith("2*")
-        safe = identifier(name.removeprefix("2*"))
-        while safe in taken:
-            safe += "_"
-        taken.add(safe)
-        delta[k] = _parameter(safe, body) * (2 if twice else 1)
+        delta[k] = parameter_symbol(safe[k], body) * (2 if name.startswith("2*") else 1)
     return delta
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """Identifiers for names, no two alike."""
+    found: dict[str, None] = {}
+    for name in names:
+        safe = identifier(name)
+        while safe in found:
+            safe += "_"
+        found[safe] = None
+    return list(found)
 
 
 def identifier(name: str) -> str:
@@ -105,6 +111,12 @@ def lifted(minimal: MinimalSet, columns: AnyArray, n: int) -> AnyArray:
     return theta.reshape(n, 10, columns.shape[1])
 
 
-def _parameter(name: str, body: int) -> Expression:
+def parameter_symbol(name: str, body: int) -> Expression:
+    """The symbol of a parameter; in terms, tensors come first, then moments, then masses.
+
+    Args:
+        name: As it stands in equations.
+        body: Index of its body.
+    """
     kind = 2 if name.startswith("mbar") else 1 if name.startswith("mb") else 0
     return symbol(Nature.PARAMETER, name, 100_000 * kind + body)

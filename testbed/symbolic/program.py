@@ -15,6 +15,7 @@ from testbed.symbolic.expression import (
     Expression,
     Factor,
     Nature,
+    Number,
     collect,
     depth_first,
     number,
@@ -129,7 +130,7 @@ def _program(sheet: Sheet, named: bool) -> Program:
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
     for name in _computable(sheet):
-        value = replaced(collect(sheet.lines[name].items()), made.get)
+        value = _snapped(replaced(collect(sheet.lines[name].items()), made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
             made[name] = _plain(name.name) if value else value
@@ -153,6 +154,23 @@ def _computable(sheet: Sheet) -> list[Factor]:
         sheet.results,
         lambda name: [f for factors in sheet.lines[name] for f in factors if f in sheet.lines],
     )
+
+
+def _snapped(value: Expression) -> Expression:
+    """Numbers of the geometry that are small fractions but for rounding, as these."""
+    if all(isinstance(size, int) for _, size in value.terms):
+        return value
+    return Expression(tuple((factors, _near(size)) for factors, size in value.terms))
+
+
+def _near(size: Number) -> Number:
+    near = round(size * 64) / 64
+    exact = near if near and abs(size - near) < SNAP * abs(near) else size
+    return int(exact) if exact == int(exact) else exact
+
+
+SNAP = 4e-15
+"""Relative distance from a fraction of 64 within which a number of the geometry is one."""
 
 
 def _plain(name: str) -> Expression:

@@ -14,8 +14,16 @@ from testbed.errors import ExpressionError, UnknownName
 from testbed.symbolic.algebra import cosine, sine
 from testbed.symbolic.expression import Expression, collect, expression, number
 
-_TOKEN = re.compile(r"\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/()]))")
-_WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)")
+_TOKEN = re.compile(
+    r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|(\*\*|[-+*/^()]))", re.ASCII
+)
+_WAVE = re.compile(r"[SC](?:\d+|(?:_m?\d+)+)", re.ASCII)
+_NAME = re.compile(r"\s*[A-Za-z_]\w*\s*", re.ASCII)
+
+DEEPEST = 50
+"""Brackets within brackets; more would overflow the reader's stack."""
+HIGHEST = 20
+"""Largest exponent."""
 
 
 @dataclass
@@ -25,6 +33,7 @@ class _Reader:
     tokens: list[str]
     names: Mapping[str, Expression]
     place: int = 0
+    depth: int = 0
 
     def next(self) -> str:
         """The token at hand, "" at the end."""
@@ -44,31 +53,53 @@ class _Reader:
         return total
 
     def product(self) -> Expression:
-        """Factors with * between them; division by numbers."""
-        total = self.factor()
+        """Powers with * between them; division by numbers."""
+        total = self.power()
         while self.next() in ("*", "/"):
             divides = self.take() == "/"
-            other = self.factor()
+            other = self.power()
             if not divides:
                 total = expression(total * other)
             elif len(other.terms) == 1 and not other.terms[0][0]:
                 total = total / other.terms[0][1]
             else:
-                raise ExpressionError("only numbers divide")
+                raise ExpressionError("a listing divides by numbers only, and not by zero")
         return total
+
+    def power(self) -> Expression:
+        """A factor, perhaps with a whole exponent."""
+        sign = 1
+        while self.next() in ("-", "+"):
+            sign = -sign if self.take() == "-" else sign
+        base = self.factor()
+        if self.next() not in ("**", "^"):
+            return expression(base * sign)
+        self.take()
+        exponent = self.take()
+        if not exponent.isdecimal() or not 1 <= int(exponent) <= HIGHEST:
+            raise ExpressionError(f"an exponent is a number from 1 to {HIGHEST}")
+        total = base
+        for _ in range(int(exponent) - 1):
+            total = expression(total * base)
+        return expression(total * sign)
 
     def factor(self) -> Expression:
         """A number, a name, or a sum in brackets."""
         token = self.take()
         if token == "(":
+            self.depth += 1
+            if self.depth > DEEPEST:
+                raise ExpressionError(f"brackets in more than {DEEPEST} brackets")
             inside = self.sum()
             if self.take() != ")":
                 raise ExpressionError("a bracket is not closed")
+            self.depth -= 1
             return inside
-        if token == "-":
-            return -self.factor()
-        if re.match(r"\d", token):
-            return number(float(token))
+        if re.match(r"[\d.]", token):
+            value = float(token)
+            if value == float("inf"):
+                raise ExpressionError(f"the number {token} is too large")
+            return number(value)
         if token in self.names:
             return self.names[token]
         if _WAVE.fullmatch(token):
@@ -84,7 +115,7 @@ def read_listing(text: str, names: Mapping[str, Expression]) -> dict[str, Expres
     Args:
         text: NAME = expression; lines that begin with a blank or a sign continue the one
             before, those that begin with * or # are comments.
-        names: What names stand for.
+        names: What names stand for; a listing may say what they are, and does not change it.
 
     Raises:
         ExpressionError: It cannot be read.
@@ -94,8 +125,11 @@ def read_listing(text: str, names: Mapping[str, Expression]) -> dict[str, Expres
     found: dict[str, Expression] = {}
     for line, statement in _statements(text):
         name, equals, right = statement.partition("=")
-        if not equals or not re.fullmatch(r"\s*[A-Za-z_]\w*\s*", name):
+        name = name.strip()
+        if not equals or not _NAME.fullmatch(name):
             raise ExpressionError(f"line {line}: NAME = expression, found '{statement[:40]}'")
+        if name in found:
+            raise ExpressionError(f"line {line}: {name} is defined twice")
         reader = _Reader(_tokens(right, line), known)
         try:
             value = reader.sum()
@@ -105,7 +139,8 @@ def read_listing(text: str, names: Mapping[str, Expression]) -> dict[str, Expres
             raise ExpressionError(f"line {line}: {error}") from None
         except UnknownName as error:
             raise UnknownName(f"name on line {line}", error.name, error.known) from None
-        found[name.strip()] = known[name.strip()] = value
+        found[name] = value
+        known.setdefault(name, value)
     return found
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from testbed.errors import UnknownName
-from testbed.symbolic.equations import Listing
+from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.languages.c import c
 from testbed.symbolic.languages.latex import latex
 from testbed.symbolic.languages.paper import paper
@@ -55,9 +55,16 @@ def as_document(listing: Listing, text: str) -> dict[str, Any]:
             each.kind.name: {
                 "shape": each.shape,
                 each.vector: [{"name": p.name, "unit": p.unit} for p in each.parameters],
+                "matrix": _matrix(listing, each),
                 "operations": asdict(each.program.count),
             }
             for each in listing.equations
         },
         "text": text,
     }
+
+
+def _matrix(listing: Listing, each: Equations) -> list[list[float]] | None:
+    """The minimal parameters on the barycentric ones; None where these stand themselves."""
+    minimal = listing.minimal.get(each.kind.model)
+    return None if minimal is None else minimal.matrix.tolist()

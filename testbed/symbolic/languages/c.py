@@ -11,6 +11,7 @@ from testbed.symbolic.languages.text import (
     Style,
     constant_unit,
     decimal,
+    definitions,
     header,
     own_name,
     terms,
@@ -33,7 +34,8 @@ def c(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    lines = ["/*", *(f" * {line}".rstrip() for line in header(listing, source)), " */"]
+    said = (*header(listing, source), *definitions(listing))
+    lines = ["/*", *(f" * {line}".rstrip() for line in said), " */"]
     lines += ["#include <math.h>", ""]
     constants = {factor for each in listing.equations for factor in used_constants(each)}
     for factor in sorted(constants):

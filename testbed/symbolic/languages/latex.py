@@ -7,7 +7,7 @@ import re
 from testbed.parameters.formulas import latex as formula
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Factor, Nature, Number
-from testbed.symbolic.languages.text import Style, fraction, header, terms
+from testbed.symbolic.languages.text import Style, definitions, fraction, header, terms
 
 WIDTH = 60
 """Characters of a line of an equation, as printed."""
@@ -22,9 +22,15 @@ def latex(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    lines = [f"% {line}".rstrip() for line in header(listing, source)]
+    said = (*header(listing, source), *definitions(listing))
+    lines = [f"% {line}".rstrip() for line in said]
     lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
     lines += [r"\begin{document}"]
+    if listing.constants:
+        values = (
+            rf"{_constant(c.name)} &= {_number(v)}" for c, v in sorted(listing.constants.items())
+        )
+        lines += [r"\begin{align*}", " \\\\\n".join(values), r"\end{align*}"]
     for each in listing.equations:
         lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
         lines += [r"\begin{align*}", *_equations(each), r"\end{align*}"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor
 from testbed.symbolic.languages.text import Style, fraction, header, terms, used_constants, wrapped
+from testbed.symbolic.languages.text import definitions as defined
 
 _TITLES = {
     "joint-forces": "Equations",
@@ -46,10 +47,8 @@ def definitions(listing: Listing) -> list[str]:
             for name, value in listing.definitions:
                 if name.rstrip("xyz0123456789") == head:
                     lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
-    for model, minimal in listing.minimal.items():
-        lines += ["", f"* Parameters of the {model} model: delta_{model[0]}"]
-        lines += [f"* {line}" for line in (*minimal.auxiliary, *minimal.formulas)]
-    return lines
+    made = [f"* {line}" for line in defined(listing)]
+    return [*lines, "", *made] if made else lines
 
 
 def _equations(each: Equations) -> list[str]:

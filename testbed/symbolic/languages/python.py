@@ -8,6 +8,7 @@ from testbed.symbolic.languages.text import (
     Style,
     constant_unit,
     decimal,
+    definitions,
     header,
     own_name,
     terms,
@@ -46,7 +47,8 @@ def python(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    lines = [f"# {line}".rstrip() for line in header(listing, source)]
+    said = (*header(listing, source), *definitions(listing))
+    lines = [f"# {line}".rstrip() for line in said]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
     constants = {factor for each in listing.equations for factor in used_constants(each)}

@@ -51,10 +51,10 @@ def decimal(value: Number) -> str:
 
 
 def fraction(value: Number) -> str:
-    """A number as people write it: 1/2, 0.4318."""
+    """A number as people write it, and as it reads back: 1/2, 0.4318."""
     if isinstance(value, float) and value == (near := Fraction(value)) and near.denominator <= 64:
         return str(near)
-    return f"{value:.12g}"
+    return repr(value)
 
 
 def terms(value: Expression, style: Style) -> list[str]:
@@ -112,8 +112,12 @@ def wrapped(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> l
 
 
 def harmless(text: str) -> str:
-    """Text from a file, fit for any language's comments: letters, digits and a few signs."""
-    return re.sub(r"[^A-Za-z0-9_.,:+\-() /]", "?", text).replace("*/", "??")[:80]
+    """Text from a file, fit for any language's comments: letters, digits and a few signs.
+
+    Letters of other scripts become their numbers, such as u65e5; everything else an underline.
+    """
+    spelled = "".join(c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text)
+    return re.sub(r"[^A-Za-z0-9_.,:+\-() /]", "_", spelled)[:120]
 
 
 def header(listing: Listing, source: str) -> Iterator[str]:
@@ -135,6 +139,13 @@ def header(listing: Listing, source: str) -> Iterator[str]:
     for each in listing.equations:
         yield f"{each.kind.name}: {operations(each)}"
     yield "Units m, kg, s, rad; conventions in docs/conventions.md of testbed"
+
+
+def definitions(listing: Listing) -> Iterator[str]:
+    """How the minimal parameters are made of the barycentric ones, a line each."""
+    for model, minimal in listing.minimal.items():
+        yield f"Parameters of the {model} model, delta_{model[0]}:"
+        yield from (f"  {line}" for line in (*minimal.auxiliary, *minimal.formulas))
 
 
 def operations(each: Equations) -> str:
