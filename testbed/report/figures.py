@@ -110,7 +110,7 @@ def _svg(figure: Figure, name: str) -> str:
     """The figure as an element of a page."""
     text = io.StringIO()
     canvas: Any = FigureCanvasSVG(figure)
-    canvas.print_svg(text, metadata={"Date": None, "Creator": None})
+    canvas.print_svg(text, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
     svg = text.getvalue()
     svg = svg[svg.index("<svg") :]
     for colour, variable in _VARIABLES.items():

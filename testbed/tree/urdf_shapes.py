@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,7 +35,8 @@ def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[
     root = supported_xml(path, weld_root=weld_root, keep_visuals=True)
     coloured = _with_meshes_found(root, path)
     text = ET.tostring(root, encoding="unicode")
-    with silenced():
+    with silenced(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         try:
             model = pin.buildModelFromXML(text)
             seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")

@@ -8,8 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from testbed.arrays import Array
+from testbed.arrays import Array, apply
+from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.dynamics import pedestal_wrench
+from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.identification.identify import Estimate
@@ -137,20 +139,14 @@ def poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:
         tree: The robot.
         q: Joint positions, (M, n) [rad or m].
     """
+    still = np.zeros_like(q)
+    moving = kinematics(tree, q, still, still, np.zeros(3), NUMBERS)
     found: list[tuple[Array, Array]] = []
-    for j, joint in enumerate(tree.joints):
+    for joint, body in zip(tree.joints, moving, strict=True):
         base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
         rotation, position = base if joint.parent < 0 else found[joint.parent]
-        position = position + rotation @ joint.offset
-        rotation = rotation @ joint.rotation
-        if joint.revolute:
-            e, c, s = joint.axis, np.cos(q[:, j, None, None]), np.sin(q[:, j, None, None])
-            cross = np.cross(np.eye(3), -e)
-            axial = np.outer(e, e)
-            rotation = rotation @ (axial + c * (np.eye(3) - axial) + s * cross)
-        else:
-            position = position + rotation @ joint.axis * q[:, j, None]
-        found.append((rotation, position))
+        turned = rotation @ body.turn
+        found.append((turned, position + rotation @ joint.offset + apply(turned, body.z)))
     return found
 
 

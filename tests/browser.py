@@ -1,0 +1,86 @@
+"""A headless Chromium by way of its driver: enough of WebDriver to look at a page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import socket
+import subprocess
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ARGUMENTS = [
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+]  # fmt: skip
+
+
+class Browser:
+    """One page at a time."""
+
+    def __init__(self, port: int, width: int, dark: bool, folder: Path) -> None:
+        self._root = f"http://127.0.0.1:{port}"
+        options = {
+            "args": [*ARGUMENTS, f"--user-data-dir={folder}", f"--window-size={width},900"],
+            "mobileEmulation": {"deviceMetrics": {"width": width, "height": 900, "pixelRatio": 1}},
+        }
+        always = {"goog:chromeOptions": options, "goog:loggingPrefs": {"browser": "ALL"}}
+        made = self.post("/session", {"capabilities": {"alwaysMatch": always}})
+        self._session = f"/session/{made['sessionId']}"
+        if dark:
+            media = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+            command = {"cmd": "Emulation.setEmulatedMedia", "params": media}
+            self.post(f"{self._session}/goog/cdp/execute", command)
+
+    def post(self, path: str, body: dict[str, Any]) -> Any:
+        """One command."""
+        request = urllib.request.Request(
+            self._root + path, json.dumps(body).encode(), {"Content-Type": "application/json"}
+        )
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            return json.load(answer)["value"]
+
+    def open(self, path: Path) -> None:
+        """Go to a file."""
+        self.post(f"{self._session}/url", {"url": path.as_uri()})
+
+    def run(self, script: str) -> Any:
+        """The value of a script."""
+        return self.post(f"{self._session}/execute/sync", {"script": script, "args": []})
+
+    def complaints(self) -> list[str]:
+        """What the page wrote to the console."""
+        found = self.post(f"{self._session}/se/log", {"type": "browser"})
+        return [entry["message"] for entry in found if entry["level"] in ("SEVERE", "WARNING")]
+
+
+@contextmanager
+def browser(folder: Path, width: int = 1000, dark: bool = False) -> Iterator[Browser]:
+    """A browser for a test; the test is skipped where there is none."""
+    driver = shutil.which("chromedriver")
+    if driver is None or not (shutil.which("chromium") or shutil.which("google-chrome")):
+        pytest.skip("no Chromium with its driver on this machine")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    running = subprocess.Popen(
+        [driver, f"--port={port}"], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        for _ in range(100):
+            try:
+                with socket.create_connection(("127.0.0.1", port), timeout=1):
+                    break
+            except OSError:
+                time.sleep(0.1)
+        yield Browser(port, width, dark, folder / "profile")
+    finally:
+        running.terminate()
+        running.wait()
