@@ -36,8 +36,7 @@ class Browser:
         self._session = f"/session/{made['sessionId']}"
         if dark:
             media = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
-            command = {"cmd": "Emulation.setEmulatedMedia", "params": media}
-            self.post(f"{self._session}/goog/cdp/execute", command)
+            self.command("Emulation.setEmulatedMedia", media)
 
     def post(self, path: str, body: dict[str, Any]) -> Any:
         """One command."""
@@ -46,6 +45,11 @@ class Browser:
         )
         with urllib.request.urlopen(request, timeout=60) as answer:
             return json.load(answer)["value"]
+
+    def command(self, name: str, parameters: dict[str, Any]) -> Any:
+        """One command of the browser's own."""
+        body = {"cmd": name, "params": parameters}
+        return self.post(f"{self._session}/goog/cdp/execute", body)
 
     def open(self, path: Path) -> None:
         """Go to a file."""

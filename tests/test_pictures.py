@@ -105,6 +105,23 @@ def test_the_file_has_a_blueprint_and_one_timeline(rrd: Path) -> None:
     assert [column.name for column in schema.index_columns()] == ["time"]
 
 
+def test_the_robot_in_the_file_stands_as_it_stood(story: Story, rrd: Path) -> None:
+    """Rotations read back from the file against Pinocchio's frames."""
+    model = pin.buildModelFromUrdf(str(ROOT / "models/puma562.urdf"))
+    data = model.createData()
+    shown = story.motion.q[story.frames]
+    for j in range(3):
+        turn = columns(rrd, f"/world/robot/{j + 1}", "Transform3D:quaternion").reshape(-1, 4)
+        place = columns(rrd, f"/world/robot/{j + 1}", "Transform3D:translation").reshape(-1, 3)
+        assert len(turn) == len(shown)
+        for k in range(0, len(shown), 97):
+            pin.forwardKinematics(model, data, shown[k])
+            frame = data.oMi[j + 1]
+            there = pin.Quaternion(turn[k]).toRotationMatrix()
+            np.testing.assert_allclose(there, frame.rotation, atol=1e-6)
+            np.testing.assert_allclose(place[k], frame.translation, atol=1e-6)
+
+
 def test_runs_stand_side_by_side(story: Story, tmp_path: Path) -> None:
     write_rrd([story, replace(story, name="again")], tmp_path / "two.rrd")
     for run in ("run1", "run2"):

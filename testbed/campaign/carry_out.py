@@ -24,7 +24,7 @@ from testbed.identification.stream import Progress
 from testbed.measurement.instrument import Instrument, measure
 from testbed.measurement.recording import Recording, geometry
 from testbed.parameters.minimal_set import minimal_set
-from testbed.simulation.run import Run, Sampling, simulate_motion
+from testbed.simulation.run import Run, Sampling, Watch, simulate_motion
 from testbed.simulation.scene import build_scene
 from testbed.tree.load import load_tree
 from testbed.tree.tree import Tree
@@ -76,15 +76,20 @@ class Outcome:
         return all(self.verdicts.values())
 
 
-def carry_out(experiment: Experiment, progress: Progress = lambda done, total: None) -> Outcome:
+def carry_out(
+    experiment: Experiment,
+    progress: Progress = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
+) -> Outcome:
     """Simulate, identify by both methods, compare.
 
     Args:
         experiment: What to do.
         progress: Called with samples done and samples in all.
+        watch: Called with what happens while it is simulated, a second or so at a time.
     """
     tree = robot_of(experiment)
-    return evaluate(experiment, tree, _simulated(experiment, tree, progress))
+    return evaluate(experiment, tree, _simulated(experiment, tree, progress, watch))
 
 
 def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcome:
@@ -144,7 +149,12 @@ def robot_of(experiment: Experiment) -> Tree:
     return tree if gravity is None else replace(tree, gravity=np.array(gravity))
 
 
-def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Recording:
+def _simulated(
+    experiment: Experiment,
+    tree: Tree,
+    progress: Progress,
+    watch: Watch = lambda time, truth: None,
+) -> Recording:
     sampling = _sampling(experiment)
     table = experiment.measurement.model_dump(exclude={"rate", "averaged"})
     instrument, plant = Instrument(**table), experiment.simulation
@@ -164,6 +174,7 @@ def _simulated(experiment: Experiment, tree: Tree, progress: Progress) -> Record
         plant.bandwidth,
         sampling,
         progress,
+        watch,
     )
     facts = _facts(experiment, tree, run)
     return measure(instrument, tree.names, run.time, run.truth, scene.tare, facts, experiment.seed)

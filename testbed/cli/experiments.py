@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from testbed.cli.options import Accept, Gravity, Json, Set, Weld, Zeros, app
+
+if TYPE_CHECKING:
+    from testbed.arrays import Array
+    from testbed.campaign.experiment import Experiment
+    from testbed.measurement.recording import Truth
+    from testbed.simulation.run import Watch
 
 
 class _Method(StrEnum):
@@ -34,6 +40,9 @@ def run(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
     settings: Set = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show it in an open viewer: rerun --bind 127.0.0.1")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Carry out an experiment: simulate, identify, compare with the model file.
@@ -48,8 +57,9 @@ def run(
     experiment = Experiment.load(file, settings or ())
     if out is not None:
         check_folder(out)
+    watch = _watcher(experiment) if live else _unwatched
     with terminal.Progress("simulating") as progress:
-        outcome = carry_out(experiment, progress)
+        outcome = carry_out(experiment, progress, watch)
     folder = out or run_folder(experiment)
     write_run(outcome, folder)
     if as_json:
@@ -153,6 +163,22 @@ def warmup() -> None:
     with terminal.Progress("compiling"):
         folder = warm_up()
     terminal.console().print(f"compiled; kept in {folder}", soft_wrap=True)
+
+
+def _unwatched(time: Array, truth: Truth) -> None:
+    """Nobody looks."""
+
+
+def _watcher(experiment: Experiment) -> Watch:
+    """A view of the run in an open viewer."""
+    from testbed.campaign.carry_out import robot_of
+    from testbed.tree.shapes import load_shapes
+    from testbed.viewer.live import Live, nothing_yet
+    from testbed.viewer.story import tell
+
+    tree = robot_of(experiment)
+    shapes = load_shapes(experiment.model, tree, weld_root=experiment.weld_root)
+    return Live(tell(experiment.name, tree, nothing_yet(tree.names), shapes))
 
 
 def _hertz(text: str) -> float | None:

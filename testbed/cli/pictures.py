@@ -52,7 +52,7 @@ def view(
         for k, run in enumerate(runs):
             progress(k, len(runs))
             if run.is_dir():
-                stories.append(_of_run(run))
+                stories.append(of_run(run))
             elif model is None:
                 raise ViewerError(f"'{run}' is no run folder; a recording needs --model")
             else:
@@ -89,7 +89,7 @@ def report(
     )
 
 
-def _of_run(folder: Path) -> Story:
+def of_run(folder: Path) -> Story:
     """A run folder's story, with its truth."""
     import numpy as np
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.table import Table
 
 from testbed.arrays import Array
@@ -17,7 +18,11 @@ if TYPE_CHECKING:
 
 
 def result_table(
-    external: Estimate, internal: Estimate, truths: Mapping[str, float], title: str
+    external: Estimate,
+    internal: Estimate,
+    truths: Mapping[str, float],
+    title: str,
+    narrow: bool = False,
 ) -> Table:
     """Truth, both estimates and their errors in sigmas: Table 6, with the truth beside it.
 
@@ -29,21 +34,27 @@ def result_table(
         internal: Estimate from the motor torques.
         truths: True values by name.
         title: Of the table.
+        narrow: Fit 80 columns: 1.0610(9) for 1.0610 +- 0.0009, and no units.
     """
-    table = Table(title=title, title_justify="left", header_style="bold")
-    table.add_column("parameter")
-    table.add_column("unit", style="dim")
-    for column in ("truth", "external", "error/sigma", "internal", "error/sigma"):
-        table.add_column(column, justify="right")
+    box = SIMPLE_HEAD if narrow else HEAVY_HEAD
+    table = Table(title=title, title_justify="left", header_style="bold", box=box)
+    table.add_column("parameter", no_wrap=True)
+    if not narrow:
+        table.add_column("unit", style="dim")
+    error = "z" if narrow else "error/sigma"
+    for column in ("truth", "external", error, "internal", error):
+        table.add_column(column, justify="right", no_wrap=True)
     names = dict.fromkeys((*internal.names[: internal.count], *external.names, *internal.names))
     sections = {internal.count - 1, len(names) - 1 - (len(internal.names) - internal.count)}
     units = dict(zip(internal.names, internal.units, strict=True)) | dict(
         zip(external.names, external.units, strict=True)
     )
     for k, name in enumerate(names):
-        cells = [*_cells(external, name, truths[name]), *_cells(internal, name, truths[name])]
-        truth = f"{truths[name]:.6g}"
-        table.add_row(name, units[name], truth, *cells, end_section=k in sections)
+        cells = [
+            cell for e in (external, internal) for cell in _cells(e, name, truths[name], narrow)
+        ]
+        heads = [name] if narrow else [name, units[name]]
+        table.add_row(*heads, f"{truths[name]:.6g}", *cells, end_section=k in sections)
     return table
 
 
@@ -71,24 +82,34 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     return lines
 
 
-def _cells(estimate: Estimate, name: str, truth: float) -> tuple[str, str]:
+def _cells(estimate: Estimate, name: str, truth: float, narrow: bool) -> tuple[str, str]:
     if name not in estimate.names:
         return "-", ""
     k = estimate.names.index(name)
     sigma = estimate.sigma[k]
     z = (estimate.values[k] - truth) / sigma if sigma > 0 else 0.0
-    return with_sigma(estimate, name), f"{z:+.1f}"
+    return with_sigma(estimate, name, short=narrow), f"{z:+.1f}"
 
 
-def with_sigma(estimate: Estimate, name: str) -> str:
-    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there."""
+def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there.
+
+    Args:
+        estimate: Where to look.
+        name: Of the parameter.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
     if name not in estimate.names:
         return "-"
     k = estimate.names.index(name)
     value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
     if sigma < _EXACT * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"
-    return f"{value:.{_digits(sigma)}f} +- {sigma:.{_digits(sigma)}f}"
+    digits = _digits(sigma)
+    if short:
+        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
 
 
 def _digits(sigma: float) -> int:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from testbed.report.tables import (
@@ -21,12 +22,17 @@ if TYPE_CHECKING:
     from testbed.identification.identify import Estimate
 
 
+WIDE = 110
+"""Columns that the full table of results takes."""
+
+
 class Progress:
     """A progress bar on standard error, if that is a terminal."""
 
     def __init__(self, label: str) -> None:
         """A bar with a label in front."""
-        self._bar = Bar(console=Console(stderr=True), transient=True)
+        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
         self._bar.disable = not sys.stderr.isatty()
         self._task = self._bar.add_task(label)
 
@@ -79,7 +85,8 @@ def print_outcome(outcome: Any, folder: Path) -> None:
     truths = truths_by_name(external, compared.external.truth) | truths_by_name(
         internal, compared.internal.truth
     )
-    out.print(result_table(external, internal, truths, f"{outcome.experiment.name}"))
+    narrow = out.width < WIDE
+    out.print(result_table(external, internal, truths, outcome.experiment.name, narrow))
     for line in quality_lines((external, internal)):
         out.print(line, soft_wrap=True)
     print_doubts(out, outcome.doubts)

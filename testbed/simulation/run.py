@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from mujoco.batch import Batch
@@ -27,6 +28,9 @@ _RECORD = ("sensordata", "qfrc_passive", "qfrc_constraint")
 _FIRST = {"sensordata": 0, "qfrc_passive": 1, "qfrc_constraint": 1}
 _SLAB = 1000
 """Samples between two reports of progress, and held in full detail at once."""
+
+
+Watch: TypeAlias = Callable[[Array, Truth], None]
 
 
 class Diverged(TestbedError):
@@ -76,6 +80,7 @@ def simulate_motion(
     bandwidth: float,
     sampling: Sampling,
     progress: Callable[[int, int], None] = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
 ) -> Run:
     """Follow a periodic motion in closed loop.
 
@@ -87,6 +92,7 @@ def simulate_motion(
         bandwidth: Of the drive [rad/s].
         sampling: How the run is cut into samples.
         progress: Called with samples done and samples in all.
+        watch: Called with every second or so of what happens, times before 0 included.
 
     Raises:
         Diverged: The robot did not follow.
@@ -105,6 +111,7 @@ def simulate_motion(
                 "step or a lower drive bandwidth"
             )
         progress(last, len(times))
+        watch(times[first:last], logs[-1])
     whole = {key: np.concatenate([vars(log)[key] for log in logs])[lead:] for key in vars(logs[0])}
     return _run_of(times[lead:], Truth(**whole), drive, tree)
 

@@ -13,6 +13,7 @@ from testbed.arrays import Array
 from testbed.files import replacing
 from testbed.measurement.recording import AXES
 from testbed.tree.shapes import Shape
+from testbed.tree.tree import Tree
 from testbed.viewer.blueprint import blueprint
 from testbed.viewer.colours import COLOURS, Colour, joint_colours
 from testbed.viewer.story import Story, extent, means, poses, pressure, safe, tips
@@ -68,24 +69,10 @@ def clock(time: Array) -> rr.TimeColumn:
 
 def _robot(stream: rr.RecordingStream, story: Story, at: str) -> None:
     """Shapes on bodies, their poses, joint axes, the tips' paths."""
-    names = [f"{at}/robot/{j + 1}" for j in range(story.tree.n)]
-    for k, shape in enumerate(story.shapes):
-        home = names[shape.body] if shape.body >= 0 else f"{at}/bedplate"
-        stream.log(f"{home}/shape{k}", _archetype(shape), static=True)
+    draw_robot(stream, story, at)
     shown = story.motion[story.frames]
-    placed = poses(story.tree, shown.q)
+    placed = send_poses(stream, story.tree, shown.t, shown.q, at)
     size = reach(story) / 12
-    for j, (name, (rotation, position)) in enumerate(zip(names, placed, strict=True)):
-        columns = rr.Transform3D.columns(
-            translation=position, mat3x3=rotation.swapaxes(-1, -2).reshape(-1, 9)
-        )
-        stream.send_columns(name, indexes=[clock(shown.t)], columns=columns)
-        axis = story.tree.joints[j].axis * size
-        arrow = rr.Arrows3D(
-            vectors=[2 * axis], origins=[-axis], colors=[COLOURS["axis"]], radii=[size / 25],
-            labels=[story.tree.names[j]], show_labels=False,
-        )  # fmt: skip
-        stream.log(f"{name}/axis", arrow, static=True)
     for j, point in tips(story).items():
         rotation, position = placed[j]
         path = position + rotation @ point
@@ -93,10 +80,41 @@ def _robot(stream: rr.RecordingStream, story: Story, at: str) -> None:
         stream.log(f"{at}/path/{j + 1}", line, static=True)
 
 
+def draw_robot(stream: rr.RecordingStream, story: Story, at: str) -> None:
+    """What does not move in the bodies' frames: shapes and joint axes."""
+    size = reach(story) / 12
+    for k, shape in enumerate(story.shapes):
+        home = f"{at}/robot/{shape.body + 1}" if shape.body >= 0 else f"{at}/bedplate"
+        stream.log(f"{home}/shape{k}", _archetype(shape), static=True)
+    for j, joint in enumerate(story.tree.joints):
+        axis = joint.axis * size
+        arrow = rr.Arrows3D(
+            vectors=[2 * axis],
+            origins=[-axis],
+            colors=[COLOURS["axis"]],
+            radii=[size / 25],
+            labels=[joint.name],
+            show_labels=False,
+        )
+        stream.log(f"{at}/robot/{j + 1}/axis", arrow, static=True)
+
+
+def send_poses(
+    stream: rr.RecordingStream, tree: Tree, time: Array, q: Array, at: str
+) -> list[tuple[Array, Array]]:
+    """The bodies' poses over time, logged and returned."""
+    placed = poses(tree, q)
+    for j, (rotation, position) in enumerate(placed):
+        turned = quaternions(rotation)
+        columns = rr.Transform3D.columns(translation=position, quaternion=turned)
+        stream.send_columns(f"{at}/robot/{j + 1}", indexes=[clock(time)], columns=columns)
+    return placed
+
+
 def _archetype(shape: Shape) -> Any:
     """The shape as Rerun draws it."""
     colour = [(np.clip(shape.colour, 0, 1) * 255).astype(np.uint8)]
-    turn = [rr.Quaternion(xyzw=_quaternion(shape.rotation))]
+    turn = [rr.Quaternion(xyzw=quaternions(shape.rotation))]
     solid: dict[str, Any] = {
         "colors": colour,
         "quaternions": turn,
@@ -124,22 +142,43 @@ def _archetype(shape: Shape) -> Any:
     )
 
 
+def send_arrows(
+    stream: rr.RecordingStream, story: Story, time: Array, wrench: Array, scales: Array, at: str
+) -> None:
+    """Force and moment over time, drawn at the plate's edge.
+
+    Args:
+        stream: Where to.
+        story: Whose robot and plate.
+        time: (M,) [s].
+        wrench: (M, 6) [N, N m].
+        scales: What a newton and a newton metre are drawn as, (2,) [m].
+        at: The bedplate's place among the entities.
+    """
+    edge, radius = plate_edge(story), ARROW * reach(story) / 40
+    for name, vectors, scale in zip(
+        ("force", "moment"), (wrench[:, :3], wrench[:, 3:]), scales, strict=True
+    ):
+        columns = rr.Arrows3D.columns(
+            vectors=vectors * scale,
+            origins=np.tile(edge, (len(time), 1)),
+            colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(time), 1)),
+            radii=np.full(len(time), radius),
+        )
+        stream.send_columns(f"{at}/{name}", indexes=[clock(time)], columns=columns)
+
+
 def _plate(stream: rr.RecordingStream, story: Story, at: str) -> None:
     """Force and moment, drawn at the plate's edge; centre of pressure and its trace."""
     size = max(1, round(story.recording.rate / 50))
     wrench = means(story.measured(story.recording.wrench), size)
     times = story.motion.t[::size]
     length = ARROW * reach(story)
-    edge = plate_edge(story)
-    for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
-        scale = length / max(float(np.linalg.norm(vectors, axis=1).max(initial=0.0)), 1e-9)
-        columns = rr.Arrows3D.columns(
-            vectors=vectors * scale,
-            origins=np.tile(edge, (len(times), 1)),
-            colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(times), 1)),
-            radii=np.full(len(times), length / 40),
-        )
-        stream.send_columns(f"{at}/{name}", indexes=[clock(times)], columns=columns)
+    largest = [
+        max(float(np.linalg.norm(part, axis=1).max(initial=0.0)), 1e-9)
+        for part in (wrench[:, :3], wrench[:, 3:])
+    ]
+    send_arrows(stream, story, times, wrench, length / np.array(largest), at)
     points = pressure(wrench)
     there = np.isfinite(points).all(axis=1)
     if there.any():
@@ -269,17 +308,13 @@ def reach(story: Story) -> float:
     return max(sum(lengths) / max(1, len(story.tree.children(-1))) + max(tips_), 0.1)
 
 
-def _quaternion(rotation: Array) -> Array:
-    """(x, y, z, w) of a rotation."""
-    k = np.array(
-        [
-            rotation[2, 1] - rotation[1, 2],
-            rotation[0, 2] - rotation[2, 0],
-            rotation[1, 0] - rotation[0, 1],
-        ]
-    )
-    m = np.empty((4, 4))
-    m[:3, :3] = rotation + rotation.T - np.trace(rotation) * np.eye(3)
-    m[:3, 3] = m[3, :3] = k
-    m[3, 3] = np.trace(rotation)
-    return np.asarray(np.linalg.eigh(m)[1][:, -1])
+def quaternions(rotation: Array) -> Array:
+    """(x, y, z, w) of rotations, (..., 4), w positive; (..., 3, 3) given."""
+    m = np.empty((*rotation.shape[:-2], 4, 4))
+    trace = np.trace(rotation, axis1=-2, axis2=-1)[..., None, None]
+    m[..., :3, :3] = rotation + rotation.swapaxes(-1, -2) - trace * np.eye(3)
+    for k, (i, j) in enumerate(((2, 1), (0, 2), (1, 0))):
+        m[..., k, 3] = m[..., 3, k] = rotation[..., i, j] - rotation[..., j, i]
+    m[..., 3, 3] = trace[..., 0, 0]
+    found = np.linalg.eigh(m)[1][..., -1]
+    return np.asarray(np.where(found[..., 3:] < 0, -found, found))

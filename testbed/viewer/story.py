@@ -114,8 +114,9 @@ def tell(
     if recording.names != tree.names:
         recording = recording.ordered(tree)
     motion, inner = _motion(recording)
+    shapes = tuple(shapes) or tuple(sticks(tree))
     story = Story(
-        name, tree, tuple(shapes) or tuple(sticks(tree)), recording, motion, inner,
+        name, tree, with_bedplate(tree, shapes), recording, motion, inner,
         estimates=estimates or {}, truths=truths or {}, growth=growth or {},
     )  # fmt: skip
     tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
@@ -130,6 +131,19 @@ def tell(
         if method == "external" or external is not None:
             wrench[method] = predicted_wrench(tree, motion, own) + tare
     return Story(**{**vars(story), "wrench": wrench, "torque": torque})
+
+
+def with_bedplate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
+    """The shapes, and a plate under the robot where the model file draws none that wide."""
+    span = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
+    half = max(0.3 * span / max(1, len(tree.children(-1))), 0.1)
+    for shape in shapes:
+        if shape.body < 0 and shape.kind == "box" and min(shape.size[:2]) > 0.5 * half:
+            return shapes
+    size = np.array([half, half, 0.04 * half])
+    steel = np.array([0.62, 0.64, 0.68, 1.0])
+    below = np.array([0.0, 0.0, -0.04 * half])
+    return (*shapes, Shape(-1, "box", size, below, np.eye(3), steel))
 
 
 def poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:

@@ -1,0 +1,93 @@
+"""A simulation shown in an open viewer while it runs."""
+
+from __future__ import annotations
+
+import socket
+
+import numpy as np
+import rerun as rr
+
+from testbed.arrays import Array
+from testbed.errors import ViewerError
+from testbed.measurement.recording import AXES, Recording, Truth
+from testbed.viewer.blueprint import blueprint
+from testbed.viewer.colours import COLOURS, joint_colours
+from testbed.viewer.log import ARROW, clock, draw_robot, reach, send_arrows, send_poses
+from testbed.viewer.show import LOOPBACK
+from testbed.viewer.story import POSES, Story
+
+PORT = 9876
+"""Where `rerun --bind 127.0.0.1` listens."""
+
+
+class Live:
+    """Sends what happens to a viewer; to be called with every second of it."""
+
+    def __init__(self, story: Story, port: int = PORT) -> None:
+        """Connect to a viewer on this machine, and show the robot.
+
+        Args:
+            story: Name, tree and shapes; its recording is of no matter.
+            port: Of the viewer.
+
+        Raises:
+            ViewerError: No viewer listens there.
+        """
+        try:
+            socket.create_connection((LOOPBACK, port), 1.0).close()
+        except OSError:
+            raise ViewerError(
+                f"no viewer listens at {LOOPBACK}:{port}; open one first with "
+                f"rerun --bind {LOOPBACK}"
+            ) from None
+        self._story = story
+        self._stream = rr.RecordingStream("testbed", send_properties=False)
+        self._stream.connect_grpc(
+            f"rerun+http://{LOOPBACK}:{port}/proxy", default_blueprint=blueprint([story])
+        )
+        self._stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        draw_robot(self._stream, story, "/world")
+        names = story.tree.names
+        lines = rr.SeriesLines(names=list(names), colors=joint_colours(len(names)))
+        self._stream.log("/position", lines, static=True)
+        single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
+        for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{n}" for n in names)):
+            self._stream.log(path, single, static=True)
+        mass = max(sum(inertia.mass for inertia in story.tree.inertias), 1e-3)
+        weight = mass * max(float(np.linalg.norm(story.tree.gravity)), 1.0)
+        size = reach(story)
+        self._scales = ARROW * size / np.array([1.5 * weight, 0.3 * weight * size])
+
+    def __call__(self, time: Array, truth: Truth) -> None:
+        """Show a part of the run.
+
+        Args:
+            time: (M,) [s]; below zero before the recording.
+            truth: What happened.
+        """
+        there = time >= 0
+        if not there.any():
+            return
+        time = time[there]
+        rate = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9) if len(time) > 1 else POSES
+        step = max(1, round(rate / POSES))
+        q, wrench = truth.position[there], truth.wrench[there]
+        send_poses(self._stream, self._story.tree, time[::step], q[::step], "/world")
+        send_arrows(
+            self._stream, self._story, time[::step], wrench[::step], self._scales, "/world/bedplate"
+        )
+        index = [clock(time)]
+        self._stream.send_columns("/position", indexes=index, columns=rr.Scalars.columns(scalars=q))
+        signals = {f"/wrench/{c}": wrench[:, k] for k, c in enumerate(AXES)}
+        torque = truth.torque[there]
+        signals |= {f"/torque/{n}": torque[:, j] for j, n in enumerate(self._story.tree.names)}
+        for path, values in signals.items():
+            columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
+            self._stream.send_columns(path, indexes=index, columns=columns)
+        self._stream.flush()
+
+
+def nothing_yet(names: tuple[str, ...]) -> Recording:
+    """A recording of two still samples."""
+    still = np.zeros((2, len(names)))
+    return Recording(names, np.array([0.0, 1e-3]), still, still, np.zeros((2, 6)), still, still)
