@@ -67,6 +67,14 @@ def identify(
 
 
 @app.command()
+def pictures() -> None:
+    """Seconds and sizes of what a run is looked at with."""
+    from benchmarks.pictures import pictures as measure
+
+    _print(measure())
+
+
+@app.command()
 def simulate() -> None:
     """A recorded run against MuJoCo's bare steps."""
     from benchmarks.simulate import simulate as measure
@@ -92,6 +100,7 @@ def everything() -> None:
     regressor()
     identify()
     equations()
+    pictures()
     simulate()
 
 

@@ -1,0 +1,39 @@
+"""What it takes to show a run: a minute at 1 kHz for the viewer, and its report."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from benchmarks.timing import least
+from testbed.campaign.archive import read_run, write_run
+from testbed.campaign.carry_out import carry_out
+from testbed.campaign.experiment import Experiment
+from testbed.campaign.story import subject_of
+from testbed.cli.pictures import of_run
+from testbed.report.html import write_report
+from testbed.viewer.log import write_rrd
+
+
+def pictures(rounds: int = 3) -> dict[str, Any]:
+    """Seconds of one core, and sizes, for table6."""
+    experiment = Experiment.load("experiments/table6.toml")
+    with tempfile.TemporaryDirectory() as folder:
+        run, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
+        write_run(carry_out(experiment), run)
+        story, outcome = of_run(run), read_run(run)
+        seconds = least(
+            {
+                "rrd": lambda: write_rrd([story], rrd),
+                "story and rrd": lambda: write_rrd([of_run(run)], rrd),
+                "report": lambda: write_report(subject_of(outcome), page),
+            },
+            rounds,
+            wall=True,
+        )
+        sizes = {"rrd [MB]": rrd.stat().st_size / 1e6, "page [MB]": page.stat().st_size / 1e6}
+    return {
+        "bench": "table6 to look at, seconds",
+        **{name: round(value, 2) for name, value in (seconds | sizes).items()},
+    }
