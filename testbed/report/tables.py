@@ -58,16 +58,22 @@ def result_table(
     return table
 
 
-def estimate_table(estimates: Sequence[Estimate]) -> Table:
-    """Estimates without truth: value and sigma by method."""
-    table = Table(header_style="bold")
-    table.add_column("parameter")
+def estimate_table(estimates: Sequence[Estimate], narrow: bool = False) -> Table:
+    """Estimates without truth: value and sigma by method.
+
+    Args:
+        estimates: Of one recording.
+        narrow: Fit 80 columns, as in `result_table`.
+    """
+    table = Table(header_style="bold", box=SIMPLE_HEAD if narrow else HEAVY_HEAD)
+    table.add_column("parameter", no_wrap=True)
     table.add_column("unit", style="dim")
     for estimate in estimates:
         table.add_column(estimate.method, justify="right")
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
     for name, unit in units.items():
-        table.add_row(name, unit, *(with_sigma(estimate, name) for estimate in estimates))
+        cells = (with_sigma(estimate, name, short=narrow) for estimate in estimates)
+        table.add_row(name, unit, *cells)
     return table
 
 

@@ -67,7 +67,7 @@ def print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None:
         doubts: About the robot.
     """
     out = console()
-    out.print(estimate_table(estimates))
+    out.print(estimate_table(estimates, out.width < WIDE))
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
     print_doubts(out, (*doubts, *(d for e in estimates for d in e.doubts)))

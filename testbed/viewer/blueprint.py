@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
 import rerun.blueprint as rrb
 
 from testbed.measurement.recording import AXES
-from testbed.viewer.story import Story, extent, safe
+from testbed.viewer.story import Story, extent, safe, span
 
 UNITS = dict(zip(AXES, ("N",) * 3 + ("N m",) * 3, strict=True))
 
@@ -36,20 +35,16 @@ def blueprint(stories: Sequence[Story], tab: str = "wrench") -> rrb.Blueprint:
 
 
 def _robot(story: Story, at: str) -> rrb.Spatial3DView:
-    size = max(1.0, 1.4 * _height(story))
+    size = span(story)
     eye = rrb.EyeControls3D(
-        position=(1.25 * size, -1.25 * size, 0.9 * size),
-        look_target=(0, 0, 0.32 * size),
+        position=(1.3 * size, -1.3 * size, 1.0 * size),
+        look_target=(0, 0, 0.35 * size),
         eye_up=(0, 0, 1),
     )
     return rrb.Spatial3DView(
         origin=f"{at}/world", name=f"{story.name}: robot and reaction", eye_controls=eye,
         background=rrb.Background(color=(250, 250, 252)),
     )  # fmt: skip
-
-
-def _height(story: Story) -> float:
-    return float(sum(np.linalg.norm(joint.offset) for joint in story.tree.joints)) or 1.0
 
 
 def _tabs(story: Story, at: str, tab: str) -> rrb.Tabs:

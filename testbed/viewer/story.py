@@ -176,6 +176,15 @@ def tips(story: Story) -> dict[int, Array]:
     return found
 
 
+def span(story: Story) -> float:
+    """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
+    shown = story.motion[story.frames]
+    placed = poses(story.tree, shown.q)
+    far = [position for _, position in placed]
+    far += [placed[j][1] + placed[j][0] @ point for j, point in tips(story).items()]
+    return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+
+
 def extent(story: Story, j: int) -> tuple[float, float]:
     """Largest speed and largest unexplained torque of a joint, where its curve's axes end."""
     rest = story.rubbing
