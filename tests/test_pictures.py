@@ -256,10 +256,17 @@ def test_parameters_that_are_told_apart_poorly_are_named(subject: Subject) -> No
     external = subject.external
     covariance = np.diag(external.sigma**2)
     covariance[0, 1] = covariance[1, 0] = -0.97 * external.sigma[0] * external.sigma[1]
-    told = notes(replace(subject, external=replace(external, covariance=covariance), doubts=()))
+    known = replace(subject, truths={})
+    told = notes(replace(known, external=replace(external, covariance=covariance), doubts=()))
     assert told[0] == (
         "mb3z and K3yy are told apart poorly by the external method: their correlation is -0.97"
     )
+
+
+def test_errors_that_sigma_does_not_tell_are_named(subject: Subject) -> None:
+    """Torque constants are off by percents: the internal estimate's errors are systematic."""
+    (note,) = [note for note in notes(subject) if "systematic" in note]
+    assert note.startswith("the internal estimate of")
 
 
 @pytest.mark.parametrize(("width", "dark"), [(390, False), (390, True), (1200, False)])

@@ -25,6 +25,10 @@ from testbed.tree.tree import Tree
 
 CLOSE = 0.9
 """Correlation above which two parameters are told apart poorly."""
+FAR = 5.0
+"""Errors in sigmas that noise does not make."""
+EXACT = 1e-6
+"""Relative error below which a sigma of nearly zero is of no matter."""
 CUTOFF = 10.0
 """Of the low-pass on signals that are drawn [Hz]."""
 UNITS = ("N", "N", "N", "N m", "N m", "N m")
@@ -179,8 +183,25 @@ def notes(subject: Subject) -> list[str]:
     """Doubts, and pairs of parameters that the data tell apart poorly, in words."""
     found = list(dict.fromkeys(subject.doubts))
     for estimate in (subject.external, subject.internal):
-        found += _close_pairs(estimate)
+        found += _close_pairs(estimate) + _systematic(estimate, subject.truths)
     return found
+
+
+def _systematic(estimate: Estimate, truths: Mapping[str, float]) -> list[str]:
+    """Errors that no sigma explains, where the truth is known."""
+    off = {
+        name: abs(value - truths[name]) / sigma
+        for name, value, sigma in zip(estimate.names, estimate.values, estimate.sigma, strict=True)
+        if name in truths and abs(value - truths[name]) > FAR * sigma + EXACT * abs(value)
+    }
+    if not off:
+        return []
+    worst = max(off, key=off.__getitem__)
+    return [
+        f"the {estimate.method} estimate of {len(off)} parameters is off by more than {FAR:g} "
+        f"sigma, {worst} by {off[worst]:.0f}: its errors are systematic, such as a wrong torque "
+        "constant, friction of another law or an unmodelled rotor, and sigma does not tell them"
+    ]
 
 
 def _close_pairs(estimate: Estimate) -> list[str]:
