@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import socket
+import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,18 +16,19 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-import rerun as rr
 from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.campaign.archive import read_run, write_run
 from testbed.campaign.carry_out import Outcome, evaluate
 from testbed.campaign.story import subject_of
-from testbed.errors import ExperimentError
+from testbed.errors import ExperimentError, ViewerError
 from testbed.identification.predict import growth
+from testbed.measurement.recording import Truth
 from testbed.report.contents import Subject, notes
 from testbed.report.html import write_report
 from testbed.tree.shapes import load_shapes, poses_at_zero, sticks
+from testbed.viewer.live import Live
 from testbed.viewer.log import write_rrd
 from testbed.viewer.story import Story, means, poses, pressure, tell
 from tests.browser import browser
@@ -193,29 +197,65 @@ def test_predictions_without_noise_are_exact(puma: tb.Tree) -> None:
     assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.torque).max()
 
 
-@pytest.mark.skipif(not LAVAPIPE.exists(), reason="no software Vulkan driver on this machine")
-def test_the_viewer_has_nothing_to_complain_about(
-    rrd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def headless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, int]]:
+    """The real viewer, drawing without a screen, and its port."""
+    if not LAVAPIPE.exists():
+        pytest.skip("no software Vulkan driver on this machine")
     experimental = pytest.importorskip("rerun.experimental")
     monkeypatch.setenv("VK_ICD_FILENAMES", str(LAVAPIPE))
     monkeypatch.setenv("WGPU_BACKEND", "vulkan")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setenv("PATH", f"{Path(rr.__file__).parents[4] / 'bin'}:{os.environ['PATH']}")
-    with experimental.ViewerClient.spawn(
-        headless=True, port=9987, hide_welcome_screen=True
-    ) as viewer:
-        viewer.open(str(rrd))
-        for _ in range(60):
-            time.sleep(0.5)
-            state = viewer.get_state()
-            if len(state.views) > 3:
-                break
-        viewer.set_time("time", duration=4.0, play_state="paused")
-        time.sleep(2)
-        viewer.save_screenshot(str(tmp_path / "shot.png"))
-        assert [view.reports for view in viewer.get_state().views if view.reports] == []
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    spawn = experimental.ViewerClient.spawn
+    with spawn(headless=True, port=port, hide_welcome_screen=True) as viewer:
+        yield viewer, port
+
+
+def settled(viewer: Any) -> list[Any]:
+    """The viewer's views, once they are there."""
+    for _ in range(60):
+        time.sleep(0.5)
+        views: list[Any] = list(viewer.get_state().views)
+        if len(views) > 3:
+            return views
+    raise AssertionError("the viewer shows no views")
+
+
+def test_the_viewer_has_nothing_to_complain_about(
+    headless: tuple[Any, int], rrd: Path, tmp_path: Path
+) -> None:
+    viewer, _ = headless
+    viewer.open(str(rrd))
+    settled(viewer)
+    viewer.set_time("time", duration=4.0, play_state="paused")
+    time.sleep(2)
+    viewer.save_screenshot(str(tmp_path / "shot.png"))
+    assert [view.reports for view in settled(viewer) if view.reports] == []
     assert (tmp_path / "shot.png").stat().st_size > 50_000
+
+
+def test_a_run_is_shown_while_it_happens(headless: tuple[Any, int], story: Story) -> None:
+    viewer, port = headless
+    live = Live(story, port)
+    truth = story.recording.truth
+    assert truth is not None
+    for first in (0, 1000):
+        part = slice(first, first + 1000)
+        piece = Truth(**{name: values[part] for name, values in vars(truth).items()})
+        live(story.recording.time[part], piece)
+    assert [view.reports for view in settled(viewer) if view.reports] == []
+
+
+def test_a_live_view_needs_a_viewer(story: Story) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with pytest.raises(ViewerError, match=f"no viewer listens at 127.0.0.1:{port}; open one"):
+        Live(story, port)
 
 
 @pytest.fixture(scope="module")
