@@ -20,9 +20,10 @@ from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.campaign.archive import read_run, write_run
-from testbed.campaign.carry_out import Outcome, evaluate
+from testbed.campaign.carry_out import Outcome, evaluate, pipeline_of
 from testbed.campaign.story import subject_of
-from testbed.errors import ExperimentError, ViewerError
+from testbed.errors import ExperimentError, UnseenParameters, ViewerError
+from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import growth
 from testbed.measurement.recording import Truth
 from testbed.report.contents import Subject, notes
@@ -32,7 +33,7 @@ from testbed.viewer.live import Live
 from testbed.viewer.log import write_rrd
 from testbed.viewer.story import Story, means, poses, pressure, tell
 from tests.browser import browser
-from tests.conftest import ROOT
+from tests.conftest import GOLDEN, ROOT
 from tests.robots import random_robot, random_states
 
 LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
@@ -281,7 +282,7 @@ def test_the_report_says_what_was_found(page: Path, subject: Subject) -> None:
     assert len(numbers["figures"]) == 3
     tables = {figure["id"]: figure["rows"] for figure in numbers["figures"]}
     assert len(tables["prediction"]) == 9
-    worst = max(float(row[3].rstrip("%")) for row in tables["prediction"][:6])
+    worst = max(float(row[5].rstrip("%")) for row in tables["prediction"][:6])
     assert worst < 5.0  # the plate's channels, on a motion that was not identified
 
 
@@ -324,6 +325,49 @@ def test_the_report_in_a_browser(page: Path, tmp_path: Path, width: int, dark: b
             "return [...document.querySelectorAll('svg')].every(s => s.getAttribute('aria-label'))"
         )
         assert seen.complaints() == []
+
+
+def test_the_page_is_not_where_its_numbers_go(subject: Subject, tmp_path: Path) -> None:
+    """Both files or none."""
+    (tmp_path / "r.json").mkdir()
+    with pytest.raises(OSError, match="is a folder"):
+        write_report(subject, tmp_path / "r.html")
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_dollars_in_names_are_dollars(subject: Subject, tmp_path: Path) -> None:
+    tree = subject.tree
+    odd = replace(tree, joints=(replace(tree.joints[0], name="a$\\foo_{$"), *tree.joints[1:]))
+    recording = replace(subject.recording, names=odd.names)
+    write_report(replace(subject, tree=odd, recording=recording, unseen=None), tmp_path / "r.html")
+    assert "a$\\foo_{$" in (tmp_path / "r.html").read_text()
+
+
+def test_growth_ends_at_the_estimate(outcome: Outcome) -> None:
+    """With the run's own pipeline."""
+    pipeline = replace(pipeline_of(outcome.experiment), cutoff=3.0, deadband=0.1)
+    known: dict[str, Any] = {"zeros": True, "pipeline": pipeline}
+    grown = growth(outcome.tree, outcome.recording, "internal", [5.0, 99.0], **known)
+    whole = tb.identify(outcome.tree, outcome.recording, "internal", **known)
+    np.testing.assert_array_equal(grown.values[-1], whole.values)
+    assert grown.time[-1] == outcome.recording.time[-1]
+
+
+def test_a_broken_mesh_is_left_out(tmp_path: Path) -> None:
+    text = (GOLDEN / "robots/pendulum.urdf").read_text()
+    (tmp_path / "bad.stl").write_bytes(b"no mesh at all")
+    visual = '<visual><geometry><mesh filename="bad.stl"/></geometry></visual>'
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    name = re.findall(r'<link name="(\w+)"', text)[-1]
+    text = text.replace(f'<link name="{name}">', f'<link name="{name}">{visual}{box}')
+    (tmp_path / "r.urdf").write_text(text)
+    tree = tb.load_tree(tmp_path / "r.urdf")
+    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree)] == ["box"]
+
+
+def test_no_rows_at_all_is_said(puma: tb.Tree, puma_recording: tb.Recording) -> None:
+    with pytest.raises(UnseenParameters, match="0 samples determine only 0"):
+        tb.identify(puma, puma_recording, "internal", pipeline=Pipeline(deadband=1e3))
 
 
 def test_hostile_names_stay_text(subject: Subject, tmp_path: Path) -> None:

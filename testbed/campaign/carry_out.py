@@ -100,12 +100,7 @@ def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcom
         tree: The robot.
         recording: What the instrument measured.
     """
-    table = experiment.identification
-    pipeline = Pipeline(
-        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
-        cutoff=None if table.cutoff == "off" else table.cutoff,
-        deadband=table.deadband,
-    )
+    table, pipeline = experiment.identification, pipeline_of(experiment)
     external = identify(tree, recording, "external", zeros=table.zeros, pipeline=pipeline)
     internal = identify(tree, recording, "internal", zeros=table.zeros, pipeline=pipeline)
     return Outcome(
@@ -116,6 +111,20 @@ def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcom
         internal=internal,
         comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
         doubts=tuple(dict.fromkeys((*tree.doubts, *external.doubts, *internal.doubts))),
+    )
+
+
+def pipeline_of(experiment: Experiment) -> Pipeline:
+    """How an experiment's signals are treated.
+
+    Args:
+        experiment: Says so in its table `identification`.
+    """
+    table = experiment.identification
+    return Pipeline(
+        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
+        cutoff=None if table.cutoff == "off" else table.cutoff,
+        deadband=table.deadband,
     )
 
 

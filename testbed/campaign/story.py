@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.campaign.archive import result
-from testbed.campaign.carry_out import Outcome, simulate
+from testbed.campaign.carry_out import Outcome, pipeline_of, simulate
 from testbed.campaign.experiment import Experiment
+from testbed.errors import TestbedError
 from testbed.identification.stream import Progress
 from testbed.measurement.recording import Recording
 from testbed.report.contents import Subject
@@ -27,6 +28,11 @@ def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) 
     truths = truths_by_name(outcome.internal, compared.internal.truth)
     truths |= truths_by_name(outcome.external, compared.external.truth)
     metrics = compared.metrics
+    other, doubts = None, []
+    try:
+        other = unseen(experiment, progress)
+    except TestbedError as error:
+        doubts.append(f"predictions are checked on the identified motion only: {error}")
     verdicts = []
     for name, bound in experiment.expect.items():
         wanted = ", ".join(
@@ -44,21 +50,32 @@ def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) 
         title=experiment.name,
         tree=outcome.tree,
         recording=outcome.recording,
-        unseen=unseen(experiment, progress),
+        unseen=other,
         external=outcome.external,
         internal=outcome.internal,
         truths=truths,
         claim=experiment.claim,
         verdicts=verdicts,
         asked=_asked(outcome),
+        pipeline=pipeline_of(experiment),
         origin=_origin(outcome),
-        doubts=outcome.doubts,
+        doubts=(*outcome.doubts, *doubts),
     )
 
 
 def unseen(experiment: Experiment, progress: Progress) -> Recording:
-    """The same robot and instrument along another motion, with other noise."""
-    motion = experiment.motion.model_copy(update={"duration": UNSEEN, "candidates": 1})
+    """The same robot and instrument along another motion, with other noise.
+
+    Args:
+        experiment: Of the run.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        TestbedError: The other motion cannot be simulated.
+    """
+    asked = experiment.motion
+    duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
+    motion = asked.model_copy(update={"duration": duration, "candidates": 1})
     other = experiment.model_copy(update={"motion": motion, "seed": experiment.seed + 1})
     return simulate(other, progress)
 
@@ -67,8 +84,13 @@ def _asked(outcome: Outcome) -> list[tuple[str, str]]:
     experiment = outcome.experiment
     motion, plate = experiment.motion, experiment.measurement
     errors = ", ".join(f"{k} {v:+.0%}" for k, v in plate.torque_constant_error.items())
+    table, plant = experiment.identification, experiment.simulation
+    n = outcome.tree.n
+    joints = f"{n} joint{'s' if n > 1 else ''}: {', '.join(outcome.tree.names)}"
+    gx, gy, gz = outcome.tree.gravity
     return [
-        ("robot", f"{outcome.tree.name}, {outcome.tree.n} joints: {', '.join(outcome.tree.names)}"),
+        ("robot", f"{outcome.tree.name}, {joints}"),
+        ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the bedplate frame"),
         ("model file", Path(experiment.model).name),
         (
             "motion",
@@ -89,7 +111,19 @@ def _asked(outcome: Outcome) -> list[tuple[str, str]]:
             f"torque noise {plate.torque_noise:g} [N m or N]"
             + (f", torque constants off by {errors}" if errors else ""),
         ),
-        ("joint friction", "as in the model file" if experiment.simulation.friction else "none"),
+        ("kinematics", "sensed exactly" if plate.senses_kinematics else "from encoders only"),
+        ("joint friction", "as in the model file" if plant.friction else "none"),
+        (
+            "simulation",
+            f"steps of {plant.step:g} s; samples are "
+            + ("means over their steps" if plate.averaged else "instants"),
+        ),
+        (
+            "identification",
+            f"low-pass on positions {table.position_cutoff} Hz, on rows {table.cutoff} Hz; joint "
+            f"rows below {table.deadband:g} rad/s or m/s dropped; parameters that are zero in "
+            + ("the model file known" if table.zeros else "the model file not known"),
+        ),
     ]
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -11,8 +12,10 @@ from testbed.cli.options import Accept, Weld, Zeros, app
 
 if TYPE_CHECKING:
     from testbed.identification.identify import Estimate
+    from testbed.identification.predict import Growth
     from testbed.viewer.story import Story
 
+METHODS: tuple[Literal["external"], Literal["internal"]] = ("external", "internal")
 STAGES = 12
 """Estimates from more and more of a recording."""
 
@@ -51,13 +54,15 @@ def view(
     with terminal.Progress("looking") as progress:
         for k, run in enumerate(runs):
             progress(k, len(runs))
+            if not run.exists():
+                raise ViewerError(f"there is no run folder or recording '{run}'")
             if run.is_dir():
                 stories.append(of_run(run))
             elif model is None:
                 raise ViewerError(f"'{run}' is no run folder; a recording needs --model")
             else:
                 stories.append(_of_recording(run, model, zeros, weld_root, accept_inertia))
-    path = save or Path(f"{str(runs[0]).rstrip('/').removesuffix('.parquet')}.rrd")
+    path = save or _beside(runs[0], ".rrd")
     write_rrd(stories, path)
     terminal.console().print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
@@ -80,7 +85,11 @@ def report(
     from testbed.report import terminal
     from testbed.report.html import write_report
 
-    path = out or Path(f"{str(run).rstrip('/')}.html")
+    path = out or _beside(run, ".html")
+    if path.suffix == ".json":
+        raise typer.BadParameter(
+            f"--out {path}: the numbers go into that file; name the page .html"
+        )
     with terminal.Progress("simulating an unseen motion") as progress:
         subject = subject_of(read_run(run), progress)
     beside = write_report(subject, path)
@@ -89,11 +98,19 @@ def report(
     )
 
 
+def _beside(run: Path, ending: str) -> Path:
+    """A file of the run's name beside it."""
+    whole = run.resolve()
+    name = whole.name.removesuffix(".parquet") + ending
+    return (run.parent if run.name else whole.parent) / name
+
+
 def of_run(folder: Path) -> Story:
     """A run folder's story, with its truth."""
     import numpy as np
 
     from testbed.campaign.archive import read_run
+    from testbed.campaign.carry_out import pipeline_of
     from testbed.identification.predict import growth
     from testbed.report.tables import truths_by_name
     from testbed.tree.shapes import load_shapes
@@ -106,32 +123,40 @@ def of_run(folder: Path) -> Story:
     duration = outcome.recording.time[-1] - outcome.recording.time[0]
     times = np.geomspace(duration / 30, duration, STAGES)
     times[-1] = duration + 1.0  # all of it
-    zeros = experiment.identification.zeros
+    zeros, pipeline = experiment.identification.zeros, pipeline_of(experiment)
     estimates = {"external": outcome.external, "internal": outcome.internal}
-    grown = {
-        "external": growth(outcome.tree, outcome.recording, "external", times, zeros=zeros),
-        "internal": growth(outcome.tree, outcome.recording, "internal", times, zeros=zeros),
+    grown: dict[str, Growth] = {
+        method: growth(
+            outcome.tree, outcome.recording, method, times, zeros=zeros, pipeline=pipeline
+        )
+        for method in METHODS
     }
     shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
-    return tell(experiment.name, outcome.tree, outcome.recording, shapes, estimates, truths, grown)
+    return tell(
+        experiment.name, outcome.tree, outcome.recording, shapes, estimates, truths, grown, pipeline
+    )
 
 
 def _of_recording(
     path: Path, model: Path, zeros: bool, weld_root: bool, accept_inertia: bool
 ) -> Story:
     """A recording's story: estimates where the data suffice, no truth."""
+    import numpy as np
+
     from testbed.errors import RecordingError, UnseenParameters
-    from testbed.identification.identify import Method, identify
-    from testbed.measurement.recording import Recording
+    from testbed.identification.identify import identify
+    from testbed.measurement.recording import Recording, check_robot
     from testbed.tree.load import load_tree
     from testbed.tree.shapes import load_shapes
     from testbed.viewer.story import tell
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     recording = Recording.load(path)
+    check_robot(recording, tree)
+    gravity = recording.facts.get("gravity")
+    tree = tree if gravity is None else replace(tree, gravity=np.array(gravity))
     estimates: dict[str, Estimate] = {}
-    methods: tuple[Method, ...] = ("external", "internal")
-    for method in methods:
+    for method in METHODS:
         try:
             estimates[method] = identify(tree, recording, method, zeros=zeros)
         except (RecordingError, UnseenParameters) as error:

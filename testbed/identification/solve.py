@@ -82,6 +82,9 @@ def solved(products: Products, weights: Array) -> Fit:
     matrix, vector = products.matrix(weights), products.vector(weights)
     scale = np.sqrt(np.diagonal(matrix))
     seen = scale > 0
+    if not seen.any():
+        names = products.unknowns
+        raise UnseenParameters(names, 0, len(names), int(products.used.sum()))
     values, inverse = np.full(len(scale), np.nan), np.full(matrix.shape, np.nan)
     unit = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
     spread, directions = np.linalg.eigh(unit)

@@ -12,6 +12,7 @@ from testbed.arrays import Array
 from testbed.dynamics.dynamics import pedestal_wrench
 from testbed.identification.filters import row_weights
 from testbed.identification.identify import Estimate
+from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import (
     friction,
     motion_in,
@@ -25,6 +26,8 @@ from testbed.tree.tree import Tree
 
 CLOSE = 0.9
 """Correlation above which two parameters are told apart poorly."""
+MOST_PAIRS = 5
+"""Pairs that are named."""
 FAR = 5.0
 """Errors in sigmas that noise does not make."""
 EXACT = 1e-6
@@ -49,6 +52,7 @@ class Subject:
         claim: What the experiment shows.
         verdicts: Claims with what came out: name, wanted, value, holds.
         asked: Facts on model, instrument and motion, in order.
+        pipeline: How the estimates treated the recording.
         origin: Facts on files, versions and how to repeat it, in order.
         doubts: What a careful reader should know.
     """
@@ -63,6 +67,7 @@ class Subject:
     claim: str = ""
     verdicts: Sequence[Mapping[str, Any]] = ()
     asked: Sequence[tuple[str, str]] = ()
+    pipeline: Pipeline = field(default_factory=Pipeline)
     origin: Sequence[tuple[str, str]] = ()
     doubts: Sequence[str] = ()
 
@@ -117,7 +122,7 @@ def check(subject: Subject) -> Check:
     tree = subject.tree
     recording = subject.unseen or subject.recording
     recording = recording if recording.names == tree.names else recording.ordered(tree)
-    motion, inner = motion_in(recording)
+    motion, inner = motion_in(recording, subject.pipeline)
     tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
     own = parameters_of(subject.external, tree.n)
     other = parameters_of(subject.internal, tree.n, own)
@@ -208,8 +213,13 @@ def _close_pairs(estimate: Estimate) -> list[str]:
     scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
     correlation = estimate.covariance / np.outer(scale, scale)
     pairs = np.argwhere(np.triu(np.abs(correlation) > CLOSE, 1))
-    return [
+    worst = sorted(pairs.tolist(), key=lambda p: -abs(correlation[p[0], p[1]]))
+    said = [
         f"{estimate.names[a]} and {estimate.names[b]} are told apart poorly by the "
         f"{estimate.method} method: their correlation is {correlation[a, b]:.2f}"
-        for a, b in pairs
+        for a, b in worst[:MOST_PAIRS]
     ]
+    if len(worst) > MOST_PAIRS:
+        more = len(worst) - MOST_PAIRS
+        said.append(f"so are {more} more pairs, by the {estimate.method} method, less")
+    return said

@@ -48,10 +48,9 @@ def write_report(subject: Subject, path: Path) -> Path:
     ).from_string(files("testbed.report").joinpath("page/report.html").read_text("utf-8"))
     text = page.render(content)
     beside = path.with_suffix(".json")
-    with replacing(path) as fresh:
+    with replacing(path) as fresh, replacing(beside) as numbers:
         fresh.write_text(text, encoding="utf-8")
-    with replacing(beside) as fresh:
-        fresh.write_text(json.dumps(_plain(content), indent=1, sort_keys=True) + "\n", "utf-8")
+        numbers.write_text(json.dumps(_plain(content), indent=1, sort_keys=True) + "\n", "utf-8")
     return beside
 
 
@@ -93,13 +92,6 @@ def _predictions(subject: Subject, raw: Check) -> dict[str, Any]:
         )
     unseen = subject.unseen is not None
     motion = "a motion that no estimate has seen" if unseen else "the motion that was identified"
-    rows = [
-        [channel, unit, f"{spread:.3g}", f"{a:.2%}", f"{b:.2%}"]
-        for channel, unit, spread, a, b in zip(
-            found.channels, found.units, found.measured.std(axis=0),
-            found.relative(found.external), found.relative(found.internal), strict=True,
-        )
-    ]  # fmt: skip
     return {
         "id": "prediction",
         "title": f"Measured and predicted, on {motion}",
@@ -111,15 +103,36 @@ def _predictions(subject: Subject, raw: Check) -> dict[str, Any]:
                 [f"{c}" for c in found.channels],
                 curves,
                 "time [s]",
-                [f"{c} [{u}]" for c, u in zip(found.channels, found.units, strict=True)],
+                [f"[{u}]" for u in found.units],
                 name=f"Measured and predicted wrench and joint torques on {motion}",
             )
         ),
         "caption": "All through one low-pass of 10 Hz; residuals as part of the signal's spread "
         "stand in the table.",
-        "heads": ["channel", "unit", "spread (rms)", "residual, external", "residual, internal"],
-        "rows": rows,
+        "heads": [
+            "channel",
+            "unit",
+            "spread (rms)",
+            "residual rms, external",
+            "residual rms, internal",
+            "of spread, external",
+            "of spread, internal",
+        ],
+        "rows": _residuals(found),
     }
+
+
+def _residuals(found: Check) -> list[list[str]]:
+    """Per channel: spread, residuals, and these as part of the spread."""
+    rows = []
+    pair = found.relative(found.external), found.relative(found.internal)
+    spreads = found.measured.std(axis=0)
+    for c, (channel, unit) in enumerate(zip(found.channels, found.units, strict=True)):
+        shares = [float(share[c]) for share in pair]
+        sizes = [float(spreads[c]), *(share * float(spreads[c]) for share in shares)]
+        numbers = [*(f"{x:.3g}" for x in sizes), *(f"{x:.2%}" for x in shares)]
+        rows.append([channel, unit, *numbers])
+    return rows
 
 
 def _spectra(found: Check, subject: Subject) -> dict[str, Any]:
@@ -151,7 +164,7 @@ def _spectra(found: Check, subject: Subject) -> dict[str, Any]:
                 name="Spectra of the residuals",
             )
         ),
-        "caption": "Welch's method, segments of 2048 samples.",
+        "caption": "Welch's method, segments of at most 2048 samples.",
         "heads": ["channel", "unit", "rms below 5 Hz", "rms above 5 Hz", "of"],
         "rows": rows,
     }
@@ -182,7 +195,8 @@ def _friction(subject: Subject, found: Check) -> dict[str, Any]:
         pair = [values.get(f"{kind}/{joint.name}") for kind in ("coulomb", "viscous")]
         truth = [subject.truths.get(f"{kind}/{joint.name}") for kind in ("coulomb", "viscous")]
         cells = [*pair, *truth]
-        rows.append([joint.name, *("" if x is None else f"{x:.4g}" for x in cells)])
+        kind = "N m, N m s/rad" if joint.revolute else "N, N s/m"
+        rows.append([joint.name, kind, *("" if x is None else f"{x:.4g}" for x in cells)])
     units = ["N m" if joint.revolute else "N" for joint in subject.tree.joints]
     return {
         "id": "friction",
@@ -201,7 +215,11 @@ def _friction(subject: Subject, found: Check) -> dict[str, Any]:
             )
         ),
         "caption": "Points are samples, the line is dry and viscous friction as estimated.",
-        "heads": ["joint", *(f"{a}, {b}" for b in ("found", "true") for a in ("dry", "viscous"))],
+        "heads": [
+            "joint",
+            "units",
+            *(f"{a}, {b}" for b in ("found", "true") for a in ("dry", "viscous")),
+        ],
         "rows": rows,
     }
 

@@ -120,7 +120,7 @@ def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
 
 def _digits(sigma: float) -> int:
     """Decimals that show two digits of sigma."""
-    return 1 if sigma >= 1 else len(f"{1 / sigma:.0f}") + 1
+    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
 
 
 def truths_by_name(estimate: Estimate, truth: Array) -> dict[str, float]:

@@ -107,6 +107,10 @@ def sticks(tree: Tree, thickness: float = 0.0) -> Iterator[Shape]:
         if length > radius:
             size, middle = np.array([radius, length / 2]), joint.offset / 2
             yield Shape(joint.parent, "capsule", size, middle, upright(joint.offset), grey)
+        end = tree.inertias[j].com
+        if not tree.children(j) and np.linalg.norm(end) > radius:
+            half = np.array([radius, float(np.linalg.norm(end)) / 2])
+            yield Shape(j, "capsule", half, end / 2, upright(end), grey)
         size = np.array([1.6 * radius, 2.4 * radius])
         yield Shape(j, "cylinder", size, np.zeros(3), upright(joint.axis), dark)
 

@@ -24,6 +24,8 @@ _GREY = np.array([0.7, 0.72, 0.75, 1.0])
 def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[Shape]:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
+    If one of them cannot be read, all meshes are left out.
+
     Args:
         path: The URDF file.
         tree: The tree read from it.
@@ -34,13 +36,17 @@ def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[
     """
     root = supported_xml(path, weld_root=weld_root, keep_visuals=True)
     coloured = _with_meshes_found(root, path)
-    text = ET.tostring(root, encoding="unicode")
-    with silenced(), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    try:
+        model, seen = _built(root)
+    except Exception:  # Pinocchio raises whatever a mesh makes it meet
+        for link in root.findall("link"):
+            for visual in [
+                v for v in link.findall("visual") if v.find("geometry/mesh") is not None
+            ]:
+                link.remove(visual)
         try:
-            model = pin.buildModelFromXML(text)
-            seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
-        except Exception as error:  # Pinocchio raises whatever its parser meets
+            model, seen = _built(root)
+        except Exception as error:
             raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
     for shape in seen.geometryObjects:
         joint = shape.parentJoint
@@ -48,6 +54,15 @@ def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[
         colour = np.array(shape.meshColor) if coloured else _GREY
         placed = (shape.placement.translation, shape.placement.rotation, colour)
         yield from _drawn(body, shape.geometry, *placed)
+
+
+def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
+    """The robot, and what there is to see of it."""
+    text = ET.tostring(root, encoding="unicode")
+    with silenced(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = pin.buildModelFromXML(text)
+        return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
 
 
 def _drawn(

@@ -52,7 +52,7 @@ def _tabs(story: Story, at: str, tab: str) -> rrb.Tabs:
     unit = ["N m" if joint.revolute else "N" for joint in story.tree.joints]
     wrench = [_plot(f"{at}/wrench/{c}", f"{c} [{UNITS[c]}]", c == "Fx") for c in AXES]
     torque = [
-        _plot(f"{at}/torque/{name}", f"torque of {name} [{u}]")
+        _plot(f"{at}/torque/{safe(name)}", f"torque of {name} [{u}]")
         for name, u in zip(names, unit, strict=True)
     ]
     views = [
@@ -72,11 +72,13 @@ def _tabs(story: Story, at: str, tab: str) -> rrb.Tabs:
         bounds = rrb.VisualBounds2D(x_range=[-1.2, 1.2], y_range=[-1.2, 1.2])
         curves = [
             rrb.Spatial2DView(
-                origin=f"{at}/friction/{name}", name=_friction(story, j), visual_bounds=bounds,
+                origin=f"{at}/friction/{safe(name)}",
+                name=_friction(story, j),
+                visual_bounds=bounds,
                 background=rrb.Background(color=(250, 250, 252)),
             )
             for j, name in enumerate(names)
-        ]  # fmt: skip
+        ]
         views.append(rrb.Grid(*curves, name="friction"))
     if story.growth:
         method = next(iter(story.growth))

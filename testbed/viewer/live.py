@@ -14,8 +14,10 @@ from testbed.viewer.blueprint import blueprint
 from testbed.viewer.colours import COLOURS, joint_colours
 from testbed.viewer.log import ARROW, clock, draw_robot, reach, send_arrows, send_poses
 from testbed.viewer.show import LOOPBACK
-from testbed.viewer.story import POSES, Story
+from testbed.viewer.story import POSES, Story, safe
 
+PATIENCE = 5.0
+"""How long a viewer may take to answer [s]."""
 PORT = 9876
 """Where `rerun --bind 127.0.0.1` listens."""
 
@@ -51,11 +53,12 @@ class Live:
         lines = rr.SeriesLines(names=list(names), colors=joint_colours(len(names)))
         self._stream.log("/position", lines, static=True)
         single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
-        for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{n}" for n in names)):
+        for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)):
             self._stream.log(path, single, static=True)
         mass = max(sum(inertia.mass for inertia in story.tree.inertias), 1e-3)
         weight = mass * max(float(np.linalg.norm(story.tree.gravity)), 1.0)
         size = reach(story)
+        self._flush()
         self._scales = ARROW * size / np.array([1.5 * weight, 0.3 * weight * size])
 
     def __call__(self, time: Array, truth: Truth) -> None:
@@ -80,11 +83,22 @@ class Live:
         self._stream.send_columns("/position", indexes=index, columns=rr.Scalars.columns(scalars=q))
         signals = {f"/wrench/{c}": wrench[:, k] for k, c in enumerate(AXES)}
         torque = truth.torque[there]
-        signals |= {f"/torque/{n}": torque[:, j] for j, n in enumerate(self._story.tree.names)}
+        signals |= {
+            f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._story.tree.names)
+        }
         for path, values in signals.items():
             columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
             self._stream.send_columns(path, indexes=index, columns=columns)
-        self._stream.flush()
+        self._flush()
+
+    def _flush(self) -> None:
+        """Wait until the viewer has it, but not for ever."""
+        try:
+            self._stream.flush(timeout_sec=PATIENCE)
+        except Exception:  # Rerun raises errors of its own
+            raise ViewerError(
+                f"what listens at {LOOPBACK} does not take the run; is it Rerun's viewer, and open?"
+            ) from None
 
 
 def nothing_yet(names: tuple[str, ...]) -> Recording:

@@ -180,7 +180,8 @@ def _plate(stream: rr.RecordingStream, story: Story, at: str) -> None:
     ]
     send_arrows(stream, story, times, wrench, length / np.array(largest), at)
     points = pressure(wrench)
-    there = np.isfinite(points).all(axis=1)
+    far = 3 * max(float(np.abs(plate_edge(story)).max()), reach(story) / 3)
+    there = (np.abs(points) < far).all(axis=1)  # false for what is not a number, too
     if there.any():
         flat = np.column_stack([points[there], np.full(there.sum(), 0.002)])
         columns = rr.Points3D.columns(
@@ -189,7 +190,8 @@ def _plate(stream: rr.RecordingStream, story: Story, at: str) -> None:
             radii=np.full(len(flat), length / 25),
         )
         stream.send_columns(f"{at}/pressure", indexes=[clock(times[there])], columns=columns)
-        trace = rr.LineStrips3D([flat], colors=[COLOURS["pressure"]], radii=[length / 150])
+        runs = np.split(flat, np.flatnonzero(np.diff(np.flatnonzero(there)) > 1) + 1)
+        trace = rr.LineStrips3D(runs, colors=[COLOURS["pressure"]], radii=[length / 150])
         stream.log(f"{at}/trace", trace, static=True)
 
 
@@ -211,11 +213,11 @@ def _signals(stream: rr.RecordingStream, story: Story, at: str) -> None:
             columns = [there, *(values[:, c] for values in predicted.values())]
             labels = ["measured", *predicted]
             colours = [COLOURS[label] for label in labels]
-            path = f"{at}/{group}/{channel}"
+            path = f"{at}/{group}/{safe(channel)}"
             _series(stream, path, inner, np.column_stack(columns), labels, colours)
             if predicted:
                 rest = np.column_stack([there - values[:, c] for values in predicted.values()])
-                path = f"{at}/residual/{group}/{channel}"
+                path = f"{at}/residual/{group}/{safe(channel)}"
                 _series(stream, path, inner, rest, labels[1:], colours[1:])
 
 
@@ -242,7 +244,7 @@ def _friction(stream: rr.RecordingStream, story: Story, at: str) -> None:
         speed, torque = story.motion.qd[::step, j], rest[::step, j]
         width, height = extent(story, j)
         points = np.column_stack([speed / width, -torque / height])
-        path = f"{at}/{name}"
+        path = f"{at}/{safe(name)}"
         stream.log(
             f"{path}/points",
             rr.Points2D(points, colors=[COLOURS["measured"]], radii=[0.006]),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import rerun as rr
 
 from testbed.arrays import Array, apply
 from testbed.dynamics.algebra import NUMBERS
@@ -15,6 +16,7 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.identification.identify import Estimate
+from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import (
     Growth,
     friction,
@@ -27,6 +29,8 @@ from testbed.measurement.recording import Recording
 from testbed.tree.shapes import Shape, sticks
 from testbed.tree.tree import Tree
 
+PRESSED = 0.05
+"""Part of the largest force that must press for there to be a centre of pressure."""
 POSES = 50.0
 """Poses shown a second [Hz]; the eye sees no more."""
 
@@ -96,6 +100,7 @@ def tell(
     estimates: Mapping[str, Estimate] | None = None,
     truths: Mapping[str, float] | None = None,
     growth: Mapping[str, Growth] | None = None,
+    pipeline: Pipeline | None = None,
 ) -> Story:
     """Compute what there is to see of a run.
 
@@ -110,10 +115,11 @@ def tell(
         estimates: By method, "external" and "internal"; default none.
         truths: True values by parameter name.
         growth: Estimates from more and more of the recording, by method.
+        pipeline: How the estimates treated the recording; default `Pipeline()`.
     """
     if recording.names != tree.names:
         recording = recording.ordered(tree)
-    motion, inner = _motion(recording)
+    motion, inner = _motion(recording, pipeline)
     shapes = tuple(shapes) or tuple(sticks(tree))
     story = Story(
         name, tree, with_bedplate(tree, shapes), recording, motion, inner,
@@ -193,18 +199,18 @@ def extent(story: Story, j: int) -> tuple[float, float]:
 
 
 def safe(name: str) -> str:
-    """A parameter's name as a part of an entity's path."""
-    return name.replace("*", "'")
+    """A joint's or parameter's name as one part of an entity's path."""
+    return str(rr.escape_entity_path_part(name))
 
 
 def pressure(wrench: Array) -> Array:
-    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m]; nan where nothing presses.
+    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m]; nan where it is hardly pressed.
 
     Args:
         wrench: Of the bedplate on the robot, (M, 6) [N, N m].
     """
     fz = wrench[:, 2]
-    pressed = np.abs(fz) > 1e-3 * np.abs(wrench[:, :3]).max(initial=1e-9)
+    pressed = fz > PRESSED * np.abs(wrench[:, :3]).max(initial=1e-9)
     safe = np.where(pressed, fz, np.nan)
     return np.column_stack([-wrench[:, 4] / safe, wrench[:, 3] / safe])
 
@@ -217,10 +223,10 @@ def means(signal: Array, size: int) -> Array:
     return np.asarray(np.add.reduceat(signal, starts, axis=0) / counts[:, None])
 
 
-def _motion(recording: Recording) -> tuple[Motion, slice]:
+def _motion(recording: Recording, pipeline: Pipeline | None) -> tuple[Motion, slice]:
     """The recording's motion; unfiltered where it is too short for filters."""
     try:
-        return motion_in(recording)
+        return motion_in(recording, pipeline)
     except RecordingError:
         step = 1 / recording.rate
         speed = np.gradient(recording.position, step, axis=0)
