@@ -65,6 +65,16 @@ class Outcome:
     doubts: tuple[str, ...]
 
     @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name."""
+        pairs = (self.external, self.comparison.external), (self.internal, self.comparison.internal)
+        return {
+            name: value
+            for estimate, errors in pairs
+            for name, value in zip(estimate.names, errors.truth.tolist(), strict=True)
+        }
+
+    @property
     def verdicts(self) -> Mapping[str, bool]:
         """For each metric in [expect], whether the claim holds."""
         metrics = self.comparison.metrics

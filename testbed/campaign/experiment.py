@@ -119,6 +119,12 @@ class Bound(_Table):
             raise ValueError("a claim needs at_most or at_least")
         return self
 
+    @property
+    def wanted(self) -> str:
+        """In words: at most 0.0015."""
+        bounds = self.model_dump(exclude_none=True).items()
+        return ", ".join(f"{side.replace('_', ' ')} {value:g}" for side, value in bounds)
+
     def holds(self, value: float) -> bool:
         """Whether `value` is within the bound; a value that is not a number never is."""
         low = -math.inf if self.at_least is None else self.at_least

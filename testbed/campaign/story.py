@@ -11,7 +11,6 @@ from testbed.errors import TestbedError
 from testbed.identification.stream import Progress
 from testbed.measurement.recording import Recording
 from testbed.report.contents import Subject
-from testbed.report.tables import truths_by_name
 
 UNSEEN = 12.0
 """Seconds of the motion on which predictions are checked."""
@@ -24,28 +23,21 @@ def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) 
         outcome: What came of the experiment.
         progress: Called with samples done and samples in all.
     """
-    experiment, compared = outcome.experiment, outcome.comparison
-    truths = truths_by_name(outcome.internal, compared.internal.truth)
-    truths |= truths_by_name(outcome.external, compared.external.truth)
-    metrics = compared.metrics
+    experiment, metrics = outcome.experiment, outcome.comparison.metrics
     other, doubts = None, []
     try:
         other = unseen(experiment, progress)
     except TestbedError as error:
         doubts.append(f"predictions are checked on the identified motion only: {error}")
-    verdicts = []
-    for name, bound in experiment.expect.items():
-        wanted = ", ".join(
-            f"{k.replace('_', ' ')} {v:g}" for k, v in bound.model_dump(exclude_none=True).items()
-        )
-        verdicts.append(
-            {
-                "name": name.replace("_", " "),
-                "wanted": wanted,
-                "value": f"{metrics[name]:.3g}",
-                "holds": bound.holds(metrics[name]),
-            }
-        )
+    verdicts = [
+        {
+            "name": name.replace("_", " "),
+            "wanted": bound.wanted,
+            "value": f"{metrics[name]:.3g}",
+            "holds": outcome.verdicts[name],
+        }
+        for name, bound in experiment.expect.items()
+    ]
     return Subject(
         title=experiment.name,
         tree=outcome.tree,
@@ -53,7 +45,7 @@ def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) 
         unseen=other,
         external=outcome.external,
         internal=outcome.internal,
-        truths=truths,
+        truths=outcome.truths,
         claim=experiment.claim,
         verdicts=verdicts,
         asked=_asked(outcome),

@@ -73,7 +73,7 @@ def minimal(
     from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    known: bool | list[str] = list(zero) if zero else zeros
+    known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
     agreements = []
@@ -138,6 +138,7 @@ def equations(
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
+    known = _known(zeros, zero)
     if out is not None and out.resolve() == model.resolve():
         raise typer.BadParameter(f"--out {out} is the model file itself")
     if against is not None:
@@ -145,10 +146,9 @@ def equations(
             raise typer.BadParameter(
                 "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
             )
-        _compare(tree, against, form, gravity, list(zero) if zero else zeros)
+        _compare(tree, against, form, gravity, known)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
-    known: bool | list[str] = list(zero) if zero else zeros
     listing = derived(tree, names, form.value, gravity, known, numbers)
     text = write_equations(
         listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
@@ -162,6 +162,11 @@ def equations(
         terminal.print_json(as_document(listing, text))
     elif out is None:
         sys.stdout.write(text)
+
+
+def _known(zeros: bool, zero: list[str] | None) -> bool | list[str]:
+    """Which parameters are known to be zero: those named, or the file's, or none."""
+    return list(zero) if zero else zeros
 
 
 def _compare(

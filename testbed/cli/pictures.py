@@ -112,14 +112,11 @@ def of_run(folder: Path) -> Story:
     from testbed.campaign.archive import read_run
     from testbed.campaign.carry_out import pipeline_of
     from testbed.identification.predict import growth
-    from testbed.report.tables import truths_by_name
     from testbed.tree.shapes import load_shapes
     from testbed.viewer.story import tell
 
     outcome = read_run(folder)
-    experiment, compared = outcome.experiment, outcome.comparison
-    truths = truths_by_name(outcome.internal, compared.internal.truth)
-    truths |= truths_by_name(outcome.external, compared.external.truth)
+    experiment = outcome.experiment
     duration = outcome.recording.time[-1] - outcome.recording.time[0]
     times = np.geomspace(duration / 30, duration, STAGES)
     times[-1] = duration + 1.0  # all of it
@@ -133,7 +130,14 @@ def of_run(folder: Path) -> Story:
     }
     shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
     return tell(
-        experiment.name, outcome.tree, outcome.recording, shapes, estimates, truths, grown, pipeline
+        experiment.name,
+        outcome.tree,
+        outcome.recording,
+        shapes,
+        estimates,
+        outcome.truths,
+        grown,
+        pipeline,
     )
 
 

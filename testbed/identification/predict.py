@@ -6,14 +6,14 @@ through the filter on positions.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import linear
+from testbed.dynamics.dynamics import linear, pedestal_wrench
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.identification.filters import motion_taps
@@ -112,6 +112,34 @@ def predicted_torque(
     """
     torque = linear(tree, motion, theta[..., None], gravity)[0][..., 0]
     return torque if estimate is None else torque + friction(tree, motion.qd, estimate)
+
+
+def predictions(
+    tree: Tree, recording: Recording, motion: Motion, estimates: Mapping[str, Estimate]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """The plate's wrench, pedestal included, and motor torques, by method.
+
+    By the internal estimate the wrench is the external one's with those parameters put in that
+    joint torques tell, and there is none without it; by the external one torques lack friction.
+
+    Args:
+        tree: The robot.
+        recording: Says how much of the wrench is the pedestal's.
+        motion: The motion it shows.
+        estimates: By method, "external" first.
+    """
+    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
+    wrench, torque = {}, {}
+    whole = None
+    for method, estimate in estimates.items():
+        theta = parameters_of(estimate, tree.n, whole)
+        if method == "external":
+            whole = theta
+        rubs = estimate if method == "internal" else None
+        torque[method] = predicted_torque(tree, motion, theta, rubs)
+        if whole is not None:
+            wrench[method] = predicted_wrench(tree, motion, theta) + tare
+    return wrench, torque
 
 
 def friction(tree: Tree, speed: Array, estimate: Estimate) -> Array:

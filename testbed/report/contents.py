@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import pedestal_wrench
 from testbed.identification.filters import row_weights
 from testbed.identification.identify import Estimate
 from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import (
     friction,
     motion_in,
-    parameters_of,
-    predicted_torque,
-    predicted_wrench,
+    predictions,
 )
 from testbed.measurement.recording import AXES, Recording
 from testbed.report.tables import with_sigma
@@ -123,18 +120,9 @@ def check(subject: Subject) -> Check:
     recording = subject.unseen or subject.recording
     recording = recording if recording.names == tree.names else recording.ordered(tree)
     motion, inner = motion_in(recording, subject.pipeline)
-    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
-    own = parameters_of(subject.external, tree.n)
-    other = parameters_of(subject.internal, tree.n, own)
-    pairs = [
-        np.hstack(
-            [
-                predicted_wrench(tree, motion, theta) + tare,
-                predicted_torque(tree, motion, theta, estimate),
-            ]
-        )
-        for theta, estimate in ((own, None), (other, subject.internal))
-    ]
+    estimates = {"external": subject.external, "internal": subject.internal}
+    wrench, torque = predictions(tree, recording, motion, estimates)
+    pairs = [np.hstack([wrench[method], torque[method]]) for method in estimates]
     units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
     measured = np.hstack([recording.wrench[inner], recording.torque[inner]])
     channels = (*AXES, *tree.names)

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.table import Table
 
-from testbed.arrays import Array
-
 _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
 
@@ -121,8 +119,3 @@ def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
 def _digits(sigma: float) -> int:
     """Decimals that show two digits of sigma."""
     return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
-
-
-def truths_by_name(estimate: Estimate, truth: Array) -> dict[str, float]:
-    """True values by parameter name."""
-    return dict(zip(estimate.names, truth.tolist(), strict=True))

@@ -15,7 +15,6 @@ from testbed.report.tables import (
     estimate_table,
     quality_lines,
     result_table,
-    truths_by_name,
 )
 
 if TYPE_CHECKING:
@@ -81,21 +80,16 @@ def print_outcome(outcome: Any, folder: Path) -> None:
         folder: Where it is kept.
     """
     out = console()
-    external, internal, compared = outcome.external, outcome.internal, outcome.comparison
-    truths = truths_by_name(external, compared.external.truth) | truths_by_name(
-        internal, compared.internal.truth
-    )
-    narrow = out.width < WIDE
-    out.print(result_table(external, internal, truths, outcome.experiment.name, narrow))
+    external, internal, title = outcome.external, outcome.internal, outcome.experiment.name
+    out.print(result_table(external, internal, outcome.truths, title, out.width < WIDE))
     for line in quality_lines((external, internal)):
         out.print(line, soft_wrap=True)
     print_doubts(out, outcome.doubts)
     verdicts = outcome.verdicts
-    for name, value in compared.metrics.items():
+    for name, value in outcome.comparison.metrics.items():
         claim = ""
         if name in verdicts:
-            bound = outcome.experiment.expect[name].model_dump(exclude_none=True)
-            wanted = ", ".join(f"{k.replace('_', ' ')} {v:g}" for k, v in bound.items())
+            wanted = outcome.experiment.expect[name].wanted
             claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
         out.print(f"{name:30s} {value:9.3g}{claim}")
     out.print(f"run folder: {folder}", soft_wrap=True)

@@ -8,10 +8,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from numpy.typing import ArrayLike
 
 from testbed.errors import ExpressionError, UnknownName
-from testbed.symbolic.equations import FORMS, ROUNDING, Form, Listing, equations
+from testbed.symbolic.equations import FORMS, Form, Listing, equations, writer
 from testbed.symbolic.expression import Expression, of, replaced
-from testbed.symbolic.polynomial import Ring
-from testbed.symbolic.present import natural_angles, present
 from testbed.symbolic.reading import read_listing
 from testbed.symbolic.robot import Robot, draw
 from testbed.tree.tree import Tree
@@ -63,9 +61,8 @@ def compare_equations(
         raise ExpressionError("the listing holds no equation")
     _check_definitions(text, [name for name in read if name not in ours], names, ours)
     found = [name for name in read if name in ours]
-    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING)
-    natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
-    return {name: present(ring, ring.expand(read[name] - ours[name]), natural) for name in found}
+    literally = writer(robot)
+    return {name: literally(read[name] - ours[name]) for name in found}
 
 
 def _check_definitions(

@@ -10,7 +10,7 @@ The recursions are those of `dynamics`, run on symbols.
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,8 +38,7 @@ from testbed.symbolic.parameters import (
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.present import natural_angles, present
 from testbed.symbolic.program import Program, literal, recursive, with_numbers
-from testbed.symbolic.robot import draw
-from testbed.symbolic.trigonometry import Index
+from testbed.symbolic.robot import Robot, draw
 from testbed.tree.tree import Tree
 
 Form = Literal["full", "reduced", "recursive"]
@@ -78,7 +77,7 @@ class Listing:
         tree: The robot.
         form: "full", "reduced" or "recursive".
         gravity: (3,) [m/s^2], bedplate frame.
-        constants: Symbols of the geometry and their values [m, rad, m/s^2].
+        constants: Symbols of the geometry and their values [m, m/s^2].
         minimal: The minimal sets that occur, by model.
         known_zero: Barycentric parameters left out because they are known to be zero, (n, 10).
         definitions: In the full form, what the barycentric parameters stand for, by name.
@@ -141,6 +140,17 @@ def equations(
     )
 
 
+def writer(robot: Robot) -> Callable[[Any], Expression]:
+    """What multiplies expressions of a robot out, and writes them as one would.
+
+    Args:
+        robot: Its parallel joints are those whose angles stand together.
+    """
+    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING)
+    natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
+    return lambda value: present(ring, ring.expand(value), natural)
+
+
 @contextmanager
 def _collector_at_rest() -> Iterator[None]:
     """No garbage collection: expressions have no cycles, and walking them costs a third."""
@@ -169,14 +179,9 @@ class _Desk:
         self.minimal: dict[Model, MinimalSet] = {}
 
     @cached_property
-    def ring(self) -> Ring:
-        """Where expressions are multiplied out."""
-        return Ring([symbols for symbols, _ in self.robot.parallel], ROUNDING)
-
-    @cached_property
-    def natural(self) -> frozenset[Index]:
-        """Angles between bodies."""
-        return natural_angles(self.ring, [a for _, chain in self.robot.parallel for a in chain])
+    def literally(self) -> Callable[[Any], Expression]:
+        """Multiplies out, and writes as one would."""
+        return writer(self.robot)
 
     def definitions(self) -> tuple[tuple[str, Expression], ...]:
         """What the barycentric parameters stand for."""
@@ -186,7 +191,7 @@ class _Desk:
         """The equations of one kind."""
         vector, parameters, theta = self._parameters(kind)
         values = dict(CONTENT[kind.name](self.robot, theta, [p.name for p in parameters]))
-        rows = 6 if kind.name in ("base-wrench", "reaction-regressor") else self.tree.n
+        rows = 6 if kind.model == "reaction" else self.tree.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":
             shape = (rows, len(parameters) if kind.is_regressor else rows)
@@ -220,7 +225,7 @@ class _Desk:
         """Multiplied out, unless the form is recursive."""
         if self.form == "recursive":
             return expression(value)
-        return present(self.ring, self.ring.expand(value), self.natural)
+        return self.literally(value)
 
     def _by_reference(
         self, kind: Kind, results: dict[Factor, Expression]

@@ -19,6 +19,7 @@ from testbed.symbolic.expression import (
     collect,
     depth_first,
     number,
+    of,
     replaced,
 )
 from testbed.symbolic.optimise import Sheet, operations
@@ -133,7 +134,7 @@ def _program(sheet: Sheet, named: bool) -> Program:
         value = _snapped(replaced(collect(sheet.lines[name].items()), made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
-            made[name] = _plain(name.name) if value else value
+            made[name] = of(name) if value else value
             steps.append((name, value))
         elif (own and named) or uses[name] > 1 or sheet.fixed(name):
             letter = "k" if sheet.fixed(name) else "t"
@@ -141,8 +142,9 @@ def _program(sheet: Sheet, named: bool) -> Program:
             if not own:
                 numbers[letter] += 1
                 label = f"{letter}{numbers[letter]}"
-            made[name] = _plain(label)
-            (once if sheet.fixed(name) else steps).append((made[name].terms[0][0][0], value))
+            shown = Factor(Nature.AUXILIARY, label)
+            made[name] = of(shown)
+            (once if sheet.fixed(name) else steps).append((shown, value))
         else:
             made[name] = value
     return _counted(once, _waves(sheet), steps, frozenset(sheet.results))
@@ -171,10 +173,6 @@ def _near(size: Number) -> Number:
 
 SNAP = 4e-15
 """Relative distance from a fraction of 64 within which a number of the geometry is one."""
-
-
-def _plain(name: str) -> Expression:
-    return Expression((((Factor(Nature.AUXILIARY, name),), 1),))
 
 
 def _waves(sheet: Sheet) -> tuple[Factor, ...]:

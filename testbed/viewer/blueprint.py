@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import rerun.blueprint as rrb
 
 from testbed.measurement.recording import AXES
-from testbed.viewer.story import Story, extent, safe, span
+from testbed.viewer.story import Story, extent, root, safe, span
 
 UNITS = dict(zip(AXES, ("N",) * 3 + ("N m",) * 3, strict=True))
 
@@ -20,7 +20,7 @@ def blueprint(stories: Sequence[Story], tab: str = "wrench") -> rrb.Blueprint:
         tab: Which tab is in front: "wrench", "joints", "residuals", "friction", "estimates".
     """
     count = len(stories)
-    roots = ["" if count == 1 else f"/run{k + 1}" for k in range(count)]
+    roots = [root(k, count) for k in range(count)]
     robots = [_robot(story, at) for story, at in zip(stories, roots, strict=True)]
     sides = [_tabs(story, at, tab) for story, at in zip(stories, roots, strict=True)]
     names = [story.name for story in stories]

@@ -16,7 +16,7 @@ from testbed.tree.shapes import Shape
 from testbed.tree.tree import Tree
 from testbed.viewer.blueprint import blueprint
 from testbed.viewer.colours import COLOURS, Colour, joint_colours
-from testbed.viewer.story import Story, extent, means, poses, pressure, safe, tips
+from testbed.viewer.story import Story, extent, means, poses, pressure, root, safe, tips
 
 CLOCK = "time"
 """Name of the timeline: seconds of the recording."""
@@ -39,11 +39,6 @@ def write_rrd(stories: Sequence[Story], path: Path, tab: str = "wrench") -> None
             log_story(stream, story, root(k, len(stories)))
         stream.flush()
         stream.disconnect()
-
-
-def root(k: int, count: int) -> str:
-    """Where the k-th of several runs stands among the entities."""
-    return "" if count == 1 else f"/run{k + 1}"
 
 
 def log_story(stream: rr.RecordingStream, story: Story, at: str = "") -> None:
@@ -170,7 +165,7 @@ def send_arrows(
 
 def _plate(stream: rr.RecordingStream, story: Story, at: str) -> None:
     """Force and moment, drawn at the plate's edge; centre of pressure and its trace."""
-    size = max(1, round(story.recording.rate / 50))
+    size = story.frames.step
     wrench = means(story.measured(story.recording.wrench), size)
     times = story.motion.t[::size]
     length = ARROW * reach(story)

@@ -11,7 +11,6 @@ import rerun as rr
 
 from testbed.arrays import Array, apply
 from testbed.dynamics.algebra import NUMBERS
-from testbed.dynamics.dynamics import pedestal_wrench
 from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
@@ -21,9 +20,7 @@ from testbed.identification.predict import (
     Growth,
     friction,
     motion_in,
-    parameters_of,
-    predicted_torque,
-    predicted_wrench,
+    predictions,
 )
 from testbed.measurement.recording import Recording
 from testbed.tree.shapes import Shape, sticks
@@ -77,19 +74,13 @@ class Story:
     @cached_property
     def rubbing(self) -> Array | None:
         """Torque that the robot's own dynamics do not explain, (M, n) [N m or N]."""
-        theta = self._theta("external") if "external" in self.estimates else None
-        if theta is None:
-            return None
-        clean = predicted_torque(self.tree, self.motion, theta)
-        return self.measured(self.recording.torque) - clean
+        clean = self.torque.get("external")
+        return None if clean is None else self.measured(self.recording.torque) - clean
 
     def rubbing_model(self, speed: Array) -> Array | None:
         """Friction at speeds, (k, n), that the internal estimate tells."""
         internal = self.estimates.get("internal")
         return None if internal is None else friction(self.tree, speed, internal)
-
-    def _theta(self, method: str) -> Array:
-        return parameters_of(self.estimates[method], self.tree.n)
 
 
 def tell(
@@ -103,9 +94,6 @@ def tell(
     pipeline: Pipeline | None = None,
 ) -> Story:
     """Compute what there is to see of a run.
-
-    The plate's wrench by the internal estimate is the external one with those parameters
-    put in that joint torques tell; joint torques by the external one lack friction.
 
     Args:
         name: Of the run.
@@ -121,22 +109,12 @@ def tell(
         recording = recording.ordered(tree)
     motion, inner = _motion(recording, pipeline)
     shapes = tuple(shapes) or tuple(sticks(tree))
-    story = Story(
+    estimates = estimates or {}
+    wrench, torque = predictions(tree, recording, motion, estimates)
+    return Story(
         name, tree, with_bedplate(tree, shapes), recording, motion, inner,
-        estimates=estimates or {}, truths=truths or {}, growth=growth or {},
+        wrench, torque, estimates, truths or {}, growth or {},
     )  # fmt: skip
-    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
-    wrench, torque = {}, {}
-    external = story.estimates.get("external")
-    theta = None
-    for method, estimate in story.estimates.items():
-        own = parameters_of(estimate, tree.n, theta if method == "internal" else None)
-        theta = own if method == "external" else theta
-        rubs = estimate if method == "internal" else None
-        torque[method] = predicted_torque(tree, motion, own, rubs)
-        if method == "external" or external is not None:
-            wrench[method] = predicted_wrench(tree, motion, own) + tare
-    return Story(**{**vars(story), "wrench": wrench, "torque": torque})
 
 
 def with_bedplate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
@@ -196,6 +174,11 @@ def extent(story: Story, j: int) -> tuple[float, float]:
     rest = story.rubbing
     torque = 1e-9 if rest is None else max(float(np.abs(rest[:, j]).max()), 1e-9)
     return max(float(np.abs(story.motion.qd[:, j]).max()), 1e-9), torque
+
+
+def root(k: int, count: int) -> str:
+    """Where the k-th of several runs stands among the entities."""
+    return "" if count == 1 else f"/run{k + 1}"
 
 
 def safe(name: str) -> str:

@@ -37,8 +37,7 @@ def c(listing: Listing, source: str) -> str:
     said = (*header(listing, source), *definitions(listing))
     lines = ["/*", *(f" * {line}".rstrip() for line in said), " */"]
     lines += ["#include <math.h>", ""]
-    constants = {factor for each in listing.equations for factor in used_constants(each)}
-    for factor in sorted(constants):
+    for factor in used_constants(listing):
         value = _number(float(listing.constants[factor]))
         lines.append(f"static const double {factor.name} = {value}; /* {constant_unit(factor)} */")
     for each in listing.equations:

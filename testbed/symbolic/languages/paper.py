@@ -4,8 +4,15 @@ from __future__ import annotations
 
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor
-from testbed.symbolic.languages.text import Style, fraction, header, terms, used_constants, wrapped
-from testbed.symbolic.languages.text import definitions as defined
+from testbed.symbolic.languages.text import (
+    Style,
+    definitions,
+    fraction,
+    header,
+    terms,
+    used_constants,
+    wrapped,
+)
 
 _TITLES = {
     "joint-forces": "Equations",
@@ -28,16 +35,15 @@ def paper(listing: Listing, source: str) -> str:
         source: Where the robot comes from.
     """
     lines = [f"* {line}".rstrip() for line in header(listing, source)]
-    constants = {factor for each in listing.equations for factor in used_constants(each)}
-    for factor in sorted(constants):
+    for factor in used_constants(listing):
         lines.append(f"* {factor.name} = {listing.constants[factor]:.12g}")
-    lines += definitions(listing)
+    lines += _definitions(listing)
     for each in listing.equations:
         lines += ["", f"* {_TITLES[each.kind.name]}", *_equations(each)]
     return "\n".join(lines) + "\n"
 
 
-def definitions(listing: Listing) -> list[str]:
+def _definitions(listing: Listing) -> list[str]:
     """What the barycentric parameters stand for, or the minimal ones are made of."""
     lines = []
     if listing.form == "full":
@@ -47,7 +53,7 @@ def definitions(listing: Listing) -> list[str]:
             for name, value in listing.definitions:
                 if name.rstrip("xyz0123456789") == head:
                     lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
-    made = [f"* {line}" for line in defined(listing)]
+    made = [f"* {line}" for line in definitions(listing)]
     return [*lines, "", *made] if made else lines
 
 

@@ -51,8 +51,7 @@ def python(listing: Listing, source: str) -> str:
     lines = [f"# {line}".rstrip() for line in said]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
-    constants = {factor for each in listing.equations for factor in used_constants(each)}
-    for factor in sorted(constants):
+    for factor in used_constants(listing):
         value = decimal(listing.constants[factor])
         lines.append(f"{factor.name} = {value}  # {constant_unit(factor)}")
     for each in listing.equations:

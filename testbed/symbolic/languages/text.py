@@ -47,7 +47,7 @@ def own_name(factor: Factor) -> str:
 
 def decimal(value: Number) -> str:
     """A number that reads back as the same."""
-    return str(value) if isinstance(value, int) else repr(value)
+    return repr(value)
 
 
 def fraction(value: Number) -> str:
@@ -159,10 +159,11 @@ def operations(each: Equations) -> str:
 
 
 def constant_unit(factor: Factor) -> str:
-    """Unit of a constant of the geometry."""
-    return {"l": "m", "g": "m/s^2"}.get(factor.name[0] if factor.name[:4] != "lean" else "", "rad")
+    """Unit of a length, or of gravity."""
+    return "m" if factor.name.startswith("l") else "m/s^2"
 
 
-def used_constants(each: Equations) -> list[Factor]:
-    """Constants that the equations need."""
-    return [symbol for symbol in each.program.symbols if symbol.nature is Nature.CONSTANT]
+def used_constants(listing: Listing) -> list[Factor]:
+    """Constants that the equations need, in order."""
+    symbols = {symbol for each in listing.equations for symbol in each.program.symbols}
+    return sorted(symbol for symbol in symbols if symbol.nature is Nature.CONSTANT)
