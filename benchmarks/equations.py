@@ -23,10 +23,10 @@ import testbed as tb
 from benchmarks.regressor import LOOP, cases
 from benchmarks.robots import load, robots
 from benchmarks.timing import least
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Joint
 from testbed.symbolic.equations import Equations, equations
 from testbed.symbolic.languages import write_equations
-from testbed.tree.inertia import Inertia
-from testbed.tree.tree import Joint
 
 RIVALS: dict[str, dict[str, Any]] = {
     "joint-forces": {"OpenSYMORO": "319 * 266 +", "SymPyBotics": "503 * 401 +"},

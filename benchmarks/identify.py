@@ -14,10 +14,10 @@ import testbed as tb
 from benchmarks.regressor import Case, stack
 from benchmarks.timing import forget_peak, least, peak_rss
 from testbed.identification.identify import Method
-from testbed.measurement.recording import Recording
 from testbed.parameters.rules import Model
+from testbed.recordings.recording import Recording
 
-EXACT = tb.Pipeline(None, None, deadband=0.0, terms=())
+EXACT = tb.Settings(None, None, deadband=0.0, terms=())
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
 """How many times the samples of a case make a long recording."""
 
@@ -79,7 +79,7 @@ def answer(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     }
     for threads in (1, 2):
         tasks[f"answer_{threads}"] = partial(
-            tb.identify, case.tree, recording, method, pipeline=EXACT, threads=threads
+            tb.identify, case.tree, recording, method, settings=EXACT, threads=threads
         )
     best = least(tasks, rounds, wall=True)
     rows = len(b) // (case.tree.n if model == "dynamic" else 6)
@@ -101,7 +101,7 @@ def memory(case: Case, sizes: tuple[int, ...] = (100_000, 1_000_000, 10_000_000)
     for samples in sizes:
         source = Endless(case.recording, samples)
         forget_peak()
-        tb.identify(case.tree, source, "internal", pipeline=EXACT)
+        tb.identify(case.tree, source, "internal", settings=EXACT)
         found[samples] = round(peak_rss(), 1)
     return {
         "benchmark": "memory",
@@ -112,10 +112,10 @@ def memory(case: Case, sizes: tuple[int, ...] = (100_000, 1_000_000, 10_000_000)
 
 
 def stored(case: Case, gigabytes: float) -> dict[str, Any]:
-    """A Parquet recording larger than memory should need, encoders only, default pipeline."""
+    """A Parquet recording larger than memory should need, encoders only, default settings."""
     import time
 
-    from testbed.measurement.parquet import write_parts
+    from testbed.recordings.formats.parquet import write_parts
 
     bytes_per_sample = 8 * (1 + 2 * case.tree.n + 6)
     samples = int(gigabytes * 1e9 / bytes_per_sample)

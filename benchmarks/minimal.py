@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from testbed.dynamics.rank import verify
-from tests.robots import random_robot
+from testbed.dynamics.witnesses import verify
+from tests.helpers.robots import random_robot
 
 JOINTS = (10, 25, 50, 100, 200, 400)
 RUNS = 5

@@ -12,11 +12,11 @@ import testbed as tb
 from benchmarks.robots import load, robots
 from benchmarks.timing import least, peak_flops, peak_rss
 from testbed.arrays import Array
-from testbed.dynamics.kernel import compiled
-from testbed.dynamics.kernel.layout import Layout, layout
-from testbed.dynamics.kernel.shapes import Question, Signals, products_wanted
-from testbed.measurement.recording import Recording
+from testbed.kernel import numba_engine
+from testbed.kernel.layout import Layout, layout
+from testbed.kernel.records import Question, Signals, products_wanted
 from testbed.parameters.rules import Model
+from testbed.recordings.recording import Recording
 
 SAMPLES = 16_384
 """A window of the identification."""
@@ -114,14 +114,14 @@ def compare(case: Case, model: Model, rounds: int) -> dict[str, Any]:
     minimal = tb.minimal_set(case.tree, model)
     found = layout(case.tree, minimal)
     signals = case.signals(found)
-    work = compiled.workspace(found, signals)
+    work = numba_engine.workspace(found, signals)
     a, b = stack(case, minimal)
     nothing = Question(np.zeros(found.rows.slots), np.zeros((found.width, found.width)), 64)
     tasks = {
         "loop": case.loop(model),
-        "kernel": lambda: compiled.fill_only(found, signals, work),
-        "fused": lambda: compiled.sweep(found, signals, products_wanted(found.width), work),
-        "second": lambda: compiled.sweep(found, signals, nothing, work),
+        "kernel": lambda: numba_engine.fill_only(found, signals, work),
+        "fused": lambda: numba_engine.sweep(found, signals, products_wanted(found.width), work),
+        "second": lambda: numba_engine.sweep(found, signals, nothing, work),
     }
     best = least(tasks, rounds)
     best |= least({"lstsq": lambda: np.linalg.lstsq(a, b, rcond=None)}, max(3, rounds // 8))

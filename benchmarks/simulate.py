@@ -11,8 +11,8 @@ import numpy as np
 import testbed as tb
 from benchmarks.timing import least, peak_rss
 from testbed.excitation.fourier import Fourier
-from testbed.simulation.run import Sampling, simulate_motion
-from testbed.simulation.scene import build_scene
+from testbed.simulation.build import build_plant
+from testbed.simulation.rollout import Sampling, simulate_motion
 
 MODEL = Path(__file__).parents[1] / "models" / "puma562.xml"
 STEP, RATE, DURATION = 5e-4, 1000.0, 2.0
@@ -21,15 +21,15 @@ STEP, RATE, DURATION = 5e-4, 1000.0, 2.0
 def simulate(rounds: int = 5) -> dict[str, Any]:
     """A recording run against `mj_step` alone, per simulation step."""
     tree = tb.load_tree(MODEL)
-    scene = build_scene(MODEL, tree, STEP)
+    plant = build_plant(MODEL, tree, STEP)
     motion = Fourier(0.5, np.zeros(tree.n), np.full((tree.n, 2), 0.2), np.full((tree.n, 2), 0.1))
     steps = round(1 / (RATE * STEP))
     sampling = Sampling(RATE, steps, averaged=True, warm_up=0.0)
-    data = mujoco.MjData(scene.model)
+    data = mujoco.MjData(plant.model)
     count = round(DURATION / STEP)
     tasks = {
-        "mj_step": lambda: mujoco.mj_step(scene.model, data, nstep=count),
-        "run": lambda: simulate_motion(scene, tree, motion, DURATION, 100.0, sampling),
+        "mj_step": lambda: mujoco.mj_step(plant.model, data, nstep=count),
+        "run": lambda: simulate_motion(plant, tree, motion, DURATION, 100.0, sampling),
     }
     best = least(tasks, rounds)
     ns = {name: round(1e9 * seconds / count) for name, seconds in best.items()}

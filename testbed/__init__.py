@@ -12,40 +12,40 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from testbed.campaign.carry_out import carry_out as carry_out
-    from testbed.campaign.carry_out import simulate as simulate
-    from testbed.campaign.experiment import Experiment as Experiment
-    from testbed.dynamics.dynamics import base_wrench as base_wrench
-    from testbed.dynamics.dynamics import joint_forces as joint_forces
-    from testbed.dynamics.dynamics import pedestal_wrench as pedestal_wrench
-    from testbed.dynamics.dynamics import regressor as regressor
+    from testbed.dynamics.inverse_dynamics import base_wrench as base_wrench
+    from testbed.dynamics.inverse_dynamics import joint_forces as joint_forces
+    from testbed.dynamics.inverse_dynamics import pedestal_wrench as pedestal_wrench
+    from testbed.dynamics.inverse_dynamics import regressor as regressor
     from testbed.dynamics.motion import Motion as Motion
     from testbed.errors import TestbedError as TestbedError
+    from testbed.experiment.carry_out import carry_out as carry_out
+    from testbed.experiment.carry_out import simulate as simulate
+    from testbed.experiment.experiment import Experiment as Experiment
     from testbed.identification.identify import Estimate as Estimate
     from testbed.identification.identify import identify as identify
-    from testbed.identification.pipeline import Pipeline as Pipeline
-    from testbed.identification.products import Products as Products
+    from testbed.identification.normal_equations import Products as Products
+    from testbed.identification.settings import Settings as Settings
     from testbed.identification.solve import fit as fit
-    from testbed.measurement.parquet import StoredRecording as StoredRecording
-    from testbed.measurement.recording import Recording as Recording
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
+    from testbed.recordings.formats.parquet import StoredRecording as StoredRecording
+    from testbed.recordings.recording import Recording as Recording
+    from testbed.robot.inertia import Inertia as Inertia
+    from testbed.robot.load import load_tree as load_tree
+    from testbed.robot.tree import Joint as Joint
+    from testbed.robot.tree import Tree as Tree
     from testbed.symbolic.compare import compare_equations as compare_equations
     from testbed.symbolic.equations import Listing as Listing
     from testbed.symbolic.equations import equations as equations
     from testbed.symbolic.languages import write_equations as write_equations
-    from testbed.tree.inertia import Inertia as Inertia
-    from testbed.tree.load import load_tree as load_tree
-    from testbed.tree.tree import Joint as Joint
-    from testbed.tree.tree import Tree as Tree
 
 _HOMES = {
-    "testbed.campaign.carry_out": ("carry_out", "simulate"),
-    "testbed.campaign.experiment": ("Experiment",),
-    "testbed.dynamics.dynamics": (
+    "testbed.experiment.carry_out": ("carry_out", "simulate"),
+    "testbed.experiment.experiment": ("Experiment",),
+    "testbed.dynamics.inverse_dynamics": (
         "base_wrench",
         "joint_forces",
         "pedestal_wrench",
@@ -54,19 +54,19 @@ _HOMES = {
     "testbed.dynamics.motion": ("Motion",),
     "testbed.errors": ("TestbedError",),
     "testbed.identification.identify": ("Estimate", "identify"),
-    "testbed.identification.pipeline": ("Pipeline",),
-    "testbed.identification.products": ("Products",),
+    "testbed.identification.settings": ("Settings",),
+    "testbed.identification.normal_equations": ("Products",),
     "testbed.identification.solve": ("fit",),
-    "testbed.measurement.parquet": ("StoredRecording",),
-    "testbed.measurement.recording": ("Recording",),
+    "testbed.recordings.formats.parquet": ("StoredRecording",),
+    "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),
     "testbed.symbolic.compare": ("compare_equations",),
     "testbed.symbolic.equations": ("Listing", "equations"),
     "testbed.symbolic.languages": ("write_equations",),
-    "testbed.tree.inertia": ("Inertia",),
-    "testbed.tree.load": ("load_tree",),
-    "testbed.tree.tree": ("Joint", "Tree"),
+    "testbed.robot.inertia": ("Inertia",),
+    "testbed.robot.load": ("load_tree",),
+    "testbed.robot.tree": ("Joint", "Tree"),
 }
 
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -58,7 +58,7 @@ class RecordingError(TestbedError):
     """A recording that is damaged, incomplete, or of another robot."""
 
 
-class PipelineError(TestbedError):
+class SettingsError(TestbedError):
     """A treatment of the signals that would spoil them."""
 
 

@@ -65,7 +65,7 @@ def viewer(run: Path, folder: Path) -> None:
 def report(run: Path, folder: Path) -> None:
     """The report's head and its map of what can be told."""
     sys.path.insert(0, str(ROOT))
-    from tests.browser import browser
+    from tests.helpers.browser import browser
 
     page = folder / "report.html"
     testbed("report", str(run), "--out", str(page))

@@ -12,9 +12,9 @@ from testbed.cli.options import Accept, Gravity, Json, Set, Weld, Zeros, app
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
-    from testbed.campaign.experiment import Experiment
-    from testbed.measurement.recording import Truth
-    from testbed.simulation.run import Watch
+    from testbed.experiment.experiment import Experiment
+    from testbed.recordings.recording import Truth
+    from testbed.simulation.rollout import Watch
 
 
 class _Method(StrEnum):
@@ -49,9 +49,9 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.campaign.archive import check_folder, result, run_folder, write_run
-    from testbed.campaign.carry_out import carry_out
-    from testbed.campaign.experiment import Experiment
+    from testbed.experiment.carry_out import carry_out
+    from testbed.experiment.experiment import Experiment
+    from testbed.experiment.run_folder import check_folder, result, run_folder, write_run
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
@@ -79,8 +79,8 @@ def simulate(
 
     Example: testbed simulate experiments/table6.toml --out recording.parquet
     """
-    from testbed.campaign.carry_out import simulate as simulated
-    from testbed.campaign.experiment import Experiment
+    from testbed.experiment.carry_out import simulate as simulated
+    from testbed.experiment.experiment import Experiment
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
@@ -118,16 +118,16 @@ def identify(
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
-    from testbed.campaign.archive import estimate_as_json
-    from testbed.dynamics.kernel.layout import TERMS
+    from testbed.experiment.run_folder import estimate_as_json
     from testbed.identification.identify import identify as identified
-    from testbed.identification.pipeline import Pipeline
+    from testbed.identification.settings import Settings
+    from testbed.kernel.layout import TERMS
     from testbed.report import terminal
-    from testbed.tree.load import load_tree
+    from testbed.robot.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     terms = tuple(TERMS[list(_Term).index(t)] for t in term or (_Term.coulomb, _Term.viscous))
-    pipeline = Pipeline(_hertz(position_cutoff), _hertz(cutoff), deadband, terms, weights.value)
+    treatment = Settings(_hertz(position_cutoff), _hertz(cutoff), deadband, terms, weights.value)
     names: tuple[Literal["external", "internal"], ...] = ("external", "internal")
     estimates = []
     for name in names:
@@ -140,7 +140,7 @@ def identify(
                 name,
                 zeros=zeros,
                 gravity=gravity,
-                pipeline=pipeline,
+                settings=treatment,
                 threads=threads,
                 progress=progress,
             )
@@ -148,7 +148,7 @@ def identify(
     if as_json:
         terminal.print_json({e.method: estimate_as_json(e) for e in estimates})
     else:
-        terminal.print_estimates(estimates, tree.doubts)
+        terminal.print_estimates(estimates, tree.warnings)
 
 
 @app.command()
@@ -157,7 +157,7 @@ def warmup() -> None:
 
     Example: testbed warmup
     """
-    from testbed.dynamics.kernel.compiled import warm_up
+    from testbed.kernel.numba_engine import warm_up
     from testbed.report import terminal
 
     with terminal.Progress("compiling"):
@@ -171,8 +171,8 @@ def _unwatched(time: Array, truth: Truth) -> None:
 
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
-    from testbed.campaign.carry_out import robot_of
-    from testbed.tree.shapes import load_shapes
+    from testbed.experiment.carry_out import robot_of
+    from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.live import Live, nothing_yet
     from testbed.viewer.story import tell
 
@@ -183,11 +183,11 @@ def _watcher(experiment: Experiment) -> Watch:
 
 def _hertz(text: str) -> float | None:
     """A cutoff as typed: a number, or off."""
-    from testbed.errors import PipelineError
+    from testbed.errors import SettingsError
 
     if text == "off":
         return None
     try:
         return float(text)
     except ValueError:
-        raise PipelineError(f"a cutoff is a frequency [Hz] or off, found '{text}'") from None
+        raise SettingsError(f"a cutoff is a frequency [Hz] or off, found '{text}'") from None

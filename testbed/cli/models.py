@@ -12,7 +12,7 @@ import typer
 from testbed.cli.options import Accept, Gravity, Json, Model, Weld, Zero, Zeros, app
 
 if TYPE_CHECKING:
-    from testbed.tree.tree import Tree
+    from testbed.robot.tree import Tree
 
 
 class _What(StrEnum):
@@ -65,12 +65,12 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.dynamics.rank import verify
+    from testbed.dynamics.witnesses import verify
     from testbed.parameters.identifiability import identifiability
     from testbed.parameters.minimal_set import minimal_set
     from testbed.report import terminal
     from testbed.report.minimal import as_document, print_sets
-    from testbed.tree.load import load_tree
+    from testbed.robot.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     known = _known(zeros, zero)
@@ -87,7 +87,7 @@ def minimal(
         terminal.print_json(as_document(tree, dynamic, reaction, seen, agreements))
     else:
         console = terminal.console()
-        terminal.print_doubts(console, tree.doubts)
+        terminal.print_warnings(console, tree.warnings)
         lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
         print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
     raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
@@ -128,11 +128,11 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.files import fingerprint, replacing
+    from testbed.robot.load import load_tree
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
-    from testbed.tree.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     tree = right_angles(tree) if square else tree

@@ -80,8 +80,8 @@ def report(
 
     Example: testbed report runs/table6-286a25ef
     """
-    from testbed.campaign.archive import read_run
-    from testbed.campaign.story import subject_of
+    from testbed.experiment.run_folder import read_run
+    from testbed.experiment.story import subject_of
     from testbed.report import terminal
     from testbed.report.html import write_report
 
@@ -109,10 +109,10 @@ def of_run(folder: Path) -> Story:
     """A run folder's story, with its truth."""
     import numpy as np
 
-    from testbed.campaign.archive import read_run
-    from testbed.campaign.carry_out import pipeline_of
+    from testbed.experiment.carry_out import settings_of
+    from testbed.experiment.run_folder import read_run
     from testbed.identification.predict import growth
-    from testbed.tree.shapes import load_shapes
+    from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.story import tell
 
     outcome = read_run(folder)
@@ -120,11 +120,11 @@ def of_run(folder: Path) -> Story:
     duration = outcome.recording.time[-1] - outcome.recording.time[0]
     times = np.geomspace(duration / 30, duration, STAGES)
     times[-1] = duration + 1.0  # all of it
-    zeros, pipeline = experiment.identification.zeros, pipeline_of(experiment)
+    zeros, treatment = experiment.identification.zeros, settings_of(experiment)
     estimates = {"external": outcome.external, "internal": outcome.internal}
     grown: dict[str, Growth] = {
         method: growth(
-            outcome.tree, outcome.recording, method, times, zeros=zeros, pipeline=pipeline
+            outcome.tree, outcome.recording, method, times, zeros=zeros, settings=treatment
         )
         for method in METHODS
     }
@@ -137,7 +137,7 @@ def of_run(folder: Path) -> Story:
         estimates,
         outcome.truths,
         grown,
-        pipeline,
+        treatment,
     )
 
 
@@ -149,9 +149,9 @@ def _of_recording(
 
     from testbed.errors import RecordingError, UnseenParameters
     from testbed.identification.identify import identify
-    from testbed.measurement.recording import Recording, check_robot
-    from testbed.tree.load import load_tree
-    from testbed.tree.shapes import load_shapes
+    from testbed.recordings.recording import Recording, check_robot
+    from testbed.robot.load import load_tree
+    from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.story import tell
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)

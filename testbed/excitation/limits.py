@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.dynamics.dynamics import joint_forces
+from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.errors import InfeasibleMotion
-from testbed.tree.tree import Joint, Tree
+from testbed.robot.tree import Joint, Tree
 
 CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
 """Half range, velocity and acceleration where neither file nor user gives a limit."""

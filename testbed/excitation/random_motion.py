@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import regressor
+from testbed.dynamics.inverse_dynamics import regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits, usage
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 MARGIN = 0.95
 """Share of every limit that a motion may use: the rest is for the controller."""

@@ -15,21 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import pedestal_wrench
-from testbed.dynamics.kernel.layout import layout
-from testbed.dynamics.kernel.shapes import Question, products_wanted
-from testbed.errors import PipelineError, RecordingError, UnknownName, UnseenParameters
+from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
 from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
-from testbed.identification.pipeline import Pipeline
-from testbed.identification.plan import Plan, make_plan
-from testbed.identification.products import Products, gather
+from testbed.identification.normal_equations import Products, gather
+from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.settings import Settings
 from testbed.identification.solve import SQUARED, Fit, noise_weights, orthogonal, solved
-from testbed.identification.stream import Progress, Sweeper, one_blas_thread
-from testbed.measurement.recording import AXES, Recording, check_robot
-from testbed.measurement.source import Source, open_source
+from testbed.identification.windows import Plan, make_plan
+from testbed.kernel.layout import layout
+from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
-from testbed.tree.tree import Tree
+from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.source import Source, open_source
+from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]
 
@@ -47,7 +47,7 @@ class Estimate:
     Attributes:
         method: "external" (bedplate) or "internal" (joint torques).
         names: Minimal parameters, delta_r or delta_d; then, for the internal method,
-            `coulomb/JOINT`, `viscous/JOINT` and what other terms the pipeline has.
+            `coulomb/JOINT`, `viscous/JOINT` and what other terms the settings has.
         units: One each.
         values: (p,).
         sigma: Standard deviations, (p,), correlation of residuals counted.
@@ -60,7 +60,7 @@ class Estimate:
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.
         products: Of all rows: other weights and subsets of channels need no other pass.
-        doubts: What a careful reader should know, one line each.
+        warnings: What a careful reader should know, one line each.
     """
 
     method: Method
@@ -77,7 +77,7 @@ class Estimate:
     samples: tuple[int, ...]
     condition: float
     products: Products
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 def identify(
@@ -87,7 +87,7 @@ def identify(
     *,
     zeros: bool | Sequence[str] = False,
     gravity: ArrayLike | None = None,
-    pipeline: Pipeline | None = None,
+    settings: Settings | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Estimate:
@@ -101,12 +101,12 @@ def identify(
         recording: In memory, or a Parquet file's path, or parts in the order of time.
             Columns are matched by joint name; its truth is not read.
         method: "external": six reaction rows a sample, no friction columns. "internal":
-            a row a joint, with columns for the pipeline's terms.
+            a row a joint, with columns for the settings's terms.
         zeros: Take barycentric parameters that are zero in the model file, or are named
             here, as known.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
-        pipeline: How the signals are treated; default `Pipeline()`.
+        settings: How the signals are treated; default `Settings()`.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
 
@@ -117,63 +117,63 @@ def identify(
     """
     if method not in ("external", "internal"):
         raise UnknownName("method", method, ("external", "internal"))
-    source, pipeline = open_source(recording), pipeline or Pipeline()
+    source, settings = open_source(recording), settings or Settings()
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
     gravity = source.facts.get("gravity") if gravity is None else gravity
     model: Model = "reaction" if method == "external" else "dynamic"
     minimal = minimal_set(tree, model, gravity, zeros)
-    geometry = tree.unweighed()
-    terms = pipeline.terms if method == "internal" else ()
-    rows = layout(geometry, minimal, terms, pipeline.joined)
-    if pipeline.covariance is not None and len(pipeline.covariance) != rows.width:
-        raise PipelineError(
-            f"weights is a covariance of {len(pipeline.covariance)} channels, the {method} method "
+    geometry = tree.without_inertias()
+    terms = settings.terms if method == "internal" else ()
+    rows = layout(geometry, minimal, terms, settings.joined)
+    if settings.covariance is not None and len(settings.covariance) != rows.width:
+        raise SettingsError(
+            f"weights is a covariance of {len(settings.covariance)} channels, the {method} method "
             f"has {rows.width}"
         )
-    tare, doubts = _tare(source, geometry, gravity, method)
+    tare, warnings = _tare(source, geometry, gravity, method)
     if method == "internal" and "rotor" not in terms:
-        doubts += _rotors(tree)
-    plan = make_plan(source, rows, tare, pipeline)
+        warnings += _rotors(tree)
+    plan = make_plan(source, rows, tare, settings)
     names = (*minimal.names, *(f"{term}/{joint}" for term in terms for joint in tree.names))
     channels = AXES if method == "external" else tree.names
-    sweeper = Sweeper(plan, threads, progress)
+    passes = Passes(plan, threads, progress)
     with one_blas_thread():
-        products = gather(rows, names, channels, sweeper.sums(products_wanted(rows.width)))
-        found = _refined(plan, _solution(plan, products, pipeline, sweeper), sweeper)
+        products = gather(rows, names, channels, passes.sums(products_wanted(rows.width)))
+        found = _refined(plan, _solution(plan, products, settings, passes), passes)
     if not np.isfinite(found.covariance).all():
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))
-    return _estimate(method, units, minimal, products, found, tuple(doubts))
+    return _estimate(method, units, minimal, products, found, tuple(warnings))
 
 
 def _tare(
     source: Source, geometry: Tree, gravity: ArrayLike | None, method: Method
 ) -> tuple[Array, list[str]]:
-    """What is taken off the wrench, and doubts so far."""
-    doubts = list(source.facts.get("doubts", ()))
+    """What is taken off the wrench, and warnings so far."""
+    warnings = list(source.facts.get("warnings", ()))
     if source.tare is not None:
-        return source.tare, doubts
+        return source.tare, warnings
     tare = pedestal_wrench(geometry, gravity)
     if method == "external" and tare.any():
-        doubts.append(
+        warnings.append(
             "the recording does not say what of the wrench is the pedestal's; the model's "
             f"pedestal is taken off (Fz {tare[2]:.4g} N)"
         )
-    return tare, doubts
+    return tare, warnings
 
 
-def _solution(plan: Plan, products: Products, pipeline: Pipeline, sweeper: Sweeper) -> Fit:
+def _solution(plan: Plan, products: Products, settings: Settings, passes: Passes) -> Fit:
     """By normal equations, or from orthonormal columns where products have lost too much."""
-    full = pipeline.joined and pipeline.covariance is None
-    weights = noise_weights(products, pipeline.covariance, full)
+    full = settings.joined and settings.covariance is None
+    weights = noise_weights(products, settings.covariance, full)
     try:
         found = solved(products, weights)
     except UnseenParameters:  # to the products' precision; the rows may know better
-        return orthogonal(plan.layout, products, weights, sweeper.rows)
+        return orthogonal(plan.layout, products, weights, passes.rows)
     if np.isnan(found.values).any() or found.condition > SQUARED:
-        return orthogonal(plan.layout, products, weights, sweeper.rows)
+        return orthogonal(plan.layout, products, weights, passes.rows)
     return found
 
 
@@ -187,7 +187,7 @@ class _Refined:
     squares: Array  # of each channel's residuals
 
 
-def _refined(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
+def _refined(plan: Plan, fit: Fit, passes: Passes) -> _Refined:
     """Residuals, their covariance, and what they correct."""
     rows, basis = plan.layout.rows, plan.layout.basis
     factors = np.zeros(rows.slots)
@@ -196,7 +196,7 @@ def _refined(plan: Plan, fit: Fit, sweeper: Sweeper) -> _Refined:
     factors[rows.measured] = 1.0
     squares = np.zeros(len(rows.measured))
     scores = ScoreSquares(len(basis), plan.rate)
-    for sums in sweeper.sums(Question(factors, fit.weights, bin_size(plan.rate))):
+    for sums in passes.sums(Question(factors, fit.weights, bin_size(plan.rate))):
         squares += sums.moments
         scores.add(sums.scores)
     values = fit.values
@@ -229,7 +229,7 @@ def _estimate(
     minimal: MinimalSet,
     products: Products,
     found: _Refined,
-    doubts: tuple[str, ...],
+    warnings: tuple[str, ...],
 ) -> Estimate:
     square = np.diagonal(products.square) if products.joined else products.square
     used = np.maximum(products.used, 1.0)
@@ -249,15 +249,15 @@ def _estimate(
         samples=tuple(int(n) for n in products.used),
         condition=found.fit.condition,
         products=products,
-        doubts=doubts,
+        warnings=warnings,
     )
-    return replace(estimate, doubts=(*doubts, *_doubts(estimate)))
+    return replace(estimate, warnings=(*warnings, *_warnings(estimate)))
 
 
-def _doubts(estimate: Estimate) -> list[str]:
-    doubts = []
+def _warnings(estimate: Estimate) -> list[str]:
+    warnings = []
     if estimate.condition > ILL_CONDITIONED:
-        doubts.append(
+        warnings.append(
             f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
             "errors of the instrument grow by up to that factor"
         )
@@ -269,5 +269,5 @@ def _doubts(estimate: Estimate) -> list[str]:
     ]
     if loose:
         listed = ", ".join(loose)
-        doubts.append(f"the {estimate.method} estimate leaves poorly determined: {listed}")
-    return doubts
+        warnings.append(f"the {estimate.method} estimate leaves poorly determined: {listed}")
+    return warnings

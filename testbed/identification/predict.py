@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import linear, pedestal_wrench
+from testbed.dynamics.inverse_dynamics import linear, pedestal_wrench
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.identification.filters import motion_taps
 from testbed.identification.identify import Estimate, Method, identify
-from testbed.identification.pipeline import Pipeline
-from testbed.measurement.recording import Recording
-from testbed.tree.tree import Tree
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class Growth:
     sigma: Array
 
 
-def motion_in(recording: Recording, pipeline: Pipeline | None = None) -> tuple[Motion, slice]:
+def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[Motion, slice]:
     """The motion that a recording shows, and which of its samples that is.
 
     Args:
         recording: Encoders, and velocities and accelerations where they were sensed.
-        pipeline: Whose filter on positions to use; default `Pipeline()`.
+        settings: Whose filter on positions to use; default `Settings()`.
 
     Returns:
         The motion, and the slice of samples that it covers: filters take both ends.
@@ -52,7 +52,7 @@ def motion_in(recording: Recording, pipeline: Pipeline | None = None) -> tuple[M
         whole = slice(0, recording.samples)
         rates = recording.velocity, recording.acceleration
         return Motion(recording.time, recording.position, *rates), whole
-    taps = motion_taps(recording.rate, (pipeline or Pipeline()).position_cutoff)
+    taps = motion_taps(recording.rate, (settings or Settings()).position_cutoff)
     reach = taps.shape[1] // 2
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:
@@ -165,7 +165,7 @@ def growth(
     times: ArrayLike,
     *,
     zeros: bool | Sequence[str] = False,
-    pipeline: Pipeline | None = None,
+    settings: Settings | None = None,
 ) -> Growth:
     """Estimates from more and more of a recording.
 
@@ -175,11 +175,11 @@ def growth(
         method: "external" or "internal".
         times: From the beginning until when [s].
         zeros: As for `identify`.
-        pipeline: As for `identify`.
+        settings: As for `identify`.
     """
     until = np.asarray(times, dtype=np.float64)
     last = np.searchsorted(recording.time, recording.time[0] + until, "right")
-    whole = identify(tree, recording, method, zeros=zeros, pipeline=pipeline)
+    whole = identify(tree, recording, method, zeros=zeros, settings=settings)
     values, sigma = np.full((2, len(until), len(whole.names)), np.nan)
     for k, samples in enumerate(last):
         if samples >= recording.samples:
@@ -187,7 +187,7 @@ def growth(
             continue
         try:
             part = recording.part(0, int(samples))
-            found = identify(tree, part, method, zeros=zeros, pipeline=pipeline)
+            found = identify(tree, part, method, zeros=zeros, settings=settings)
         except (RecordingError, UnseenParameters):
             continue
         values[k], sigma[k] = found.values, found.sigma

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
-from testbed.dynamics.kernel.layout import Layout
 from testbed.errors import UnknownName, UnseenParameters
-from testbed.identification.products import Products
+from testbed.identification.normal_equations import Products
+from testbed.kernel.layout import Layout
 
 REWEIGHTINGS = 4
 """Times that the channels' noise is estimated anew from the residuals."""

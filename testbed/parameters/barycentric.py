@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import AnyArray, Array, readonly, skew
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 COMPONENTS = ("mbar", "mbx", "mby", "mbz", "Kxx", "Kxy", "Kxz", "Kyy", "Kyz", "Kzz")
 """Order of a body's barycentric parameters."""

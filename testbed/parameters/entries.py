@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.parameters.regroup import Body, redefined_parameters
+from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Kept, Model, across
-from testbed.parameters.space import beyond
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 INDEPENDENT = 1e-9
 """Part of a unit row that must be left after projection for it to count as a new one."""

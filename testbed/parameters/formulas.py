@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.parameters.barycentric import COMPONENTS, parameter_name
 from testbed.parameters.regroup import Body
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 ROUNDING = 1e-12
 """Coefficients below this are not printed: rounding of zero, an axis turned by a quarter."""

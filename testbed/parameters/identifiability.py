@@ -18,7 +18,7 @@ from testbed.parameters.barycentric import standard_to_barycentric
 from testbed.parameters.entries import dense_rows, static_entries
 from testbed.parameters.minimal_set import known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 NEVER, COMBINED, ALONE = 0, 1, 2
 

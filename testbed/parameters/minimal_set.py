@@ -27,7 +27,7 @@ from testbed.parameters.entries import (
 from testbed.parameters.formulas import Lengths, Namer
 from testbed.parameters.regroup import Body, regroup
 from testbed.parameters.rules import Model, across
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 NO_MATTER = 1e-12
 """A parameter this much smaller than its body's others of the same unit is zero in the file."""

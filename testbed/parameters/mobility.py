@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.tree.tree import Joint, Tree
+from testbed.robot.tree import Joint, Tree
 
 ALIGNED = 1e-9
 """Sine below which two directions count as parallel; also [m] for points on a line."""

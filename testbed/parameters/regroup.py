@@ -19,7 +19,7 @@ from testbed.arrays import Array
 from testbed.parameters.barycentric import TENSOR, UPPER
 from testbed.parameters.mobility import mobilities
 from testbed.parameters.rules import Model, Row, rule
-from testbed.tree.tree import Joint, Tree
+from testbed.robot.tree import Joint, Tree
 
 _UPPER = tuple(zip(*UPPER, strict=True))
 

@@ -17,7 +17,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.parameters.barycentric import TENSOR_INDEX, UPPER
 from testbed.parameters.mobility import ALIGNED, Mobility
-from testbed.tree.tree import Joint
+from testbed.robot.tree import Joint
 
 Model = Literal["dynamic", "reaction"]
 

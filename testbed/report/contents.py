@@ -11,15 +11,15 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.identification.filters import row_weights
 from testbed.identification.identify import Estimate
-from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import (
     friction,
     motion_in,
     predictions,
 )
-from testbed.measurement.recording import AXES, Recording
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import AXES, Recording
 from testbed.report.tables import with_sigma
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 CLOSE = 0.9
 """Correlation above which two parameters are told apart poorly."""
@@ -49,9 +49,9 @@ class Subject:
         claim: What the experiment shows.
         verdicts: Claims with what came out: name, wanted, value, holds.
         asked: Facts on model, instrument and motion, in order.
-        pipeline: How the estimates treated the recording.
+        settings: How the estimates treated the recording.
         origin: Facts on files, versions and how to repeat it, in order.
-        doubts: What a careful reader should know.
+        warnings: What a careful reader should know.
     """
 
     title: str
@@ -64,9 +64,9 @@ class Subject:
     claim: str = ""
     verdicts: Sequence[Mapping[str, Any]] = ()
     asked: Sequence[tuple[str, str]] = ()
-    pipeline: Pipeline = field(default_factory=Pipeline)
+    settings: Settings = field(default_factory=Settings)
     origin: Sequence[tuple[str, str]] = ()
-    doubts: Sequence[str] = ()
+    warnings: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,7 @@ def check(subject: Subject) -> Check:
     tree = subject.tree
     recording = subject.unseen or subject.recording
     recording = recording if recording.names == tree.names else recording.ordered(tree)
-    motion, inner = motion_in(recording, subject.pipeline)
+    motion, inner = motion_in(recording, subject.settings)
     estimates = {"external": subject.external, "internal": subject.internal}
     wrench, torque = predictions(tree, recording, motion, estimates)
     pairs = [np.hstack([wrench[method], torque[method]]) for method in estimates]
@@ -174,7 +174,7 @@ def _cell(estimate: Estimate, name: str, truth: float | None) -> dict[str, Any]:
 
 def notes(subject: Subject) -> list[str]:
     """Doubts, and pairs of parameters that the data tell apart poorly, in words."""
-    found = list(dict.fromkeys(subject.doubts))
+    found = list(dict.fromkeys(subject.warnings))
     for estimate in (subject.external, subject.internal):
         found += _close_pairs(estimate) + _systematic(estimate, subject.truths)
     return found

@@ -9,13 +9,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from testbed.dynamics.rank import Agreement
+from testbed.dynamics.witnesses import Agreement
 from testbed.parameters.barycentric import COMPONENTS, STANDARD, parameter_names
 from testbed.parameters.formulas import Lengths, latex
 from testbed.parameters.identifiability import Visibility
 from testbed.parameters.minimal_set import MinimalSet, selection
 from testbed.parameters.rules import REASONS
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""

@@ -58,18 +58,18 @@ def print_json(value: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
-def print_estimates(estimates: list[Estimate], doubts: tuple[str, ...]) -> None:
+def print_estimates(estimates: list[Estimate], warnings: tuple[str, ...]) -> None:
     """Print what was found.
 
     Args:
         estimates: Of one recording.
-        doubts: About the robot.
+        warnings: About the robot.
     """
     out = console()
     out.print(estimate_table(estimates, out.width < WIDE))
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
-    print_doubts(out, (*doubts, *(d for e in estimates for d in e.doubts)))
+    print_warnings(out, (*warnings, *(d for e in estimates for d in e.warnings)))
 
 
 def print_outcome(outcome: Any, folder: Path) -> None:
@@ -84,7 +84,7 @@ def print_outcome(outcome: Any, folder: Path) -> None:
     out.print(result_table(external, internal, outcome.truths, title, out.width < WIDE))
     for line in quality_lines((external, internal)):
         out.print(line, soft_wrap=True)
-    print_doubts(out, outcome.doubts)
+    print_warnings(out, outcome.warnings)
     verdicts = outcome.verdicts
     for name, value in outcome.comparison.metrics.items():
         claim = ""
@@ -95,7 +95,7 @@ def print_outcome(outcome: Any, folder: Path) -> None:
     out.print(f"run folder: {folder}", soft_wrap=True)
 
 
-def print_doubts(out: Console, doubts: tuple[str, ...]) -> None:
+def print_warnings(out: Console, warnings: tuple[str, ...]) -> None:
     """Print notes, a line each."""
-    for doubt in doubts:
-        out.print(f"note: {doubt}", style="yellow", soft_wrap=True)
+    for warning in warnings:
+        out.print(f"note: {warning}", style="yellow", soft_wrap=True)

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.dynamics import base_wrench, joint_forces
+from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.errors import ModelError
 from testbed.excitation.limits import friction_torque, limits_of
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 SAME = 1e-9
 """Largest relative difference between the plant and the tree's own equations."""
@@ -22,7 +22,7 @@ _SPEED = 0.5  # of the joints in the self-check: well outside the band where fri
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Plant:
     """A compiled model with what is needed to drive it and to read its plate.
 
     Attributes:
@@ -53,14 +53,14 @@ class Scene:
         return np.concatenate([force, moment], axis=-1)
 
 
-def check_scene(scene: Scene, tree: Tree, path: Path) -> None:
+def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
     """In one state: does the plant feel and need what the tree's equations say?
 
     Catches whatever else a model file holds that acts on the robot: springs, tendons,
     fluid, gravity compensation, a body that does not stand on the plate.
 
     Args:
-        scene: The robot on its bedplate.
+        plant: The robot on its bedplate.
         tree: The robot as it was read, without friction where the plant has none.
         path: The file, for the message.
 
@@ -71,12 +71,12 @@ def check_scene(scene: Scene, tree: Tree, path: Path) -> None:
     limits = limits_of(tree)
     q = (limits.low + limits.high) / 2 + rng.uniform(-0.1, 0.1, tree.n) * (limits.high - limits.low)
     qd = _SPEED * rng.choice([-1.0, 1.0], tree.n) * rng.uniform(0.5, 1.0, tree.n)
-    data = mujoco.MjData(scene.model)
-    data.qpos[scene.order], data.qvel[scene.order] = q, qd
-    mujoco.mj_forward(scene.model, data)
-    qdd = data.qacc[scene.order]
-    extra = -(data.qfrc_passive + data.qfrc_constraint)[scene.order]
-    wrench = scene.bedplate_wrench(data.sensordata[scene.plate])
+    data = mujoco.MjData(plant.model)
+    data.qpos[plant.order], data.qvel[plant.order] = q, qd
+    mujoco.mj_forward(plant.model, data)
+    qdd = data.qacc[plant.order]
+    extra = -(data.qfrc_passive + data.qfrc_constraint)[plant.order]
+    wrench = plant.bedplate_wrench(data.sensordata[plant.plate])
     if not (np.abs(qdd) < 1e12).all():
         raise ModelError(f"{path}: MuJoCo finds no finite acceleration; a body may lack inertia")
     motion = Motion(np.zeros(1), q[None], qd[None], qdd[None])
@@ -94,7 +94,7 @@ def check_scene(scene: Scene, tree: Tree, path: Path) -> None:
             f"{path}: besides motor and friction something else acts on {names} (a spring, "
             "tendon, fluid or gravity compensation), which simulation does not support"
         )
-    felt = np.abs(base_wrench(tree, motion)[0] + scene.tare - wrench).max()
+    felt = np.abs(base_wrench(tree, motion)[0] + plant.tare - wrench).max()
     if max(felt, np.abs(need + extra).max()) > SAME * scale:
         raise ModelError(
             f"{path}: the plate or the joints do not feel the robot that was read (off by "

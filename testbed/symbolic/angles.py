@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.tree.tree import Tree
+from testbed.robot.tree import Tree
 
 MEANT = 1e-4
 """A turn this close to quarter turns [rad] is meant to be one."""

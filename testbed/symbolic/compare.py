@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from numpy.typing import ArrayLike
 
 from testbed.errors import ExpressionError, UnknownName
+from testbed.robot.tree import Tree
 from testbed.symbolic.equations import FORMS, Form, Listing, equations, writer
 from testbed.symbolic.expression import Expression, of, replaced
-from testbed.symbolic.reading import read_listing
+from testbed.symbolic.parse import read_listing
 from testbed.symbolic.robot import Robot, draw
-from testbed.tree.tree import Tree
 
 COMPARABLE = ("joint-forces", "base-wrench", "mass-matrix", "gravity-forces")
 

@@ -11,12 +11,12 @@ import numpy as np
 from testbed.arrays import AnyArray
 from testbed.parameters.barycentric import COMPONENTS, UPPER, parameter_name, point_mass
 from testbed.parameters.formulas import length_name
+from testbed.robot.tree import Tree
 from testbed.symbolic.expression import Expression, Nature, expression, symbol
 from testbed.symbolic.parameters import parameter_symbol
 from testbed.symbolic.polynomial import Ring
-from testbed.symbolic.present import present
 from testbed.symbolic.robot import Robot
-from testbed.tree.tree import Tree
+from testbed.symbolic.tidy import present
 
 
 def barycentric_definitions(

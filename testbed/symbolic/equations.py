@@ -24,6 +24,7 @@ from testbed.errors import UnknownName
 from testbed.parameters.barycentric import UNITS, parameter_names
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.rules import Model
+from testbed.robot.tree import Tree
 from testbed.symbolic.definitions import barycentric_definitions
 from testbed.symbolic.expression import Expression, Factor, expression, of
 from testbed.symbolic.kinds import CONTENT, KINDS, Kind
@@ -36,10 +37,9 @@ from testbed.symbolic.parameters import (
     minimal_parameters,
 )
 from testbed.symbolic.polynomial import Ring
-from testbed.symbolic.present import natural_angles, present
 from testbed.symbolic.program import Program, literal, recursive, with_numbers
 from testbed.symbolic.robot import Robot, draw
-from testbed.tree.tree import Tree
+from testbed.symbolic.tidy import natural_angles, present
 
 Form = Literal["full", "reduced", "recursive"]
 ROUNDING = 1e-14

@@ -9,13 +9,13 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from testbed.arrays import AnyArray
-from testbed.dynamics.equations import transmitted
 from testbed.dynamics.kinematics import kinematics
+from testbed.dynamics.newton_euler import transmitted
 from testbed.parameters.rules import Model
-from testbed.symbolic.algebra import Symbols
 from testbed.symbolic.expression import Factor, Nature, of
 from testbed.symbolic.parameters import distinct
 from testbed.symbolic.robot import Robot
+from testbed.symbolic.symbol_algebra import Symbols
 
 WRENCH = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 

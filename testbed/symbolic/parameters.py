@@ -11,8 +11,8 @@ import numpy as np
 from testbed.arrays import AnyArray
 from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.robot.tree import Tree
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
-from testbed.tree.tree import Tree
 
 
 @dataclass(frozen=True)

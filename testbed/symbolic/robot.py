@@ -16,9 +16,9 @@ import numpy as np
 
 from testbed.arrays import AnyArray, Array
 from testbed.parameters.formulas import length_name
+from testbed.robot.tree import Tree
 from testbed.symbolic.angles import EXACT
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
-from testbed.tree.tree import Tree
 
 Group: TypeAlias = tuple[list[Factor], list[Expression]]
 Followers: TypeAlias = tuple[tuple[int, int], ...]

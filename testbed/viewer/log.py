@@ -11,9 +11,9 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.files import replacing
-from testbed.measurement.recording import AXES
-from testbed.tree.shapes import Shape
-from testbed.tree.tree import Tree
+from testbed.recordings.recording import AXES
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.shapes import Shape
 from testbed.viewer.blueprint import blueprint
 from testbed.viewer.colours import COLOURS, Colour, joint_colours
 from testbed.viewer.story import Story, extent, means, poses, pressure, root, safe, tips

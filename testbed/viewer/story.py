@@ -15,16 +15,17 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.identification.identify import Estimate
-from testbed.identification.pipeline import Pipeline
 from testbed.identification.predict import (
     Growth,
     friction,
     motion_in,
     predictions,
 )
-from testbed.measurement.recording import Recording
-from testbed.tree.shapes import Shape, sticks
-from testbed.tree.tree import Tree
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.sticks import sticks
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
@@ -91,7 +92,7 @@ def tell(
     estimates: Mapping[str, Estimate] | None = None,
     truths: Mapping[str, float] | None = None,
     growth: Mapping[str, Growth] | None = None,
-    pipeline: Pipeline | None = None,
+    settings: Settings | None = None,
 ) -> Story:
     """Compute what there is to see of a run.
 
@@ -103,11 +104,11 @@ def tell(
         estimates: By method, "external" and "internal"; default none.
         truths: True values by parameter name.
         growth: Estimates from more and more of the recording, by method.
-        pipeline: How the estimates treated the recording; default `Pipeline()`.
+        settings: How the estimates treated the recording; default `Settings()`.
     """
     if recording.names != tree.names:
         recording = recording.ordered(tree)
-    motion, inner = _motion(recording, pipeline)
+    motion, inner = _motion(recording, settings)
     shapes = tuple(shapes) or tuple(sticks(tree))
     estimates = estimates or {}
     wrench, torque = predictions(tree, recording, motion, estimates)
@@ -206,10 +207,10 @@ def means(signal: Array, size: int) -> Array:
     return np.asarray(np.add.reduceat(signal, starts, axis=0) / counts[:, None])
 
 
-def _motion(recording: Recording, pipeline: Pipeline | None) -> tuple[Motion, slice]:
+def _motion(recording: Recording, settings: Settings | None) -> tuple[Motion, slice]:
     """The recording's motion; unfiltered where it is too short for filters."""
     try:
-        return motion_in(recording, pipeline)
+        return motion_in(recording, settings)
     except RecordingError:
         step = 1 / recording.rate
         speed = np.gradient(recording.position, step, axis=0)

@@ -1,0 +1,301 @@
+"""Carry out an experiment: excite, simulate, measure, identify, compare with the truth."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import ExperimentError
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import limits_of
+from testbed.excitation.random_motion import best_motion
+from testbed.experiment.experiment import Experiment, joint_tables
+from testbed.experiment.score import Comparison, compare
+from testbed.files import fingerprint
+from testbed.identification.identify import Estimate, identify
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.instruments.instrument import Instrument, measure
+from testbed.parameters.minimal_set import minimal_set
+from testbed.recordings.recording import Recording, geometry
+from testbed.robot.load import load_tree
+from testbed.robot.tree import Tree
+from testbed.simulation.build import build_plant
+from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
+
+MOST_SAMPLES = 2e6
+"""Most samples of one run: they are held in memory."""
+
+LEAST_PERIODS = 0.02
+"""Least part of a period that is a motion."""
+
+MOST_STEPS = 10_000
+"""Most simulation steps a sample: a thousand samples are held in full."""
+
+_QUIET_PLATE = np.repeat([0.5, 0.1], 3)
+"""Noise assumed for choosing a motion when the plate has none [N, N m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What came of an experiment.
+
+    Attributes:
+        experiment: What was carried out.
+        tree: The robot.
+        recording: What the instrument measured.
+        external: Estimate from the plate.
+        internal: Estimate from the motor torques.
+        comparison: Both against the truth.
+        warnings: What a careful reader should know, one line each.
+    """
+
+    experiment: Experiment
+    tree: Tree
+    recording: Recording
+    external: Estimate
+    internal: Estimate
+    comparison: Comparison
+    warnings: tuple[str, ...]
+
+    @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name."""
+        pairs = (self.external, self.comparison.external), (self.internal, self.comparison.internal)
+        return {
+            name: value
+            for estimate, errors in pairs
+            for name, value in zip(estimate.names, errors.truth.tolist(), strict=True)
+        }
+
+    @property
+    def verdicts(self) -> Mapping[str, bool]:
+        """For each metric in [expect], whether the claim holds."""
+        metrics = self.comparison.metrics
+        return {k: bound.holds(metrics[k]) for k, bound in self.experiment.expect.items()}
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether every claim holds."""
+        return all(self.verdicts.values())
+
+
+def carry_out(
+    experiment: Experiment,
+    progress: Progress = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
+) -> Outcome:
+    """Simulate, identify by both methods, compare.
+
+    Args:
+        experiment: What to do.
+        progress: Called with samples done and samples in all.
+        watch: Called with what happens while it is simulated, a second or so at a time.
+    """
+    tree = robot_of(experiment)
+    return evaluate(experiment, tree, _simulated(experiment, tree, progress, watch))
+
+
+def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcome:
+    """Identify by both methods and compare with the truth.
+
+    Args:
+        experiment: What was carried out.
+        tree: The robot.
+        recording: What the instrument measured.
+    """
+    table, settings = experiment.identification, settings_of(experiment)
+    external = identify(tree, recording, "external", zeros=table.zeros, settings=settings)
+    internal = identify(tree, recording, "internal", zeros=table.zeros, settings=settings)
+    return Outcome(
+        experiment=experiment,
+        tree=tree,
+        recording=recording,
+        external=external,
+        internal=internal,
+        comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
+        warnings=tuple(dict.fromkeys((*tree.warnings, *external.warnings, *internal.warnings))),
+    )
+
+
+def settings_of(experiment: Experiment) -> Settings:
+    """How an experiment's signals are treated.
+
+    Args:
+        experiment: Says so in its table `identification`.
+    """
+    table = experiment.identification
+    return Settings(
+        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
+        cutoff=None if table.cutoff == "off" else table.cutoff,
+        deadband=table.deadband,
+    )
+
+
+def simulate(experiment: Experiment, progress: Progress = lambda done, total: None) -> Recording:
+    """Simulate an experiment's robot on its bedplate and measure it.
+
+    Args:
+        experiment: What to do.
+        progress: Called with samples done and samples in all.
+    """
+    return _simulated(experiment, robot_of(experiment), progress)
+
+
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment, under its gravity.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        ExperimentError: A table names a joint that the robot has not.
+    """
+    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
+    for table, entries in joint_tables(experiment).items():
+        for name in entries:
+            if name not in tree.names:
+                raise ExperimentError(
+                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
+                )
+    gravity = experiment.gravity
+    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
+
+
+def _simulated(
+    experiment: Experiment,
+    tree: Tree,
+    progress: Progress,
+    watch: Watch = lambda time, truth: None,
+) -> Recording:
+    sampling = _sampling(experiment)
+    table = experiment.measurement.model_dump(exclude={"rate", "averaged"})
+    instrument, simulation = Instrument(**table), experiment.simulation
+    motion = _motion(experiment, tree, instrument)
+    plant = build_plant(
+        Path(experiment.model),
+        tree,
+        simulation.step,
+        weld_root=experiment.weld_root,
+        friction=simulation.friction,
+    )
+    run = simulate_motion(
+        plant,
+        tree if simulation.friction else tree.without_friction(),
+        motion,
+        experiment.motion.duration,
+        simulation.bandwidth,
+        sampling,
+        progress,
+        watch,
+    )
+    facts = _facts(experiment, tree, run)
+    return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, experiment.seed)
+
+
+def _sampling(experiment: Experiment) -> Sampling:
+    """How the run is cut into samples.
+
+    Raises:
+        ExperimentError: The step does not divide the sample, or there are too many.
+    """
+    simulation, table, motion = experiment.simulation, experiment.measurement, experiment.motion
+    _check_rates(experiment)
+    steps = round(1 / (table.rate * simulation.step))
+    if steps < 1 or abs(steps * table.rate * simulation.step - 1) > 1e-9:
+        raise ExperimentError(
+            f"simulation.step = {simulation.step:g} s does not divide the sampling time "
+            f"1 / measurement.rate = {1 / table.rate:g} s"
+        )
+    samples = table.rate * (motion.duration + simulation.warm_up)
+    if steps > MOST_STEPS:
+        raise ExperimentError(
+            f"simulation.step = {simulation.step:g} s makes {steps} steps a sample, more than "
+            f"{MOST_STEPS}; choose a larger step"
+        )
+    if table.rate * motion.duration < 2:
+        raise ExperimentError(f"motion.duration = {motion.duration:g} s holds no two samples")
+    if samples > MOST_SAMPLES:
+        raise ExperimentError(
+            f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
+            f"{MOST_SAMPLES:.0e} that one run holds in memory; make several runs"
+        )
+    return Sampling(table.rate, steps, table.averaged, simulation.warm_up)
+
+
+def _check_rates(experiment: Experiment) -> None:
+    """Whether controller and motion fit the rate and each other.
+
+    Raises:
+        ExperimentError: They do not.
+    """
+    motion, rate = experiment.motion, experiment.measurement.rate
+    if experiment.simulation.bandwidth > rate / 2:
+        raise ExperimentError(
+            f"simulation.bandwidth = {experiment.simulation.bandwidth:g} rad/s is too fast for a "
+            f"controller at measurement.rate = {rate:g} Hz; lower it to {rate / 2:g} or less"
+        )
+    if 10 * motion.fundamental * motion.harmonics > rate:
+        raise ExperimentError(
+            f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
+            f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
+        )
+    periods = motion.fundamental * motion.duration
+    if periods < LEAST_PERIODS:
+        raise ExperimentError(
+            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of "
+            "motion.fundamental: the robot would hardly move"
+        )
+
+
+def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
+    """What a recording keeps about how it was made."""
+    saturated = [
+        f"the motor of joint '{name}' was at its limit in {share:.1%} of the samples"
+        for name, share in zip(tree.names, run.saturated, strict=True)
+        if share
+    ]
+    return {
+        "robot": tree.name,
+        "geometry": geometry(tree),
+        "gravity": tree.gravity.tolist(),
+        "model_sha256": fingerprint(Path(experiment.model)),
+        "seed": experiment.seed,
+        "versions": versions(),
+        "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
+        "warnings": saturated,
+    }
+
+
+def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fourier:
+    table = experiment.motion
+    noise = instrument.plate_noise
+    minimal = minimal_set(tree, "reaction", zeros=experiment.identification.zeros)
+    motion, _ = best_motion(
+        tree,
+        limits_of(tree, table.max_velocity, table.max_acceleration),
+        minimal,
+        noise if noise.all() else _QUIET_PLATE,
+        table.fundamental,
+        table.harmonics,
+        table.candidates,
+        np.random.default_rng(experiment.seed),
+    )
+    return motion
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, testbed and the packages that make the numbers."""
+    found: dict[str, Any] = {"python": platform.python_version()}
+    for package in ("testbed", "mujoco", "numpy", "scipy", "pin"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            found[package] = "not installed"
+    return found

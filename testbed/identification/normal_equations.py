@@ -1,0 +1,114 @@
+"""Normal equations, channel by channel: all that a linear fit needs to know of the data.
+
+Weights, subsets of channels and re-weighting are other sums of the same products: no
+second look at the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.kernel.layout import Layout
+from testbed.kernel.records import Sums
+
+
+@dataclass(frozen=True, eq=False)
+class Products:
+    """Sums over rows, for channels c and d; X are columns, y measurements.
+
+    Attributes:
+        unknowns: Names, (p,).
+        channels: Names, (C,).
+        used: Rows of each channel that count, (C,).
+        normal: X_c' X_d, (C, C, p, p); or, where products across channels were not
+            taken, X_c' X_c, (C, p, p).
+        right: X_c' y_d, (C, C, p); or X_c' y_c, (C, p).
+        square: y_c' y_d, (C, C); or y_c' y_c, (C,).
+    """
+
+    unknowns: tuple[str, ...]
+    channels: tuple[str, ...]
+    used: Array
+    normal: Array
+    right: Array
+    square: Array
+
+    @property
+    def joined(self) -> bool:
+        """Whether products across channels are there."""
+        return self.square.ndim == 2
+
+    def matrix(self, weights: Array) -> Array:
+        """X' W X, (p, p).
+
+        Args:
+            weights: W, (C, C); diagonal unless the products are joined.
+        """
+        if self.joined:
+            return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
+        return np.asarray(np.tensordot(np.diagonal(weights), self.normal, 1))
+
+    def vector(self, weights: Array) -> Array:
+        """X' W y, (p,).
+
+        Args:
+            weights: W, (C, C); diagonal unless the products are joined.
+        """
+        if self.joined:
+            return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
+        return np.asarray(np.diagonal(weights) @ self.right)
+
+    def residual(self, values: Array) -> Array:
+        """Products of the channels' residuals, (C, C), to 1e-8 of the measurement's square.
+
+        Args:
+            values: Of the unknowns, (p,).
+        """
+        if not self.joined:
+            found = self.square - 2 * self.right @ values + self.normal @ values @ values
+            return np.diag(np.maximum(found, 0.0))
+        mixed = self.right @ values
+        return np.asarray(self.square - mixed - mixed.T + self.normal @ values @ values)
+
+
+def gather(
+    layout: Layout, unknowns: tuple[str, ...], channels: tuple[str, ...], found: Iterable[Sums]
+) -> Products:
+    """Products of all rows from those of windows, in their order.
+
+    Args:
+        layout: The rows.
+        unknowns: Names of the columns of `layout.basis`.
+        channels: Names.
+        found: Windows' answers.
+    """
+    used, raw = np.zeros(len(channels)), np.zeros(0)
+    for sums in found:
+        used += sums.used
+        raw = sums.products if raw.size == 0 else raw + sums.products
+    rows, basis = layout.rows, layout.basis
+    joined = len(rows.group_slot) < len(channels)
+    blocks = []
+    for width, at in zip(rows.group_width, rows.group_gram, strict=True):
+        block = np.tril(raw[at : at + width**2].reshape(width, width))
+        blocks.append(block + np.tril(block, -1).T)
+
+    def cut(c: int, d: int) -> tuple[Array, Array, float]:
+        """The block of two channels, on the unknowns."""
+        block = blocks[0 if joined else c]
+        origin = 0 if joined else rows.start[c]
+        lines, ranks = (rows.start[k] - origin + np.arange(len(layout.channels[k])) for k in (c, d))
+        y, x = rows.measured[c] - origin, rows.measured[d] - origin
+        left, right = basis[layout.channels[c]], basis[layout.channels[d]]
+        inner = left.T @ block[np.ix_(lines, ranks)] @ right
+        return inner, left.T @ block[lines, x], float(block[y, x])
+
+    size = range(len(channels))
+    parts = [[cut(c, d) for d in (size if joined else (c,))] for c in size]
+    arrays = [np.array([[part[k] for part in line] for line in parts]) for k in range(3)]
+    normal, right, square = arrays if joined else [array[:, 0] for array in arrays]
+    return Products(unknowns, channels, used, normal, right, square)

@@ -1,0 +1,157 @@
+"""Passes over the samples: window by window, on several threads, in constant memory.
+
+Windows and the order in which their answers come are the same whatever the source and the
+number of threads, and so is, to the bit, all that is computed from them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from functools import cache, partial
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+from threadpoolctl import ThreadpoolController
+
+from testbed.arrays import Array
+from testbed.identification.windows import Plan, Window
+from testbed.kernel import numpy_engine
+from testbed.kernel.records import Question, Signals, Sums
+from testbed.recordings.recording import LARGEST, Recording, check_times, check_values
+
+Progress = Callable[[int, int], None]
+"""Called with samples done and samples in all."""
+
+Answer = TypeVar("Answer")
+
+SMALL = 2.0
+"""Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
+
+KEPT = 64e6
+"""Bytes of rows that are kept from the first pass to the next, in small jobs."""
+
+
+def is_small(plan: Plan) -> bool:
+    """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
+    seconds = 12e-6 + 0.06e-6 * plan.layout.theta.size / 10  # a sample, measured
+    return plan.source.samples * seconds < SMALL
+
+
+def one_blas_thread() -> AbstractContextManager[Any]:
+    """While it lasts, BLAS uses one thread: the order of its sums depends on their number."""
+    found: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
+    return found
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+class Passes:
+    """Answers questions about all rows of a plan, pass by pass."""
+
+    def __init__(self, plan: Plan, threads: int | None, progress: Progress) -> None:
+        """Ready for the first pass.
+
+        Args:
+            plan: The rows.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all, of two passes.
+        """
+        self.plan = plan
+        self.compiled = not is_small(plan)
+        self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
+        self.progress = progress
+        self.checked = False
+        self.done = 0
+        self._rooms: SimpleQueue[Any] = SimpleQueue()
+        self._kept: dict[int, list[numpy_engine.Block]] = {}
+        self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT
+
+    def sums(self, question: Question) -> Iterator[Sums]:
+        """The answers of all windows, in order; the first time, what was read is checked."""
+        check, self.checked = not self.checked, True
+        return self._pass(lambda part, window: self._sums(part, window, question, check))
+
+    def rows(self) -> Iterator[Array]:
+        """All rows, a block at a time, (slots, rows)."""
+        for blocks in self._pass(self._rows):
+            yield from blocks
+
+    def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
+        with ThreadPoolExecutor(self.threads) as pool:
+            pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
+            try:
+                for window in self.plan.windows():
+                    part = self.plan.source.part(window.first, window.last)
+                    if self.threads == 1:
+                        pending.append((window, partial(ask, part, window)))
+                    else:
+                        pending.append((window, pool.submit(ask, part, window).result))
+                    if len(pending) > self.threads or self.threads == 1:
+                        yield self._next(pending)
+                while pending:
+                    yield self._next(pending)
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+    def _next(self, pending: deque[tuple[Window, Callable[[], Answer]]]) -> Answer:
+        window, answer = pending.popleft()
+        found = answer()
+        self.done += window.rows * self.plan.step
+        self.progress(self.done, 2 * self.plan.rows * self.plan.step)
+        return found
+
+    def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
+        if check:
+            check_times(part, "the recording", 1 / self.plan.source.rate, window.first)
+        found = self._answer(self.plan.signals(part, window), window, question)
+        if check and not found.squares[0] < LARGEST**2:  # what is no number is not
+            check_values(part, "the recording", window.first)
+        return found
+
+    def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
+        layout = self.plan.layout
+        if not self.compiled:
+            return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
+        from testbed.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.sweep(layout, signals, question, work)
+        finally:
+            self._rooms.put(work)
+
+    def _rows(self, part: Recording, window: Window) -> list[Array]:
+        signals = self.plan.signals(part, window)
+        if not self.compiled:
+            return [block.rows for block in self._blocks(signals, window)]
+        from testbed.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.rows(self.plan.layout, signals, work)
+        finally:
+            self._rooms.put(work)
+
+    def _blocks(self, signals: Signals, window: Window) -> list[numpy_engine.Block]:
+        if window.row in self._kept:
+            return self._kept[window.row]
+        found = numpy_engine.rows(self.plan.layout, signals)
+        if self._keeps:
+            self._kept[window.row] = found
+        return found
+
+    def _room(self, signals: Signals) -> Any:
+        """A workspace that no other thread is using."""
+        from testbed.kernel import numba_engine
+
+        try:
+            return self._rooms.get_nowait()
+        except Empty:
+            return numba_engine.workspace(self.plan.layout, signals)

@@ -1,0 +1,287 @@
+"""One sweep over a window: rows, filtered or not, their products, their residuals."""
+
+from __future__ import annotations
+
+from testbed.kernel.compiler import WIDE, inline, outer, part, plain, summing
+from testbed.kernel.records import CHUNK, D
+from testbed.kernel.rows import dot, fill
+
+
+@summing
+def tile(X, Y, n, G, at, ld):
+    """G[at + i ld + j] += X_i . Y_j for four slots of each."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    c0 = c1 = c2 = c3 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+        c0 += x2 * y0
+        c1 += x2 * y1
+        c2 += x2 * y2
+        c3 += x2 * y3
+        d0 += x3 * y0
+        d1 += x3 * y1
+        d2 += x3 * y2
+        d3 += x3 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    G[at + 3] += c3
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
+
+
+@summing
+def half_tile(X, Y, n, G, at, ld):
+    """`tile` for two slots with four."""
+    a0 = a1 = a2 = a3 = b0 = b1 = b2 = b3 = 0.0
+    for k in range(n):
+        y0, y1, y2, y3 = Y[k], Y[D + k], Y[2 * D + k], Y[3 * D + k]
+        x0, x1 = X[k], X[D + k]
+        a0 += x0 * y0
+        a1 += x0 * y1
+        a2 += x0 * y2
+        a3 += x0 * y3
+        b0 += x1 * y0
+        b1 += x1 * y1
+        b2 += x1 * y2
+        b3 += x1 * y3
+    G[at] += a0
+    G[at + 1] += a1
+    G[at + 2] += a2
+    G[at + 3] += a3
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    G[at + 2] += b2
+    G[at + 3] += b3
+
+
+@inline
+def two_halves(X, Y, n, G, at, ld):
+    """`tile` for processors with only sixteen vector registers."""
+    half_tile(X, Y, n, G, at, ld)
+    half_tile(X[2 * D :], Y, n, G, at + 2 * ld, ld)
+
+
+fitting_tile = tile if WIDE else two_halves
+
+
+@summing
+def diagonal_tile(X, n, G, at, ld):
+    """`tile` for four slots with themselves."""
+    a0 = b0 = b1 = c0 = c1 = c2 = d0 = d1 = d2 = d3 = 0.0
+    for k in range(n):
+        x0, x1, x2, x3 = X[k], X[D + k], X[2 * D + k], X[3 * D + k]
+        a0 += x0 * x0
+        b0 += x1 * x0
+        b1 += x1 * x1
+        c0 += x2 * x0
+        c1 += x2 * x1
+        c2 += x2 * x2
+        d0 += x3 * x0
+        d1 += x3 * x1
+        d2 += x3 * x2
+        d3 += x3 * x3
+    G[at] += a0
+    at += ld
+    G[at] += b0
+    G[at + 1] += b1
+    at += ld
+    G[at] += c0
+    G[at + 1] += c1
+    G[at + 2] += c2
+    at += ld
+    G[at] += d0
+    G[at + 1] += d1
+    G[at + 2] += d2
+    G[at + 3] += d3
+
+
+@summing
+def dots(E, X, n):
+    """E . X for four slots X."""
+    a = b = c = d = 0.0
+    for k in range(n):
+        e = E[k]
+        a += e * X[k]
+        b += e * X[D + k]
+        c += e * X[2 * D + k]
+        d += e * X[3 * D + k]
+    return a, b, c, d
+
+
+@plain
+def weigh(weights, step, centre, count, at, n, slots, flags, Y, H, Z):
+    """Add what a chunk of samples gives to the filtered rows that it reaches.
+
+    centre: sample of the block's first row; at, n: the chunk's samples.
+    """
+    half = len(weights) // 2
+    lo = max(0, -((centre + half - at) // step)) // 4 * 4
+    hi = min(count, (at + n - 1 + half - centre) // step + 1)
+    for r in range(lo, lo + -((lo - hi) // 4) * 4):
+        behind = at - centre - r * step + half
+        row = H[(r - lo) * D : (r - lo) * D + CHUNK]
+        for k in range(CHUNK):
+            inside = 0 <= behind + k < len(weights) and k < n and r < count
+            row[k] = weights[behind + k] if inside else 0.0
+    for s in range(0, slots, 4):
+        for r in range(lo, hi, 4):
+            y, h = Y[s * D : (s + 4) * D], H[(r - lo) * D : (r - lo + 4) * D]
+            fitting_tile(y, h, CHUNK, Z, s * D + r, D)
+    now = max(0, -((centre - at) // step))  # rows whose own sample is here
+    for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
+        for s in range(slots, slots + flags):
+            Z[s * D + r] = Y[s * D + centre + r * step - at]
+
+
+@plain
+def rest_joints(slots, start, width, count, Z, used):
+    """Zero rows of joints that rest; count the others."""
+    for c in range(len(start)):
+        U = Z[(slots + c) * D : (slots + c) * D + count]
+        moving = dot(U, U, count)
+        used[c] += moving
+        if moving < count:
+            for s in range(start[c], start[c] + width[c]):
+                for k in range(count):
+                    Z[s * D + k] *= U[k]
+
+
+@plain
+def gram(slot, size, width, place, Z, count, G):
+    """Add the products of all pairs of slots, group by group of rows; lower triangles."""
+    n = -(-count // 8) * 8
+    for g in range(len(slot)):
+        p, ld = size[g], width[g]
+        X = Z[slot[g] * D : (slot[g] + ld) * D]
+        for a in range(0, p, 4):
+            at = place[g] + a * ld
+            for b in range(0, a, 4):
+                here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
+                if p - a == 1:
+                    found = dots(here, there, n)
+                    for i in range(4):
+                        G[at + b + i] += found[i]
+                elif p - a == 2:
+                    half_tile(here, there, n, G, at + b, ld)
+                else:
+                    fitting_tile(here, there, n, G, at + b, ld)
+            diagonal_tile(X[a * D : (a + 4) * D], n, G, at + a, ld)
+
+
+@inline
+def add(f, X, n, Y):
+    """Y += f X for four slots X."""
+    f0, f1, f2, f3 = f[0], f[1], f[2], f[3]
+    for k in range(n):
+        Y[k] += f0 * X[k] + f1 * X[D + k] + f2 * X[2 * D + k] + f3 * X[3 * D + k]
+
+
+@part
+def subtract(start, width, Z, c, at, n, factors, E):
+    """E = residual of a channel: the sum of its slots times `factors`."""
+    E[:n] = 0.0
+    for s in range(start[c], start[c] + width[c], 4):
+        add(factors[s : s + 4], Z[s * D + at : (s + 4) * D], n, E)
+
+
+@part
+def score(start, measured, unknown, Z, c, at, n, E, bin, scores):
+    """Add columns of a channel times E to a bin of scores."""
+    for s in range(start[c], measured[c], 4):
+        found = dots(E, Z[s * D + at : (s + 4) * D], n)
+        for i in range(4):
+            u = unknown[s + i]
+            if u >= 0:
+                scores[bin, u] += found[i]
+
+
+@plain
+def residual(
+    start, width, measured, unknown, Z, R, count, factors, weights, bins, first, moments, scores
+):  # fmt: skip
+    """Residuals, their products, and scores: columns times weighted residuals, by bins of rows.
+
+    Bin by bin, and channel by channel where noise is not correlated across channels, so that
+    slots come from memory once.
+    """
+    channels = len(measured)
+    E, wait = R[channels * D :], 0
+    for c in range(channels):
+        for d in range(c):
+            if weights[c, d] != 0.0:
+                wait = channels  # scores need the residuals of all channels
+    for at in range(0, count, bins):
+        n = min(bins, count - at)
+        for turn in range(channels + wait):
+            if turn < channels:
+                subtract(start, width, Z, turn, at, n, factors, R[turn * D :])
+                moments[turn] += dot(R[turn * D :], R[turn * D :], n)
+            c = turn - wait
+            if c >= 0:
+                E[:n] = 0.0
+                for d in range(channels):
+                    if weights[c, d] != 0.0:
+                        for k in range(n):
+                            E[k] += weights[c, d] * R[d * D + k]
+                score(start, measured, unknown, Z, c, at, n, E, (first + at) // bins, scores)
+
+
+@outer
+def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, scores):
+    """All rows, block by block: their products if G is given, residuals if factors are.
+
+    The last block stays in work.Z.
+    """
+    half = len(signals.weights) // 2
+    for first in range(0, signals.number, rows.block):
+        count = min(rows.block, signals.number - first)
+        centre = signals.start + first * signals.step
+        begin, end = centre - half, centre + (count - 1) * signals.step + half + 1
+        if half > 0:
+            work.Z[:] = 0.0
+        for at in range(begin, end, CHUNK if half > 0 else rows.block):
+            n = min(CHUNK, end - at) if half > 0 else count
+            fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
+            if half > 0:
+                weigh(
+                    signals.weights, signals.step, centre, count, at, n,
+                    rows.slots, len(rows.measured), work.Y, work.H, work.Z,
+                )  # fmt: skip
+        if signals.deadband > 0.0:
+            rest_joints(rows.slots, rows.start, rows.width, count, work.Z, used)
+        else:
+            used += count
+        if len(G):
+            gram(
+                rows.group_slot, rows.group_size, rows.group_width, rows.group_gram,
+                work.Z, count, G,
+            )  # fmt: skip
+        if len(factors):
+            residual(
+                rows.start, rows.width, rows.measured, rows.unknown, work.Z, work.R,
+                count, factors, weights, bins, first, moments, scores,
+            )  # fmt: skip

@@ -1,0 +1,152 @@
+"""The compiled kernel on a window of samples."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.kernel.compiler import settings
+from testbed.kernel.gram import sweep as compiled
+from testbed.kernel.layout import Layout, layout
+from testbed.kernel.records import (
+    CHUNK,
+    SEEDS,
+    B,
+    D,
+    Question,
+    Signals,
+    Sums,
+    Work,
+    blocks,
+    products_wanted,
+    sums_for,
+)
+from testbed.kernel.screws import BODY, SCREW, A
+from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.inertia import NOTHING
+from testbed.robot.tree import Joint, Tree
+
+
+def workspace(layout: Layout, signals: Signals) -> Work:
+    """Room for one thread; serves every window of these filters."""
+    rows, links = layout.rows, len(layout.robot.place)
+    slots = rows.slots + layout.width + 1
+    filtered = len(signals.weights) > 1
+    reach = (CHUNK + len(signals.weights)) // signals.step + 12
+    work = Work(
+        U=_aligned(3 * links * B),
+        N=_aligned(B + signals.taps.shape[1]),
+        X=_aligned((int(layout.robot.place.max(initial=0)) + 1) * BODY),
+        V=_aligned((max(SEEDS, int(rows.target.max(initial=0)) + 1)) * SCREW),
+        T=_aligned(11 * D),
+        Y=_aligned(slots * D if filtered else 0),
+        H=_aligned(reach * D if filtered else 0),
+        Z=_aligned(slots * D),
+        R=_aligned((layout.width + 1) * D),
+        squares=_aligned(1),
+    )
+    # what never changes: the bedplate's motion, and screws
+    work.X[A : A + 3 * B].reshape(3, B)[:] = layout.robot.ground[:, None]
+    work.V[: SEEDS * SCREW].reshape(SEEDS, 6, B)[:] = layout.robot.seeds[:, :, None]
+    return work
+
+
+def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> Sums:
+    """Products or residuals of a window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        question: What to find.
+        work: Room to work in.
+    """
+    sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    work = work._replace(squares=sums.squares)
+    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, question))
+    return sums
+
+
+def fill_only(layout: Layout, signals: Signals, work: Work) -> None:
+    """Rows alone, nothing made of them; the last block stays in the workspace.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+    """
+    nothing = products_wanted(layout.width)
+    sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
+    sums = sums._replace(products=np.empty(0))
+    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
+
+
+def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
+    """A window's rows, block by block, (slots, rows) each.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        work: Room to work in.
+    """
+    found = []
+    for _, block in blocks(signals, layout.rows.block):
+        fill_only(layout, block, work)
+        found.append(work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy())
+    return found
+
+
+def _aligned(size: int) -> Array:
+    """Zeros that begin where a cache line does: vectors then never straddle two."""
+    room = np.zeros(size + 7)
+    first = -(room.ctypes.data // 8) % 8
+    return room[first : first + size]
+
+
+def _call(*arguments: object) -> None:
+    """The first time in a thread of its own.
+
+    Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
+    to end, each of them may allocate and free one, which takes seconds in all.
+    """
+    if compiled.signatures:
+        compiled(*arguments)
+    else:
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(compiled, *arguments).result()
+
+
+def _arguments(sums: Sums, question: Question) -> tuple[object, ...]:
+    return (sums.used, sums.products, *question, sums.moments, sums.scores)
+
+
+def _fixed(signals: Signals) -> Signals:
+    """The same arrays, contiguous and read-only: one type, compiled once."""
+
+    def fixed(value: Array) -> Array:
+        array = np.ascontiguousarray(value, dtype=np.float64).view()
+        array.flags.writeable = False
+        return array
+
+    return signals._replace(
+        position=fixed(signals.position),
+        velocity=fixed(signals.velocity),
+        acceleration=fixed(signals.acceleration),
+        measured=fixed(signals.measured),
+        taps=fixed(signals.taps),
+        weights=fixed(signals.weights),
+    )
+
+
+def warm_up() -> str:
+    """Compile ahead of the first use; returns where the compiled code is kept."""
+    axis, eye = np.array([0.0, 0.0, 1.0]), np.eye(3)
+    joint = Joint("joint", "body", "revolute", -1, axis, np.zeros(3), eye)
+    tree = Tree("one joint", (joint,), (NOTHING,))
+    rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
+    still = np.zeros((1, 1))
+    unit = np.array([[1.0], [0.0], [0.0]])
+    signals = Signals(still, still, still, still, unit, np.ones(1), 0.0, 0, 1, 1)
+    sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
+    return str(settings.CACHE_DIR)

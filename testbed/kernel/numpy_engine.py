@@ -1,0 +1,149 @@
+"""The same sweep by NumPy and the recursion of `dynamics`: for small jobs, and as a witness."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.kernel.layout import Layout
+from testbed.kernel.records import Question, Signals, Sums, blocks, sums_for
+
+SAMPLES = 1024
+"""Samples taken at once."""
+
+
+class Block(NamedTuple):
+    """Consecutive rows of a window.
+
+    Attributes:
+        first: Number of the first.
+        rows: (slots, rows).
+        used: How many of each channel count, (channels,).
+    """
+
+    first: int
+    rows: Array
+    used: Array
+
+
+def rows(layout: Layout, signals: Signals) -> list[Block]:
+    """A window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+    """
+    parts = blocks(signals, layout.rows.block)
+    return [_block(layout, part, first) for first, part in parts]
+
+
+def answer(layout: Layout, signals: Signals, given: list[Block], question: Question) -> Sums:
+    """Products or residuals of a window's rows.
+
+    Args:
+        layout: The rows.
+        signals: The window.
+        given: Its `rows`.
+        question: What to find.
+    """
+    sums = sums_for(layout.rows, signals, question, len(layout.basis))
+    for values in (signals.position, signals.velocity, signals.acceleration, signals.measured):
+        sums.squares[...] += np.vdot(values, values)
+    for block in given:
+        sums.used[...] += block.used
+        if len(question.factors):
+            _residuals(layout, block, question, sums)
+        else:
+            _products(layout, block.rows, sums)
+    return sums
+
+
+def _block(layout: Layout, signals: Signals, number: int) -> Block:
+    half = len(signals.weights) // 2
+    begin, span = signals.start - half, (signals.number - 1) * signals.step + 2 * half + 1
+    z = np.zeros((layout.rows.slots, signals.number))
+    for at in range(0, span, SAMPLES):
+        some = min(SAMPLES, span - at)
+        motion = _motion(signals, begin + at, some)
+        y = _unfiltered(layout, signals, begin + at, motion)
+        offset = np.arange(some)[None] + at - np.arange(signals.number)[:, None] * signals.step
+        inside = (offset >= 0) & (offset < len(signals.weights))
+        z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
+    used = np.full(layout.width, signals.number, dtype=np.float64)
+    if signals.deadband > 0:
+        centres = signals.start + np.arange(signals.number) * signals.step
+        for c, speed in enumerate(_speeds(signals, centres).T):
+            moving = np.abs(speed) > signals.deadband
+            first, width = layout.rows.start[c], layout.rows.width[c]
+            z[first : first + width] *= moving
+            used[c] = moving.sum()
+    return Block(number, z, used)
+
+
+def _motion(signals: Signals, first: int, count: int) -> Motion:
+    """Coordinates at `count` samples."""
+    time, part = np.arange(count, dtype=np.float64), slice(first, first + count)
+    if len(signals.velocity):
+        found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
+        return Motion(time, *found)
+    half = signals.taps.shape[1] // 2
+    around = signals.position[first - half : first + count + half]
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
+    return Motion(time, *(windows @ taps for taps in signals.taps))
+
+
+def _speeds(signals: Signals, centres: NDArray[np.int64]) -> Array:
+    """Joint velocities at single samples."""
+    if len(signals.velocity):
+        found: Array = signals.velocity[centres]
+        return found
+    half = signals.taps.shape[1] // 2
+    windows = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
+    speeds: Array = windows[centres - half] @ signals.taps[1]
+    return speeds
+
+
+def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) -> Array:
+    """Rows at consecutive samples, (slots, samples)."""
+    joints, base = linear(layout.tree, motion, layout.theta, layout.gravity)
+    phi = joints if layout.model == "dynamic" else base  # (samples, channels, columns)
+    own = {
+        "coulomb": np.sign(motion.qd),
+        "viscous": motion.qd,
+        "offset": np.ones_like(motion.qd),
+        "rotor": motion.qdd,
+    }
+    y = np.zeros((layout.rows.slots, motion.samples))
+    for c, columns in enumerate(layout.channels):
+        at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
+        y[at : at + len(bodies)] = phi[:, c, bodies].T
+        for k, name in enumerate(layout.terms):
+            y[at + len(bodies) + k] = own[name][:, c]
+        y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
+    return y
+
+
+def _products(layout: Layout, z: Array, sums: Sums) -> None:
+    rows = layout.rows
+    for slot, width, at in zip(rows.group_slot, rows.group_width, rows.group_gram, strict=True):
+        group = z[slot : slot + width]
+        sums.products[at : at + width**2] += (group @ group.T).ravel()
+
+
+def _residuals(layout: Layout, block: Block, question: Question, sums: Sums) -> None:
+    rows, z = layout.rows, block.rows
+    first = block.first // question.bins
+    spans = [slice(a, a + b) for a, b in zip(rows.start, rows.width, strict=True)]
+    residual = np.stack([question.factors[span] @ z[span] for span in spans])
+    sums.moments[...] += np.sum(residual**2, axis=1)
+    weighted = question.weights @ residual
+    bins = np.arange(0, z.shape[1], question.bins)
+    for c, columns in enumerate(layout.channels):
+        parts = z[rows.start[c] : rows.start[c] + len(columns)] * weighted[c]
+        summed = np.add.reduceat(parts, bins, axis=1).T
+        sums.scores[first : first + len(bins), columns] += summed

@@ -1,0 +1,97 @@
+"""Where samples come from: memory, memory maps, files, or a stream of parts."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.recordings.recording import GROUPS, Recording, alike
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Samples that can be had part by part: a `Recording`, or one that stays in its file."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names."""
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+
+    @property
+    def tare(self) -> Array | None:
+        """As `Recording.tare`."""
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """As `Recording.facts`."""
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth."""
+
+
+def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:
+    """Samples from memory, from a Parquet file that stays there, or from parts in turn.
+
+    Args:
+        what: A recording, the path of one, or parts of one in the order of time.
+
+    Raises:
+        RecordingError: The file is no recording, or the parts do not belong together.
+    """
+    if isinstance(what, str | Path):
+        from testbed.recordings.formats.parquet import StoredRecording
+
+        return StoredRecording(what)
+    if isinstance(what, Source):
+        return what
+    return gathered(what)
+
+
+def gathered(parts: Iterable[Recording]) -> Recording:
+    """One recording of parts that need not fit into memory together.
+
+    It is kept in unnamed temporary files, which go when it goes.
+
+    Args:
+        parts: In the order of time, of one robot.
+
+    Raises:
+        RecordingError: There are none, or they do not belong together.
+    """
+    with ExitStack() as open_files:
+        files: dict[str, IO[bytes]] = {}
+        for part in alike(parts):
+            for name in GROUPS:
+                values = getattr(part, name)
+                if values is None:
+                    continue
+                if name not in files:
+                    files[name] = open_files.enter_context(tempfile.TemporaryFile())
+                files[name].write(np.ascontiguousarray(values).tobytes())
+        mapped: dict[str, Any] = {name: _mapped(file, part, name) for name, file in files.items()}
+    return replace(part, truth=None, **mapped)
+
+
+def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
+    file.flush()
+    shape = (-1, *getattr(like, name).shape[1:])
+    found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
+    return found

@@ -1,0 +1,194 @@
+"""What the robot is: bodies joined in an open tree on a bedplate.
+
+Body j is carried by body `parents[j]` through joint j; the bedplate is -1; numbering is
+ascending, parents first. Names, orders and data are by joint.
+
+Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array, readonly
+from testbed.errors import ModelError, UnknownName
+from testbed.robot.inertia import NOTHING, Inertia
+
+Kind = Literal["revolute", "prismatic"]
+
+
+WEAKEST, STRONGEST = 1e-6, 1e4
+"""Magnitudes of gravity that are not a mistake [m/s^2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint of one degree of freedom, and how its body sits on the carrying body.
+
+    x_i = l + A Rot(e, q) x_j for a revolute joint, x_i = l + A (e q + x_j) for a prismatic
+    one. Limits unknown to the file are infinite, losses unknown to it are zero.
+
+    Attributes:
+        name: The joint's name in the model file.
+        body: The name of the body it moves.
+        kind: "revolute" or "prismatic".
+        parent: Index of the carrying body, -1 for the bedplate.
+        axis: Unit vector e^j, (3,), constant in the frames of both bodies when taken
+            through `rotation`; expressed in body j's frame.
+        offset: l^ij from O^i to the joint's attachment point, (3,) [m], frame i.
+        rotation: A, from frame j at q = 0 to frame i, (3, 3).
+        position_range: Least and greatest position, (2,) [rad or m].
+        max_velocity: [rad/s or m/s].
+        max_effort: Greatest motor effort at the joint side [N m or N].
+        coulomb: Dry friction level [N m or N].
+        viscous: Viscous friction coefficient [N m s/rad or N s/m].
+        rotor_inertia: Inertia of the drive reflected to the joint side [kg m^2 or kg].
+    """
+
+    name: str
+    body: str
+    kind: Kind
+    parent: int
+    axis: Array
+    offset: Array
+    rotation: Array
+    position_range: Array = field(default_factory=lambda: np.array([-np.inf, np.inf]))
+    max_velocity: float = np.inf
+    max_effort: float = np.inf
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    rotor_inertia: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, shape in (
+            ("axis", (3,)),
+            ("offset", (3,)),
+            ("rotation", (3, 3)),
+            ("position_range", (2,)),
+        ):
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def revolute(self) -> bool:
+        """Whether the joint turns (else it slides)."""
+        return self.kind == "revolute"
+
+    @property
+    def carried_axis(self) -> Array:
+        """The joint axis in the carrying body's frame, (3,)."""
+        axis: Array = self.rotation @ self.axis
+        return axis
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """An open tree of bodies on a bedplate.
+
+    Attributes:
+        name: The robot's name.
+        joints: One joint a body, parents first.
+        inertias: One inertia a body, about and along the body's frame.
+        pedestal: What is welded to the bedplate, in the bedplate frame; known, not moving.
+        gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
+        warnings: What was accepted on loading although it is wrong, one line each.
+    """
+
+    name: str
+    joints: tuple[Joint, ...]
+    inertias: tuple[Inertia, ...]
+    pedestal: Inertia = NOTHING
+    gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gravity", readonly(self.gravity, (3,), "gravity"))
+        if len(self.joints) != len(self.inertias):
+            raise ValueError(f"{len(self.joints)} joints carry {len(self.inertias)} inertias")
+        for j, joint in enumerate(self.joints):
+            if not -1 <= joint.parent < j:
+                raise ValueError(f"joint '{joint.name}' ({j}) precedes its parent {joint.parent}")
+
+    @property
+    def n(self) -> int:
+        """Number of moving bodies, which is the number of joints."""
+        return len(self.joints)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Joint names; the order of all columns."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def parents(self) -> tuple[int, ...]:
+        """INBODY: index of the body that carries each joint, -1 for the bedplate."""
+        return tuple(joint.parent for joint in self.joints)
+
+    @property
+    def reach(self) -> Array:
+        """T of [FRS96] eq. (1): T[i, j] = 1 if body i lies on the chain to body j; (n, n)."""
+        reach = np.eye(self.n)
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                reach[:, j] += reach[:, parent]
+        return readonly(reach, (self.n, self.n), "reach")
+
+    def gravity_or(self, gravity: ArrayLike | None) -> Array:
+        """The given gravity, or the model file's if None, (3,) [m/s^2], bedplate frame.
+
+        Raises:
+            ModelError: It is not three finite numbers.
+        """
+        if gravity is None:
+            gravity = self.gravity
+        vector = np.asarray(gravity, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity}")
+        size = float(np.linalg.norm(vector / 1e3)) * 1e3
+        if vector.any() and not WEAKEST <= size <= STRONGEST:
+            raise ModelError(
+                f"gravity of {size:.3g} m/s^2 is outside {WEAKEST:g} ... {STRONGEST:g}; "
+                "0 0 0 is weightlessness"
+            )
+        return readonly(vector, (3,), "gravity")
+
+    def children(self, body: int) -> tuple[int, ...]:
+        """Bodies carried directly by `body` (-1: by the bedplate)."""
+        return self._children.get(body, ())
+
+    @cached_property
+    def _children(self) -> dict[int, tuple[int, ...]]:
+        carried: dict[int, tuple[int, ...]] = {}
+        for j, joint in enumerate(self.joints):
+            carried[joint.parent] = (*carried.get(joint.parent, ()), j)
+        return carried
+
+    def chain(self, body: int) -> tuple[int, ...]:
+        """The bodies from the bedplate's child up to and including `body`; () for -1."""
+        return () if body < 0 else (*self.chain(self.parents[body]), body)
+
+    def index(self, name: str) -> int:
+        """Position of the joint called `name`.
+
+        Raises:
+            UnknownName: There is no such joint.
+        """
+        if name not in self.names:
+            raise UnknownName("joint", name, self.names)
+        return self.names.index(name)
+
+    def without_friction(self) -> Tree:
+        """The same tree with joints that do not rub."""
+        joints = tuple(replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints)
+        return replace(self, joints=joints)
+
+    def without_inertias(self) -> Tree:
+        """The same tree with no masses and no friction: all that an estimator may know."""
+        joints = tuple(
+            replace(joint, rotor_inertia=0.0) for joint in self.without_friction().joints
+        )
+        return replace(self, inertias=(NOTHING,) * self.n, joints=joints)

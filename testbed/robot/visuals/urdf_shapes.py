@@ -1,0 +1,115 @@
+"""Shapes of a URDF robot, through Pinocchio."""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.formats.urdf import supported_xml
+from testbed.robot.stderr import captured_stderr
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.shapes import Shape
+
+_GREY = np.array([0.7, 0.72, 0.75, 1.0])
+
+
+def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[Shape]:
+    """The file's visual elements; mesh files are looked for beside the file and above it.
+
+    If one of them cannot be read, all meshes are left out.
+
+    Args:
+        path: The URDF file.
+        tree: The tree read from it.
+        weld_root: Whether a floating root was welded to the bedplate.
+
+    Raises:
+        ModelError: Pinocchio refuses a shape.
+    """
+    root = supported_xml(path, weld_root=weld_root, keep_visuals=True)
+    coloured = _with_meshes_found(root, path)
+    try:
+        model, seen = _built(root)
+    except Exception:  # Pinocchio raises whatever a mesh makes it meet
+        for link in root.findall("link"):
+            for visual in [
+                v for v in link.findall("visual") if v.find("geometry/mesh") is not None
+            ]:
+                link.remove(visual)
+        try:
+            model, seen = _built(root)
+        except Exception as error:
+            raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+    for shape in seen.geometryObjects:
+        joint = shape.parentJoint
+        body = tree.index(model.names[joint]) if joint else -1
+        colour = np.array(shape.meshColor) if coloured else _GREY
+        placed = (shape.placement.translation, shape.placement.rotation, colour)
+        yield from _drawn(body, shape.geometry, *placed)
+
+
+def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
+    """The robot, and what there is to see of it."""
+    text = ET.tostring(root, encoding="unicode")
+    with captured_stderr(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = pin.buildModelFromXML(text)
+        return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
+
+
+def _drawn(
+    body: int, form: object, position: Array, rotation: Array, colour: Array
+) -> Iterator[Shape]:
+    """Coal's geometry as ours; what it cannot be is left out."""
+    if isinstance(form, coal.Box):
+        yield Shape(body, "box", np.array(form.halfSide).ravel(), position, rotation, colour)
+    elif isinstance(form, coal.Sphere):
+        yield Shape(body, "ellipsoid", np.repeat(form.radius, 3), position, rotation, colour)
+    elif isinstance(form, coal.Cylinder | coal.Capsule):
+        size = np.array([form.radius, form.halfLength])
+        kind = type(form).__name__.lower()
+        yield Shape(body, kind, size, position, rotation, colour)  # type: ignore[arg-type]
+    elif isinstance(form, coal.BVHModelBase):
+        faces = [
+            [triangle[c] for c in range(3)]
+            for triangle in map(form.tri_indices, range(form.num_tris))
+        ]
+        vertices, size = np.array(form.vertices()), np.zeros(0)
+        if faces:
+            at = (position, rotation, colour)
+            yield Shape(body, "mesh", size, *at, vertices, np.array(faces, dtype=float))
+
+
+def _with_meshes_found(root: ET.Element, path: Path) -> bool:
+    """Make mesh file names absolute, drop visuals without a file; whether any has a colour."""
+    for link in root.findall("link"):
+        for visual in link.findall("visual"):
+            mesh = visual.find("geometry/mesh")
+            if mesh is not None:
+                found = _mesh_file(mesh.get("filename", ""), path)
+                if found is None:
+                    link.remove(visual)
+                else:
+                    mesh.set("filename", str(found))
+    return root.find("link/visual/material") is not None
+
+
+def _mesh_file(name: str, path: Path) -> Path | None:
+    """A mesh's file: package://PACKAGE/... is looked for below all folders above the model."""
+    places = [path.resolve().parent, *path.resolve().parent.parents]
+    bare = name.removeprefix("file://")
+    if name.startswith("package://"):
+        rest = Path(name.removeprefix("package://"))
+        inside = Path(*rest.parts[1:]) if len(rest.parts) > 1 else rest
+        candidates = [place / part for place in places for part in (rest, inside)]
+    else:
+        candidates = [places[0] / bare]
+    return next((found for found in candidates if found.is_file()), None)

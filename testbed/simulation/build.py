@@ -1,0 +1,178 @@
+"""The robot on its sensing bedplate, as MuJoCo simulates it.
+
+MuJoCo reads the model file itself, so that simulation and `Tree` meet only in the file.
+Actuators of the file are replaced by one torque motor a joint. A force and a torque
+sensor at a site that is welded to the world are taken as the plate; where the file has
+none, the whole robot is put on a plate of its own.
+
+Integration is by Runge-Kutta of fourth order: the positions that encoders see are then
+those of the motion whose wrench the plate feels. MuJoCo's Euler methods treat velocities
+half a step late or damping implicitly, and an identifier that differentiates positions
+pays for it (docs/architecture.md).
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.formats.mjcf import MASSLESS, compile_spec, no_mujoco_warnings, open_spec
+from testbed.robot.formats.urdf import supported_xml
+from testbed.robot.load import model_format
+from testbed.robot.tree import Tree
+from testbed.simulation.plant import Plant, check_plant
+
+_PLATE = "testbed/bedplate"
+_PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of its own
+
+
+def build_plant(
+    path: Path,
+    tree: Tree,
+    step: float,
+    *,
+    weld_root: bool = False,
+    friction: bool = True,
+) -> Plant:
+    """Put the robot of a model file on its sensing bedplate.
+
+    Args:
+        path: The model file, MJCF or URDF.
+        tree: The tree read from it; gives joint names, their order and gravity.
+        step: Simulation step [s].
+        weld_root: Weld a floating root to the bedplate.
+        friction: Keep the file's joint friction.
+
+    Raises:
+        ModelError: MuJoCo refuses the model.
+    """
+    tree = tree if friction else tree.without_friction()
+    spec = _robot(path, weld_root)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)
+    for key in list(spec.keys):
+        spec.delete(key)
+    prefix = ""
+    with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
+        if _plate_of(compile_spec(spec, path)) is None:
+            spec, prefix = _on_plate(spec), _PREFIX
+        _equip(spec, tree, step, prefix)
+        plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
+        check_plant(plant, tree, path)
+    return plant
+
+
+def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
+    if model_format(path) == "mjcf":
+        spec = open_spec(path, weld_root=weld_root)
+    else:
+        root = supported_xml(path, weld_root=weld_root)
+        for extension in root.findall("mujoco"):
+            root.remove(extension)
+        options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
+        ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
+        with no_mujoco_warnings():
+            try:
+                spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+            except ValueError as error:
+                raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
+    return spec
+
+
+def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
+    """A world with one plate at its origin, and the robot on it."""
+    spec = mujoco.MjSpec()
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
+    site = spec.worldbody.add_body(name=_PLATE).add_site(name=_PLATE)
+    spec.attach(robot, site=site, prefix=_PREFIX)
+    for name, kind in (
+        ("force", mujoco.mjtSensor.mjSENS_FORCE),
+        ("torque", mujoco.mjtSensor.mjSENS_TORQUE),
+    ):
+        at = {"objtype": mujoco.mjtObj.mjOBJ_SITE, "objname": _PLATE}
+        spec.add_sensor(name=f"{_PLATE}/{name}", type=kind, **at)
+    return spec
+
+
+def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
+    """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
+    option = spec.option
+    option.timestep, option.gravity = step, tree.gravity
+    option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    option.tolerance, option.iterations = 1e-14, 50
+    off = mujoco.mjtDisableBit  # a state that blew up must stay so, to be seen
+    option.disableflags = int(off.mjDSBL_CONTACT) | int(off.mjDSBL_AUTORESET)
+    option.enableflags = 0
+    for joint in spec.joints:
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the drive limits itself
+        known = tree.joints[tree.index(joint.name.removeprefix(prefix))]
+        if not known.coulomb:
+            joint.frictionloss = 0.0
+        if not known.viscous:
+            joint.damping = np.zeros_like(joint.damping)
+        joint.solref_friction = [2 * step, 1]
+        joint.solimp_friction = [0.9999, 0.9999, 0.001, 0.5, 2]
+    for name in (prefix + name for name in tree.names):
+        motor = spec.add_actuator(name=f"testbed/{name}", target=name)
+        motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        for kind in (mujoco.mjtSensor.mjSENS_JOINTPOS, mujoco.mjtSensor.mjSENS_JOINTVEL):
+            label = f"testbed/{kind.name}/{name}"
+            spec.add_sensor(name=label, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=name)
+
+
+def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Plant:
+    plate = _plate_of(model)
+    if plate is None:
+        raise ModelError(f"{path}: the sensing bedplate was lost when MuJoCo compiled the model")
+    force, torque = plate
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    site = int(model.sensor_objid[force])
+
+    def sensors(kind: mujoco.mjtSensor) -> Array:
+        found = [model.sensor(f"testbed/{kind.name}/{prefix}{n}").adr[0] for n in tree.names]
+        return np.array(found)
+
+    return Plant(
+        model=model,
+        order=np.array([model.joint(prefix + name).dofadr[0] for name in tree.names]),
+        positions=sensors(mujoco.mjtSensor.mjSENS_JOINTPOS),
+        velocities=sensors(mujoco.mjtSensor.mjSENS_JOINTVEL),
+        plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in (force, torque)]),
+        plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
+        plate_origin=data.site_xpos[site].copy(),
+        tare=_tare(model, data, int(model.site_bodyid[site]), tree.gravity),
+    )
+
+
+def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
+    """A force and a torque sensor at one site that is welded to the world."""
+    found: dict[tuple[int, int], int] = {}
+    for s in range(model.nsensor):
+        found[(int(model.sensor_type[s]), int(model.sensor_objid[s]))] = s
+    for site in range(model.nsite):
+        force = found.get((int(mujoco.mjtSensor.mjSENS_FORCE), site))
+        torque = found.get((int(mujoco.mjtSensor.mjSENS_TORQUE), site))
+        welded = model.body_weldid[model.site_bodyid[site]] == 0
+        if force is not None and torque is not None and welded:
+            return force, torque
+    return None
+
+
+def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int, gravity: Array) -> Array:
+    """Static wrench of the bodies above the sensor that do not move."""
+    mass, moment = 0.0, np.zeros(3)
+    for b in range(body, model.nbody):
+        chain = b
+        while chain > body:
+            chain = model.body_parentid[chain]
+        if chain == body and model.body_weldid[b] == 0:
+            mass += model.body_mass[b]
+            moment += model.body_mass[b] * data.xipos[b]
+    return np.concatenate([-mass * gravity, -np.cross(moment, gravity)])

@@ -1,0 +1,93 @@
+"""The robot's own controller: computed torque, as a well-tuned drive would deliver it.
+
+Torque = model along the reference + friction expected there + M(q_ref) times a
+proportional and derivative action. M decouples the joints, so that one bandwidth serves
+heavy and light ones alike; it is taken from the a-priori model once for a period.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import joint_forces
+from testbed.dynamics.motion import Motion
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import friction_torque
+from testbed.robot.tree import Tree
+
+DAMPING = 0.9
+"""Damping ratio of the position loop."""
+
+_PERIOD_GRID = 500  # postures of a period at which M is known
+_SMOOTH = 0.05  # speed below which the expected dry friction fades out [rad/s or m/s]
+
+
+@dataclass(frozen=True, eq=False)
+class Controller:
+    """A controller along a sampled reference.
+
+    Attributes:
+        reference: The motion to follow, T samples.
+        expected: Torque expected along it, (T, n) [N m or N].
+        inertia: Mass matrices of the a-priori model, (grid, n, n).
+        posture: Which of them applies to each sample, (T,).
+        bandwidth: Of the position loop [rad/s].
+        effort: Limits of the motors, (n,) [N m or N].
+    """
+
+    reference: Motion
+    expected: Array
+    inertia: Array
+    posture: Array
+    bandwidth: float
+    effort: Array
+
+    def torque(self, k: int, position: Array, velocity: Array) -> Array:
+        """Motor torques for sample k, (n,) [N m or N], within the limits of the motors."""
+        late, slow = self.reference.q[k] - position, self.reference.qd[k] - velocity
+        action = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
+        wanted = self.expected[k] + self.inertia[self.posture[k]] @ action
+        limited: Array = np.clip(wanted, -self.effort, self.effort)
+        return limited
+
+
+def computed_torque(tree: Tree, motion: Fourier, times: Array, bandwidth: float) -> Controller:
+    """A drive that follows a periodic motion.
+
+    Args:
+        tree: The drive's own model of the robot and its friction.
+        motion: What to follow.
+        times: Of the samples, (T,) [s].
+        bandwidth: Of the position loop [rad/s].
+    """
+    reference = motion.at(times)
+    grid = motion.at(np.linspace(0, motion.period, _PERIOD_GRID, endpoint=False)).q
+    phase = times / motion.period
+    rotors = np.array([joint.rotor_inertia for joint in tree.joints])
+    return Controller(
+        reference=reference,
+        expected=joint_forces(tree, reference)
+        + friction_torque(tree, reference.qd, _SMOOTH)
+        + rotors * reference.qdd,
+        inertia=mass_matrices(tree, grid) + np.diag(rotors),
+        posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int) % _PERIOD_GRID,
+        bandwidth=bandwidth,
+        effort=np.array([joint.max_effort for joint in tree.joints]),
+    )
+
+
+def mass_matrices(tree: Tree, postures: Array) -> Array:
+    """M(q) of every posture, (k, n, n) [kg m^2, kg m, kg], without rotors.
+
+    Args:
+        tree: The robot.
+        postures: (k, n) [rad or m].
+    """
+    k, n = postures.shape
+    pushes = np.tile(np.eye(n), (k, 1))  # each joint alone, in every posture
+    still = np.zeros((k * n, n))
+    motion = Motion(np.arange(k * n, dtype=float), postures.repeat(n, axis=0), still, pushes)
+    return joint_forces(tree, motion, gravity=np.zeros(3)).reshape(k, n, n)

@@ -1,0 +1,158 @@
+"""The command line: exit codes, one clear line, nothing half-written, nothing heavy at start."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import testbed as tb
+from tests.helpers.paths import GOLDEN, ROOT
+
+QUICK = ["motion.duration=4", "simulation.step=5e-4", "motion.candidates=2"]
+PUMA = str(ROOT / "models/puma562.xml")
+TABLE6 = str(ROOT / "experiments/table6.toml")
+
+
+def command_line(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "testbed.cli", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def sets(*settings: str) -> list[str]:
+    return [word for setting in (*QUICK, *settings) for word in ("--set", setting)]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "r.parquet"
+    settings = ["motion.duration=10", "simulation.step=5e-4", "motion.candidates=5"]
+    tb.simulate(tb.Experiment.load(TABLE6, settings)).save(path)
+    return path
+
+
+def test_run_prints_the_table_and_obeys_the_claim(tmp_path: Path) -> None:
+    done = command_line("run", TABLE6, *sets("expect.external_max_z.at_most=100"), cwd=tmp_path)
+    assert "mb*2z" in done.stdout
+    assert "coulomb/elbow" in done.stdout
+    assert done.returncode == (1 if "FAILS" in done.stdout else 0)
+    failed = command_line(
+        "run", TABLE6, *sets("expect.external_rms_relative_error.at_most=1e-9"), cwd=tmp_path
+    )
+    assert failed.returncode == 1
+    assert "FAILS" in failed.stdout
+
+
+def test_run_speaks_json(tmp_path: Path) -> None:
+    done = command_line("run", TABLE6, "--json", *sets(), cwd=tmp_path)
+    result = json.loads(done.stdout)
+    assert result["name"] == "table6"
+    assert (tmp_path / result["folder"] / "recording.parquet").is_file()
+    assert done.stderr == ""
+
+
+def test_simulate_then_identify_is_run(recording: Path, tmp_path: Path) -> None:
+    done = command_line(
+        "identify", str(recording), "--model", PUMA, "--zeros", "--json", cwd=tmp_path
+    )
+    result = json.loads(done.stdout)
+    assert result["external"]["values"][0] == pytest.approx(1.061, rel=0.01)
+    assert result["internal"]["names"][-1] == "viscous/elbow"
+    shown = command_line("identify", str(recording), "--model", PUMA, "--zeros", cwd=tmp_path)
+    assert "K*1zz" in shown.stdout
+
+
+def test_minimal_shows_both_sets(tmp_path: Path) -> None:
+    done = command_line("minimal", PUMA, "--zeros", cwd=tmp_path)
+    assert "joint torques tell 9 combinations and the bedplate 12" in done.stdout
+    assert "K1yz - l12z*mb*2y" in done.stdout
+    sets = json.loads(command_line("minimal", PUMA, "--json", cwd=tmp_path).stdout)
+    assert (len(sets["dynamic"]["names"]), len(sets["reaction"]["names"])) == (15, 20)
+
+
+def write(path: Path, text: str) -> str:
+    path.write_text(text)
+    return str(path)
+
+
+def damaged(recording: Path, path: Path, column: str, value: float | None) -> str:
+    table = pq.read_table(recording)
+    k = table.schema.get_field_index(column)
+    values = table[column].to_numpy().copy()
+    if value is not None:
+        values[100] = value
+    table = table.set_column(k, table.schema.field(column), [values])
+    pq.write_table(table.slice(0, 400 if value is None else table.num_rows), path)
+    return str(path)
+
+
+def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
+    recording: Path, tmp_path: Path
+) -> None:
+    place = tmp_path / "inputs"
+    place.mkdir()
+    broken = write(place / "broken.xml", "<mujoco><worldbody>")
+    toml = write(place / "e.toml", 'name = "e"\nmodel = "broken.xml"\n')
+    gone = write(place / "gone.toml", 'name = "e"\nmodel = "gone.xml"\n')
+    nan = damaged(recording, place / "nan.parquet", "wrench/Fz", float("nan"))
+    short = damaged(recording, place / "short.parquet", "time", None)
+    ur5 = str(GOLDEN / "robots/ur5.urdf")
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    cases = {
+        ("run", "nowhere.toml"): "there is no experiment file",
+        ("run", toml): "not well-formed XML",
+        ("run", gone): "there is no model file",
+        ("run", TABLE6, "--set", "motion.duraton=1"): "did you mean 'duration'",
+        ("run", TABLE6, *sets("motion.duration=0.5")): "too short",
+        ("run", TABLE6, "--set", "motion.duration=1e12"): "more than the 2e+06",
+        ("run", TABLE6, "--out", str(place)): "is no run folder: it holds broken.xml",
+        ("run", TABLE6, "--out", toml): "is a file",
+        ("minimal", PUMA, "--gravity", "nan", "0", "0"): "three finite numbers",
+        ("minimal", broken): "not well-formed XML",
+        ("minimal", "nowhere.urdf"): "there is no model file",
+        ("identify", "nowhere.parquet", "--model", PUMA): "there is no recording",
+        ("identify", nan, "--model", PUMA): "'wrench/Fz' is nan at sample 100",
+        ("identify", short, "--model", PUMA): "too short",
+        ("identify", str(recording), "--model", ur5): "another robot",
+        ("identify", PUMA, "--model", PUMA): "not a readable Parquet",
+    }
+    for arguments, said in cases.items():
+        done = command_line(*arguments, cwd=empty)
+        assert done.returncode == 2, (arguments, done.stderr)
+        assert said in done.stderr, (arguments, done.stderr)
+        assert done.stderr.count("\n") == 1, (arguments, done.stderr)
+        assert "Traceback" not in done.stderr
+        assert done.stdout == ""
+        assert list(empty.iterdir()) == [], arguments
+
+
+def test_accept_inertia_warns_and_goes_on(tmp_path: Path) -> None:
+    text = (ROOT / "models/puma562.urdf").read_text().replace('ixx="0.3"', 'ixx="3.0"')
+    model = write(tmp_path / "bad.urdf", text)
+    refused = command_line("minimal", model, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert "link 'link1'" in refused.stderr
+    accepted = command_line("minimal", model, "--accept-inertia", cwd=tmp_path)
+    assert accepted.returncode == 0
+    assert "exceeds the sum" in accepted.stdout
+
+
+def test_help_imports_nothing_heavy(tmp_path: Path) -> None:
+    heavy = ("mujoco", "pinocchio", "scipy", "pyarrow", "rerun", "numpy", "pydantic")
+    code = f"import sys, testbed.cli\nprint([m for m in {heavy!r} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("command", ["run", "simulate", "identify", "minimal"])
+def test_every_command_helps_with_an_example(command: str, tmp_path: Path) -> None:
+    done = command_line(command, "--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "Example: testbed" in " ".join(done.stdout.split())

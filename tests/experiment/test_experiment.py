@@ -1,0 +1,140 @@
+"""Experiments: every key checked, overrides, verdicts, run folders."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import testbed as tb
+from testbed.errors import ExperimentError
+from testbed.experiment.experiment import METRICS, Bound
+from testbed.experiment.run_folder import run_folder, write_run
+from tests.helpers.paths import ROOT
+
+TABLE6 = ROOT / "experiments/table6.toml"
+QUICK = ("motion.duration=4", "simulation.step=5e-4", "motion.candidates=2")
+
+
+@pytest.fixture(scope="module")
+def quick() -> tb.Experiment:
+    return tb.Experiment.load(TABLE6, QUICK)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "experiments").glob("*.toml")))
+def test_every_experiment_in_the_house_is_readable_and_makes_a_claim(path: Path) -> None:
+    experiment = tb.Experiment.load(path)
+    assert experiment.claim
+    assert experiment.expect
+    assert Path(experiment.model).is_file()
+
+
+def test_settings_override_keys_of_the_file() -> None:
+    settings = ["motion.duration=7", "measurement.torque_constant_error.elbow=-0.01", "name=other"]
+    experiment = tb.Experiment.load(TABLE6, settings)
+    assert experiment.motion.duration == 7
+    assert experiment.measurement.torque_constant_error["elbow"] == -0.01
+    assert experiment.measurement.torque_constant_error["waist"] == 0.08
+    assert experiment.name == "other"
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("motion.duraton=7", "unknown key in [motion] 'duraton'; did you mean 'duration'?"),
+        ("speed=1", "unknown key 'speed'"),
+        ("expect.external_rms.at_most=1", "known: external_rms_relative_error"),
+        ("motion.duration=-1", "motion.duration"),
+        ("motion.duration=fast", "found 'fast'"),
+        ("motion.harmonics=2.5", "motion.harmonics"),
+        ("seed=-1", "seed"),
+        ("name=../up", "name"),
+        ("motion.duration", "write it as table.key=value"),
+        ("name.first=1", "'name' is a value, not a table"),
+        ("measurement.force_noise=nan", "measurement.force_noise"),
+        ("identification.cutoff=none", "identification.cutoff"),
+    ],
+)
+def test_what_is_not_understood_is_named(setting: str, said: str) -> None:
+    with pytest.raises(ExperimentError) as caught:
+        tb.Experiment.load(TABLE6, [setting])
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_all_faults_are_listed_at_once() -> None:
+    with pytest.raises(ExperimentError) as caught:
+        tb.Experiment.load(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])
+    assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
+
+
+def test_a_table_for_a_joint_that_is_not_there_is_refused() -> None:
+    experiment = tb.Experiment.load(TABLE6, ["measurement.torque_constant_error.wrist=0.1"])
+    with pytest.raises(ExperimentError, match="'wrist', the model has waist, shoulder, elbow"):
+        tb.simulate(experiment)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["simulation.bandwidth=1e6"], "too fast for a controller"),
+        (["motion.fundamental=1e9"], "too fast for measurement.rate"),
+        (["motion.fundamental=1e-12"], "hardly move"),
+        (["motion.duration=1e-3", "motion.fundamental=20.0"], "no two samples"),
+        (["simulation.step=1e-9"], "more than 10000"),
+    ],
+)
+def test_rates_that_do_not_fit_are_refused(settings: list[str], said: str) -> None:
+    with pytest.raises(ExperimentError, match=said):
+        tb.simulate(tb.Experiment.load(TABLE6, settings))
+
+
+def test_a_step_that_does_not_divide_the_sample_is_refused() -> None:
+    with pytest.raises(ExperimentError, match="does not divide"):
+        tb.simulate(tb.Experiment.load(TABLE6, ["simulation.step=3e-4"]))
+
+
+def test_the_resolved_file_says_the_same(quick: tb.Experiment, tmp_path: Path) -> None:
+    path = tmp_path / "again.toml"
+    path.write_text(quick.as_toml())
+    assert tb.Experiment.load(path) == quick
+
+
+def test_a_claim_holds_or_fails() -> None:
+    assert Bound(at_most=1.0).holds(1.0)
+    assert not Bound(at_most=1.0).holds(1.1)
+    assert Bound(at_least=1.0).holds(2.0)
+    assert not Bound(at_least=1.0, at_most=3.0).holds(float("nan"))
+
+
+def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experiment) -> None:
+    outcome = tb.carry_out(quick)
+    assert set(outcome.comparison.metrics) == set(METRICS)
+    assert set(outcome.verdicts) == set(quick.expect)
+    strict = quick.model_copy(
+        update={"expect": {"external_rms_relative_error": Bound(at_most=0.0)}}
+    )
+    assert not tb.carry_out(strict).as_expected
+
+
+def test_a_run_folder_repeats_the_run(quick: tb.Experiment, tmp_path: Path) -> None:
+    write_run(tb.carry_out(quick), tmp_path / "run")
+    assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [
+        "experiment.toml",
+        "recording.parquet",
+        "result.json",
+    ]
+    first = (tmp_path / "run/result.json").read_bytes()
+    write_run(tb.carry_out(tb.Experiment.load(tmp_path / "run/experiment.toml")), tmp_path / "run")
+    assert (tmp_path / "run/result.json").read_bytes() == first
+    content = json.loads(first)
+    assert content["versions"]["mujoco"].startswith("4.")
+    assert content["external"]["names"][0] == "mb3z"
+    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+
+
+def test_different_experiments_go_to_different_folders(quick: tb.Experiment) -> None:
+    other = quick.model_copy(update={"seed": 5})
+    assert run_folder(quick) != run_folder(other)
+    assert run_folder(quick) == run_folder(tb.Experiment.load(TABLE6, QUICK))

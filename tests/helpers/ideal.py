@@ -1,0 +1,50 @@
+"""Recordings of a perfect instrument, made without a physics engine, and what is true of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import joint_forces
+from testbed.excitation.fourier import Fourier
+from testbed.identification.identify import Method
+from testbed.parameters.rules import Model
+from testbed.recordings.recording import Recording, Truth
+
+EXACT = tb.Settings(position_cutoff=None, cutoff=None)
+METHODS: tuple[Method, ...] = ("external", "internal")
+
+
+def ideal(tree: tb.Tree, duration: float = 10.0, rate: float = 200.0, seed: int = 0) -> Recording:
+    """What a perfect instrument with sensed kinematics records, no physics engine involved."""
+    rng = np.random.default_rng(seed)
+    size = rng.normal(size=(2, tree.n, 5)) * 0.5 / np.arange(1, 6)
+    motion = Fourier(0.2, rng.uniform(-0.5, 0.5, tree.n), *size)
+    states = motion.at(np.arange(0, duration, 1 / rate))
+    torque = joint_forces(tree, states)
+    wrench = tb.base_wrench(tree, states)
+    losses = [np.array([getattr(j, k) for j in tree.joints]) for k in ("coulomb", "viscous")]
+    friction = losses[0] * np.sign(states.qd) + losses[1] * states.qd
+    truth = Truth(states.q, states.qd, states.qdd, torque + friction, friction, wrench)
+    return Recording(
+        tree.names,
+        states.t,
+        states.q,
+        torque + friction,
+        wrench,
+        states.qd,
+        states.qdd,
+        tare=np.zeros(6),
+        truth=truth,
+    )
+
+
+def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
+    model: Model = "reaction" if method == "external" else "dynamic"
+    delta = tb.minimal_set(tree, model, zeros=zeros).values(tb.barycentric(tree))
+    if method == "external":
+        return delta
+    return np.concatenate(
+        [delta, [j.coulomb for j in tree.joints], [j.viscous for j in tree.joints]]
+    )

@@ -1,0 +1,184 @@
+"""Random robots, each in three forms that share no code: URDF text, MJCF text, Tree.
+
+Trees are branched, revolute and prismatic joints mixed, with axes that are aligned,
+inclined, parallel or coaxial on purpose: the places where rules break.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Joint, Kind, Tree
+
+
+@dataclass(frozen=True)
+class Link:
+    """One joint and the link it carries."""
+
+    name: str
+    parent: int
+    kind: Kind
+    axis: Array
+    xyz: Array
+    quaternion: Array  # (w, x, y, z)
+    mass: float
+    com: Array
+    central: Array
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A random robot with a pedestal."""
+
+    links: tuple[Link, ...]
+    pedestal: Link
+    gravity: Array
+
+    def tree(self) -> Tree:
+        """Made directly."""
+        return Tree(
+            name="random",
+            joints=tuple(
+                Joint(
+                    name=link.name,
+                    body=f"{link.name}_body",
+                    kind=link.kind,
+                    parent=link.parent,
+                    axis=link.axis,
+                    offset=link.xyz,
+                    rotation=_matrix(link.quaternion),
+                )
+                for link in self.links
+            ),
+            inertias=tuple(_inertia(link) for link in self.links),
+            pedestal=_inertia(self.pedestal),
+            gravity=self.gravity,
+        )
+
+    def urdf(self) -> str:
+        """As URDF."""
+        parts = ['<robot name="random">', _urdf_link("pedestal_body", self.pedestal)]
+        for link in self.links:
+            parent = self.links[link.parent].name if link.parent >= 0 else "pedestal"
+            parts.append(_urdf_link(f"{link.name}_body", link))
+            parts.append(
+                f'<joint name="{link.name}" type="{link.kind}">'
+                f'<parent link="{parent}_body"/><child link="{link.name}_body"/>'
+                f'<origin xyz="{_text(link.xyz)}" rpy="{_text(_rpy(_matrix(link.quaternion)))}"/>'
+                f'<axis xyz="{_text(link.axis)}"/>'
+                '<limit lower="-3" upper="3" effort="500" velocity="5"/></joint>'
+            )
+        return "\n".join([*parts, "</robot>"])
+
+    def mjcf(self) -> str:
+        """As MJCF."""
+        body = (
+            f'<body name="pedestal_body">{_mjcf_inertial(self.pedestal)}{self._bodies(-1)}</body>'
+        )
+        return (
+            '<mujoco model="random"><compiler angle="radian"/>'
+            f'<option gravity="{_text(self.gravity)}"/><worldbody>{body}</worldbody></mujoco>'
+        )
+
+    def _bodies(self, parent: int) -> str:
+        return "".join(
+            f'<body name="{link.name}_body" pos="{_text(link.xyz)}" '
+            f'quat="{_text(link.quaternion)}">'
+            f'<joint name="{link.name}" type="{"hinge" if link.kind == "revolute" else "slide"}" '
+            f'axis="{_text(link.axis)}" range="-3 3" actuatorfrcrange="-500 500"/>'
+            f"{_mjcf_inertial(link)}{self._bodies(k)}</body>"
+            for k, link in enumerate(self.links)
+            if link.parent == parent
+        )
+
+
+def random_robot(
+    rng: np.random.Generator, n: int, *, gravity: Sequence[float] | Array = (0.0, 0.0, -9.81)
+) -> Robot:
+    """A random tree of n joints, with the special directions that rules are about."""
+    links: list[Link] = []
+    for k in range(n):
+        parent = k - 1 if rng.random() < 0.7 else int(rng.integers(-1, k))
+        kind: Kind = "revolute" if rng.random() < 0.65 else "prismatic"
+        links.append(_random_link(rng, f"j{k + 1}", parent, kind))
+    return Robot(tuple(links), _random_link(rng, "pedestal", -1, "revolute"), np.array(gravity))
+
+
+def random_states(rng: np.random.Generator, samples: int, n: int) -> tuple[Array, Array, Array]:
+    """Positions, velocities, accelerations of order one, (samples, n) each."""
+    q, qd, qdd = (rng.uniform(-1.5, 1.5, (samples, n)) for _ in range(3))
+    return q, qd, qdd
+
+
+def _random_link(rng: np.random.Generator, name: str, parent: int, kind: Kind) -> Link:
+    axis = np.eye(3)[rng.integers(3)] * rng.choice([-1.0, 1.0])
+    if rng.random() < 0.15:
+        axis = rng.normal(size=3)
+        axis /= np.linalg.norm(axis)
+    quaternion = np.array([1.0, 0, 0, 0])
+    if rng.random() < 0.3:
+        quaternion = rng.normal(size=4)
+        quaternion /= np.linalg.norm(quaternion)
+    xyz = rng.uniform(-0.5, 0.5, 3) * (rng.random(3) < 0.6)
+    if rng.random() < 0.15:
+        xyz = axis * rng.uniform(-0.5, 0.5)
+    mass = rng.uniform(0.5, 5.0)
+    spread = rng.normal(size=(3, 3)) * 0.15
+    second = mass * (spread @ spread.T + 0.01 * np.eye(3))  # positive second moments
+    central = np.trace(second) * np.eye(3) - second
+    return Link(name, parent, kind, axis, xyz, quaternion, mass, rng.uniform(-0.2, 0.2, 3), central)
+
+
+def _inertia(link: Link) -> Inertia:
+    return Inertia.about_centre(link.mass, link.com, link.central)
+
+
+def _urdf_link(name: str, link: Link) -> str:
+    i = link.central
+    return (
+        (
+            f'<link name="{name}"><inertial><origin xyz="{_text(link.com)}"/>'
+            f'<mass value="{link.mass!r}"/><inertia ixx="{i[0, 0]!r}" ixy="{i[0, 1]!r}" '
+            f'ixz="{i[0, 2]!r}" iyy="{i[1, 1]!r}" iyz="{i[1, 2]!r}" izz="{i[2, 2]!r}"/>'
+            "</inertial></link>"
+        )
+        .replace("np.float64(", "")
+        .replace(")", "")
+    )
+
+
+def _mjcf_inertial(link: Link) -> str:
+    i = link.central
+    full = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    return (
+        f'<inertial mass="{_text([link.mass])}" pos="{_text(link.com)}" '
+        f'fullinertia="{_text(full)}"/>'
+    )
+
+
+def _text(values: Sequence[float] | Array) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def _matrix(quaternion: Array) -> Array:
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _rpy(r: Array) -> list[float]:
+    return [
+        float(np.arctan2(r[2, 1], r[2, 2])),
+        float(np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))),
+        float(np.arctan2(r[1, 0], r[0, 0])),
+    ]
