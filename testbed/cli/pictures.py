@@ -149,7 +149,8 @@ def _of_recording(
 
     from testbed.errors import RecordingError, UnseenParameters
     from testbed.identification.identify import identify
-    from testbed.recordings.recording import Recording, check_robot
+    from testbed.recordings.geometry import check_robot
+    from testbed.recordings.recording import Recording
     from testbed.robot.load import load_tree
     from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.story import tell

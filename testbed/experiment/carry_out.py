@@ -21,9 +21,10 @@ from testbed.files import fingerprint
 from testbed.identification.identify import Estimate, identify
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
-from testbed.instruments.instrument import Instrument, measure
+from testbed.instruments.chain import Instrument, measure
 from testbed.parameters.minimal_set import minimal_set
-from testbed.recordings.recording import Recording, geometry
+from testbed.recordings.geometry import geometry
+from testbed.recordings.recording import Recording
 from testbed.robot.load import load_tree
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant

@@ -27,7 +27,9 @@ from testbed.kernel.layout import layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
-from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.columns import AXES
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
 
@@ -121,6 +123,7 @@ def identify(
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
+    _check_signal(source, method)
     gravity = source.facts.get("gravity") if gravity is None else gravity
     model: Model = "reaction" if method == "external" else "dynamic"
     minimal = minimal_set(tree, model, gravity, zeros)
@@ -146,6 +149,20 @@ def identify(
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))
     return _estimate(method, units, minimal, products, found, tuple(warnings))
+
+
+def _check_signal(source: Source, method: Method) -> None:
+    """Whether the recording has what the method needs.
+
+    Raises:
+        RecordingError: It has not.
+    """
+    needed, other = ("wrench", "torque") if method == "external" else ("torque", "wrench")
+    if needed in source.signals:
+        return
+    way = "external" if other == "wrench" else "internal"
+    advice = f"; its {other} allows the {way} one" if other in source.signals else ""
+    raise RecordingError(f"the recording has no {needed}, which the {method} method needs{advice}")
 
 
 def _tare(

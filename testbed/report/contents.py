@@ -17,7 +17,8 @@ from testbed.identification.predict import (
     predictions,
 )
 from testbed.identification.settings import Settings
-from testbed.recordings.recording import AXES, Recording
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
 from testbed.report.tables import with_sigma
 from testbed.robot.tree import Tree
 
@@ -124,7 +125,7 @@ def check(subject: Subject) -> Check:
     wrench, torque = predictions(tree, recording, motion, estimates)
     pairs = [np.hstack([wrench[method], torque[method]]) for method in estimates]
     units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
-    measured = np.hstack([recording.wrench[inner], recording.torque[inner]])
+    measured = np.hstack([recording.measured("wrench")[inner], recording.measured("torque")[inner]])
     channels = (*AXES, *tree.names)
     units = (*UNITS, *units)
     return Check(motion.t, recording.rate, motion.qd, channels, units, measured, *pairs)

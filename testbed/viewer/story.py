@@ -76,7 +76,7 @@ class Story:
     def rubbing(self) -> Array | None:
         """Torque that the robot's own dynamics do not explain, (M, n) [N m or N]."""
         clean = self.torque.get("external")
-        return None if clean is None else self.measured(self.recording.torque) - clean
+        return None if clean is None else self.measured(self.recording.measured("torque")) - clean
 
     def rubbing_model(self, speed: Array) -> Array | None:
         """Friction at speeds, (k, n), that the internal estimate tells."""

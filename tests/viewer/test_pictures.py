@@ -87,7 +87,7 @@ def rrd(story: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> None:
     found = columns(rrd, "/wrench/Fz", "Scalars:scalars").reshape(-1, 3)
     expected = np.column_stack(
-        [story.measured(story.recording.wrench)[:, 2]]
+        [story.measured(story.recording.measured("wrench"))[:, 2]]
         + [story.wrench[method][:, 2] for method in ("external", "internal")]
     )
     np.testing.assert_array_equal(found, expected)
@@ -97,7 +97,7 @@ def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> N
 
 def test_the_arrows_are_the_measured_reaction(story: Story, rrd: Path) -> None:
     size = round(story.recording.rate / 50)
-    wrench = means(story.measured(story.recording.wrench), size)
+    wrench = means(story.measured(story.recording.measured("wrench")), size)
     for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
         found = columns(rrd, f"/world/bedplate/{name}", "Arrows3D:vectors")
         arrows = np.stack(list(found.reshape(-1, 3)))
@@ -193,11 +193,11 @@ def test_predictions_without_noise_are_exact(puma: tb.Tree) -> None:
     estimates = {"external": outcome.external, "internal": outcome.internal}
     told = tell("exact", outcome.tree, outcome.recording, estimates=estimates)
     for method in estimates:
-        gap = told.wrench[method] - told.measured(outcome.recording.wrench)
-        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.wrench).max()
-    gap = told.torque["internal"] - told.measured(outcome.recording.torque)
+        gap = told.wrench[method] - told.measured(outcome.recording.measured("wrench"))
+        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.measured("wrench")).max()
+    gap = told.torque["internal"] - told.measured(outcome.recording.measured("torque"))
     turning = np.abs(told.motion.qd) > 0.02  # dry friction at rest has no formula
-    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.torque).max()
+    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.measured("torque")).max()
 
 
 @pytest.fixture
