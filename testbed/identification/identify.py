@@ -35,6 +35,12 @@ from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]
 
+METHODS: tuple[Method, ...] = ("external", "internal")
+"""By the bedplate's reaction, and by joint torques."""
+
+MODEL_OF: dict[Method, Model] = {"external": "reaction", "internal": "dynamic"}
+"""Which parameters a method sees."""
+
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
 
@@ -117,16 +123,15 @@ def identify(
             measurement.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
-    if method not in ("external", "internal"):
-        raise UnknownName("method", method, ("external", "internal"))
+    if method not in METHODS:
+        raise UnknownName("method", method, METHODS)
     source, settings = open_source(recording), settings or Settings()
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
     _check_signal(source, method)
     gravity = source.facts.get("gravity") if gravity is None else gravity
-    model: Model = "reaction" if method == "external" else "dynamic"
-    minimal = minimal_set(tree, model, gravity, zeros)
+    minimal = minimal_set(tree, MODEL_OF[method], gravity, zeros)
     geometry = tree.without_inertias()
     terms = settings.terms if method == "internal" else ()
     rows = layout(geometry, minimal, terms, settings.joined)

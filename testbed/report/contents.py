@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.filters import row_weights
-from testbed.identification.identify import Estimate
+from testbed.identification.identify import Estimate, Method
 from testbed.identification.predict import (
     friction,
     motion_in,
@@ -121,7 +121,7 @@ def check(subject: Subject) -> Check:
     recording = subject.unseen or subject.recording
     recording = recording if recording.names == tree.names else recording.ordered(tree)
     motion, inner = motion_in(recording, subject.settings)
-    estimates = {"external": subject.external, "internal": subject.internal}
+    estimates: dict[Method, Estimate] = {"external": subject.external, "internal": subject.internal}
     wrench, torque = predictions(tree, recording, motion, estimates)
     pairs = [np.hstack([wrench[method], torque[method]]) for method in estimates]
     units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)

@@ -17,7 +17,6 @@ from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording, Truth
 
 EXACT = tb.Settings(position_cutoff=None, cutoff=None)
-METHODS: tuple[Method, ...] = ("external", "internal")
 
 
 def ideal(tree: tb.Tree, duration: float = 10.0, rate: float = 200.0, seed: int = 0) -> Recording:

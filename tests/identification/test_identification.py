@@ -12,9 +12,9 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
-from testbed.identification.identify import Method
+from testbed.identification.identify import METHODS, Method
 from testbed.recordings.recording import Recording
-from tests.helpers.ideal import EXACT, METHODS, ideal, plus, true_values
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 

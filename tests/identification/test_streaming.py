@@ -19,7 +19,7 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.newton_euler import transmitted
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size
-from testbed.identification.identify import Method
+from testbed.identification.identify import METHODS, Method
 from testbed.identification.passes import Passes, is_small
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
@@ -27,7 +27,7 @@ from testbed.kernel.layout import layout
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import open_source
 from testbed.recordings.stored import write_parts
-from tests.helpers.ideal import EXACT, METHODS, ideal, plus, true_values
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
