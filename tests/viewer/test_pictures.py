@@ -20,7 +20,7 @@ from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
-from testbed.experiment.carry_out import evaluate
+from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import subject_of

@@ -1,0 +1,61 @@
+"""From an experiment's recording to its run: no simulation needed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import ExperimentError
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run, assemble_run
+from testbed.identification.passes import Progress
+from testbed.recordings.recording import Recording
+from testbed.robot.load import load_tree
+from testbed.robot.tree import Tree
+
+
+def evaluate(
+    experiment: Experiment,
+    recording: Recording,
+    progress: Progress = lambda done, total: None,
+) -> Run:
+    """Identify from an experiment's recording and compare with the truth.
+
+    Args:
+        experiment: What was carried out.
+        recording: What the instrument measured.
+        progress: Called with samples done and samples in all, method by method.
+    """
+    return assemble_run(
+        robot_of(experiment),
+        recording,
+        name=experiment.name,
+        settings=experiment.identification.settings,
+        zeros=experiment.identification.zeros,
+        experiment=experiment,
+        model=Path(experiment.model),
+        weld_root=experiment.weld_root,
+        progress=progress,
+    )
+
+
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment, under its gravity.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        ExperimentError: A table names a joint that the robot has not.
+    """
+    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
+    for table, entries in experiment.joint_tables.items():
+        for name in entries:
+            if name not in tree.names:
+                raise ExperimentError(
+                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
+                )
+    gravity = experiment.gravity
+    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
