@@ -16,7 +16,7 @@ LONGEST_NAME = 200
 
 
 def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
-    """Text as one line that any terminal shows as it is.
+    r"""Text as one line that any terminal shows as it is.
 
     Args:
         text: Any, also from a file: names, messages.
@@ -24,7 +24,7 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
 
     Returns:
         Blanks and line ends of every kind as single spaces; what a terminal would obey and not
-        show (escape sequences, C1 controls, bidirectional marks) spelled out, as \\x1b.
+        show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
     """
     shown = [c if c.isprintable() else _spelled(c) for c in " ".join(text.split())]
     count = sum(map(len, shown))
