@@ -57,8 +57,12 @@ def content(place: Path) -> str:
     return word
 
 
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
 def nests(folder: Path) -> list[str]:
-    return [path.name for path in folder.iterdir() if path.name.startswith(".testbed-")]
+    return [name for name in names(folder) if name.startswith(".testbed-")]
 
 
 def write(place: Path, kind: str, word: str = "new") -> None:
@@ -79,7 +83,7 @@ def test_at_every_instant_one_of_them_is_there(kind: str, tmp_path: Path) -> Non
         looks += 1
     assert looks > 400
     assert content(place) == "w399"
-    assert os.listdir(tmp_path) == ["place"]
+    assert names(tmp_path) == ["place"]
 
 
 @pytest.mark.parametrize("steps", ["one step", "two steps"])
@@ -89,7 +93,7 @@ def test_three_writers_at_once(kind: str, steps: str, tmp_path: Path) -> None:
     processes = [writer(place, kind, 100, steps, name) for name in "xyz"]
     assert [process.wait() for process in processes] == [0, 0, 0]
     assert content(place)[1:] == "99"
-    assert os.listdir(tmp_path) == ["place"]
+    assert names(tmp_path) == ["place"]
 
 
 @pytest.mark.parametrize("steps", ["one step", "two steps"])
@@ -154,7 +158,7 @@ def test_folders_of_other_machines_and_of_other_names_are_not_touched(tmp_path: 
     (tmp_path / f"{files.NEST}file").write_text("no nest")
     write(tmp_path / "place", "file")
     assert all(path.is_dir() for path in others)
-    assert os.listdir(others[-1]) == []
+    assert names(others[-1]) == []
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
@@ -170,7 +174,7 @@ def test_what_fails_leaves_everything_as_it_was(kind: str, tmp_path: Path) -> No
             (fresh / "a" if kind == "folder" else fresh).write_text("half")
             _ = 1 / 0
     assert content(place) == "old"
-    assert os.listdir(tmp_path) == ["place"]
+    assert names(tmp_path) == ["place"]
 
 
 def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path: Path) -> None:
@@ -189,7 +193,7 @@ def test_places_where_nothing_can_stand(kind: str, tmp_path: Path) -> None:
     (tmp_path / "full/a").write_text("kept")
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     os.mkfifo(tmp_path / "pipe")
-    before = sorted(os.listdir(tmp_path))
+    before = names(tmp_path)
     wrong = {
         "loop": "cannot be written",
         "loop/x": "cannot be written",
@@ -204,7 +208,7 @@ def test_places_where_nothing_can_stand(kind: str, tmp_path: Path) -> None:
     for name, said in wrong.items():
         with pytest.raises(OSError, match=said):
             write(tmp_path / name, kind)
-    assert sorted(os.listdir(tmp_path)) == before
+    assert names(tmp_path) == before
     assert (tmp_path / "full/a").read_text() == "kept"
 
 
