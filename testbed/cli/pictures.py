@@ -83,6 +83,8 @@ def report(
     from testbed.report.html import write_report
 
     path = out or _beside(run, ".html")
+    if path.is_dir():
+        raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
     if path.suffix == ".json":
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
