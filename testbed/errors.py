@@ -6,7 +6,7 @@ attributes. The command line prints the message as one line and exits with code 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 
@@ -40,6 +40,21 @@ class FreeRootError(ModelError):
             f"{source}: joint '{joint}' leaves the root free to float, and a bedplate carries a "
             "fixed root; pass --weld-root (weld_root=True; in an experiment weld_root = true) to "
             "weld it to the bedplate"
+        )
+
+
+class MimicError(ModelError):
+    """Joints that follow others, which a tree cannot express; `masters` by follower."""
+
+    def __init__(self, source: str, masters: Mapping[str, str]) -> None:
+        self.masters = dict(masters)
+        first, master = next(iter(masters.items()))
+        more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        super().__init__(
+            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express: "
+            f"--lock {master} holds both, --lock-mimic holds all followers where their masters' "
+            "zeros take them (in an experiment lock and lock_mimic under [robot]; in Python "
+            f"lock={{'{master}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
         )
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from testbed.cli.options import Accept, Weld, Zeros, app
+from testbed.cli.options import Accept, Weld, Zeros, app, note
 
 if TYPE_CHECKING:
     from testbed.identification.identify import Estimate
@@ -128,12 +128,13 @@ def of_run(folder: Path) -> Story:
         )
         for method in METHODS
     }
-    shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
+    looks = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
+    note(looks.warnings)
     return tell(
         experiment.name,
         outcome.tree,
         outcome.recording,
-        shapes,
+        looks.shapes,
         estimates,
         outcome.truths,
         grown,
@@ -165,5 +166,6 @@ def _of_recording(
             estimates[method] = identify(tree, recording, method, zeros=zeros)
         except (RecordingError, UnseenParameters) as error:
             typer.echo(f"note: no {method} estimate: {error}", err=True)
-    shapes = load_shapes(model, tree, weld_root=weld_root)
-    return tell(path.stem, tree, recording, shapes, estimates)
+    looks = load_shapes(model, tree, weld_root=weld_root)
+    note(looks.warnings)
+    return tell(path.stem, tree, recording, looks.shapes, estimates)
