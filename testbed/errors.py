@@ -46,15 +46,17 @@ class FreeRootError(ModelError):
 class MimicError(ModelError):
     """Joints that follow others, which a tree cannot express; `masters` by follower."""
 
-    def __init__(self, source: str, masters: Mapping[str, str]) -> None:
+    def __init__(self, source: str, masters: Mapping[str, str], hold: Sequence[str]) -> None:
         self.masters = dict(masters)
+        names = list(dict.fromkeys(hold))
         first, master = next(iter(masters.items()))
         more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        options = " ".join(f"--lock {name}" for name in names[:4]) + " ..." * (len(names) > 4)
         super().__init__(
-            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express: "
-            f"--lock {master} holds both, --lock-mimic holds all followers where their masters' "
-            "zeros take them (in an experiment lock and lock_mimic under [robot]; in Python "
-            f"lock={{'{master}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
+            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
+            f"{options} holds followed and followers; --lock-mimic holds followers only, where "
+            "their masters' zeros take them (in an experiment lock and lock_mimic under [robot]; "
+            f"in Python lock={{'{names[0]}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
         )
 
 

@@ -111,7 +111,7 @@ def held_positions(
         if wanted is not None:
             places[name] = _within(name, float(wanted), joints[name], source)
         elif coupling is not None:
-            places[name] = coupling.position(places[master] if master else 0.0)
+            places[name] = coupling.position(places.get(master or "", 0.0))
         else:
             places[name] = joints[name].rest
         taken_along = coupling is not None and (master is None or master in held)
@@ -120,7 +120,7 @@ def held_positions(
         elif master:
             free[name] = master
     if free:
-        raise MimicError(source, free)
+        raise MimicError(source, free, tuple(m if m in joints else f for f, m in free.items()))
     return held, tuple(_departures(joints, held))
 
 
@@ -141,14 +141,12 @@ def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iter
 
 
 def _masters_first(joints: Mapping[str, Travel], source: str) -> Iterable[str]:
-    """All joints, each after the one it follows."""
+    """All joints, each after the one it follows, if that is there."""
     done: set[str] = set()
     for last in joints:
         chain: list[str] = []
         name: str | None = last
-        while name is not None and name not in done:
-            if name not in joints:
-                raise ModelError(f"{source}: joint '{chain[-1]}' follows '{name}', which is none")
+        while name is not None and name in joints and name not in done:
             if name in chain:
                 raise ModelError(f"{source}: joint '{name}' follows itself")
             chain.append(name)
