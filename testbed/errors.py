@@ -6,7 +6,7 @@ attributes. The command line prints the message as one line and exits with code 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 LONGEST_MESSAGE = 500
@@ -81,6 +81,23 @@ class FreeRootError(ModelError):
             f"{source}: joint '{joint}' leaves the root free to float, and a bedplate carries a "
             "fixed root; pass --weld-root (weld_root=True; in an experiment weld_root = true) to "
             "weld it to the bedplate"
+        )
+
+
+class MimicError(ModelError):
+    """Joints that follow others, which a tree cannot express; `masters` by follower."""
+
+    def __init__(self, source: str, masters: Mapping[str, str], hold: Sequence[str]) -> None:
+        self.masters = dict(masters)
+        names = list(dict.fromkeys(hold))
+        first, master = next(iter(masters.items()))
+        more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        options = " ".join(f"--lock {name}" for name in names[:4]) + " ..." * (len(names) > 4)
+        super().__init__(
+            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
+            f"{options} holds followed and followers; --lock-mimic holds followers only, where "
+            "their masters' zeros take them (in an experiment lock and lock_mimic under [robot]; "
+            f"in Python lock={{'{names[0]}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
         )
 
 

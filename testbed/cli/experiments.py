@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Gravity, Json, RecordingSet, Set, Weld, Zeros, app
+from testbed.cli.options import Accept, Gravity, Json, RecordingSet, Set, Weld, Zeros, app, note
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -174,5 +174,6 @@ def _watcher(experiment: Experiment) -> Watch:
     from testbed.viewer.story import tell
 
     tree = robot_of(experiment)
-    shapes = load_shapes(experiment.model, tree, weld_root=experiment.weld_root)
-    return Live(tell(experiment.name, tree, nothing_yet(tree.names), shapes))
+    looks = load_shapes(experiment.model, tree, weld_root=experiment.weld_root)
+    note(looks.warnings)
+    return Live(tell(experiment.name, tree, nothing_yet(tree.names), looks.shapes))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -74,6 +75,17 @@ RecordingSet = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="As identification.cutoff=8, robot.lock.j=0."),
 ]
 Weld = Annotated[bool, typer.Option("--weld-root", help="Weld a floating root to the bedplate.")]
+Lock = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--lock",
+        metavar="JOINT[=q]",
+        help="Hold a joint at q [rad or m], or where it rests; again for more.",
+    ),
+]
+LockMimic = Annotated[
+    bool, typer.Option("--lock-mimic", help="Hold all joints that follow others.")
+]
 Accept = Annotated[
     bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
 ]
@@ -93,3 +105,18 @@ Gravity = Annotated[
     ),
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
+
+
+def lock_of(model: Path, lock: list[str] | None, lock_mimic: bool) -> dict[str, float | None]:
+    """What --lock and --lock-mimic hold of a model."""
+    from testbed.robot.load import mimic_joints
+    from testbed.robot.locks import parse_lock
+
+    held = parse_lock(lock or ())
+    return dict.fromkeys(mimic_joints(model)) | held if lock_mimic else held
+
+
+def note(lines: Iterable[str]) -> None:
+    """Say on standard error what a person should know, a line each."""
+    for line in lines:
+        typer.echo(f"note: {line}", err=True)

@@ -21,9 +21,11 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.mjcf import MASSLESS, compile_spec, no_mujoco_warnings, open_spec
-from testbed.robot.formats.urdf import supported_xml
+from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
+from testbed.robot.formats.mjcf_spec import open_spec
+from testbed.robot.formats.urdf_xml import supported_xml
 from testbed.robot.load import model_format
+from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
 from testbed.simulation.plant import Plant, check_plant
 
@@ -37,6 +39,7 @@ def build_plant(
     step: float,
     *,
     weld_root: bool = False,
+    lock: Lock | None = None,
     friction: bool = True,
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
@@ -46,17 +49,14 @@ def build_plant(
         tree: The tree read from it; gives joint names, their order and gravity.
         step: Simulation step [s].
         weld_root: Weld a floating root to the bedplate.
+        lock: Joints that are held, as when the tree was read.
         friction: Keep the file's joint friction.
 
     Raises:
         ModelError: MuJoCo refuses the model.
     """
     tree = tree if friction else tree.without_friction()
-    spec = _robot(path, weld_root)
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    for key in list(spec.keys):
-        spec.delete(key)
+    spec = _robot(path, weld_root, lock)
     prefix = ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
@@ -67,13 +67,11 @@ def build_plant(
     return plant
 
 
-def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
+def _robot(path: Path, weld_root: bool, lock: Lock | None) -> mujoco.MjSpec:
     if model_format(path) == "mjcf":
-        spec = open_spec(path, weld_root=weld_root)
+        spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     else:
-        root = supported_xml(path, weld_root=weld_root)
-        for extension in root.findall("mujoco"):
-            root.remove(extension)
+        root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
         options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
         ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
         with no_mujoco_warnings():
