@@ -9,6 +9,47 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
+LONGEST_MESSAGE = 500
+"""Characters of a message; more would drive everything else off the terminal."""
+LONGEST_NAME = 200
+"""Names longer than this are not searched for likely typing errors: that takes too long."""
+
+
+def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
+    r"""Text as one line that any terminal shows as it is.
+
+    Args:
+        text: Any, also from a file: names, messages.
+        limit: Characters of the result; text that is longer loses its middle, and says so.
+
+    Returns:
+        Blanks and line ends of every kind as single spaces; what a terminal would obey and not
+        show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
+    """
+    shown = [c if c.isprintable() else _spelled(c) for c in " ".join(text.split())]
+    count = sum(map(len, shown))
+    if count <= limit:
+        return "".join(shown)
+    gap = f" ... ({count} characters in all) ... "
+    gap = gap if 2 * len(gap) < limit else "..."
+    left = limit - len(gap)
+    return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
+
+
+def _spelled(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
+def _start(pieces: Sequence[str], limit: int, *, backwards: bool = False) -> str:
+    """As many whole pieces as there is place for."""
+    taken: list[str] = []
+    for piece in pieces:
+        limit -= len(piece)
+        if limit < 0:
+            break
+        taken.append(piece)
+    return "".join(taken[::-1] if backwards else taken)
+
 
 class TestbedError(Exception):
     """Base of all errors that speak to the user."""
@@ -49,7 +90,8 @@ class UnknownName(TestbedError):
     def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
         self.name = name
         self.known = tuple(known)
-        near = get_close_matches(name, self.known, n=1)
+        short = [each for each in self.known if len(each) <= LONGEST_NAME]
+        near = get_close_matches(name, short, n=1) if len(name) <= LONGEST_NAME else []
         hint = f"; did you mean '{near[0]}'?" if near else ""
         super().__init__(f"unknown {what} '{name}'{hint} (known: {', '.join(self.known)})")
 

@@ -59,14 +59,14 @@ def run(
         check_folder(out)
     watch = _watcher(experiment) if live else _unwatched
     with terminal.Progress("simulating") as progress:
-        outcome = carry_out(experiment, progress, watch)
+        done = carry_out(experiment, progress, watch)
     folder = out or run_folder(experiment)
-    write_run(outcome, folder)
+    write_run(done, folder)
     if as_json:
-        terminal.print_json(result(outcome) | {"folder": str(folder)})
+        terminal.print_json(result(done) | {"folder": str(folder)})
     else:
-        terminal.print_outcome(outcome, folder)
-    raise typer.Exit(0 if outcome.as_expected else 1)
+        terminal.print_run(done, folder)
+    raise typer.Exit(0 if done.as_expected else 1)
 
 
 @app.command()

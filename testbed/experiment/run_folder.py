@@ -12,9 +12,12 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from testbed.errors import ExperimentError
-from testbed.experiment.carry_out import Outcome, evaluate, robot_of, versions
+from testbed.experiment.carry_out import evaluate, versions
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
 from testbed.files import fingerprint, replacing
 from testbed.identification.identify import Estimate
@@ -49,22 +52,28 @@ def check_folder(folder: Path) -> None:
         raise ExperimentError(f"'{folder}' is a file; name a folder with --out")
 
 
-def write_run(outcome: Outcome, folder: Path) -> None:
+def write_run(run: Run, folder: Path) -> None:
     """Write the run folder, whole or not at all; an older one is replaced.
 
+    Args:
+        run: Of an experiment.
+        folder: Where to.
+
     Raises:
-        ExperimentError: Something that is no run is there.
+        ExperimentError: Something that is no run is there, or no experiment made the run.
     """
     check_folder(folder)
+    if run.experiment is None:
+        raise ExperimentError(f"run '{run.name}' is of no experiment: it has no run folder")
     with replacing(folder, folder=True) as fresh:
         fresh.mkdir()
-        (fresh / "experiment.toml").write_text(outcome.experiment.as_toml(), encoding="utf-8")
-        outcome.recording.save(fresh / "recording.parquet")
-        text = json.dumps(result(outcome), indent=1, sort_keys=True)
+        (fresh / "experiment.toml").write_text(run.experiment.as_toml(), encoding="utf-8")
+        run.recording.save(fresh / "recording.parquet")
+        text = json.dumps(result(run), indent=1, sort_keys=True)
         (fresh / "result.json").write_text(text + "\n", encoding="utf-8")
 
 
-def read_run(folder: Path) -> Outcome:
+def read_run(folder: Path) -> Run:
     """A run folder as it was when it was written: the estimates are made again.
 
     Args:
@@ -83,25 +92,28 @@ def read_run(folder: Path) -> Outcome:
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
     if fingerprint(model) != recording.facts.get("model_sha256"):
         raise ExperimentError(f"'{model}' has changed since the run was made; run it again")
-    return evaluate(experiment, robot_of(experiment), recording)
+    return evaluate(experiment, recording)
 
 
-def result(outcome: Outcome) -> dict[str, Any]:
-    """The outcome without its recording, as JSON takes it."""
-    comparison = outcome.comparison
+def result(run: Run) -> dict[str, Any]:
+    """A run without its recording, as JSON takes it."""
+    experiment = run.experiment
+    expect = {} if experiment is None else experiment.expect
+    errors = {} if run.score is None else run.score.errors
     return {
-        "name": outcome.experiment.name,
-        "claim": outcome.experiment.claim,
-        "external": estimate_as_json(outcome.external) | _errors(comparison.external),
-        "internal": estimate_as_json(outcome.internal) | _errors(comparison.internal),
-        "metrics": dict(comparison.metrics),
-        "expect": {
-            k: b.model_dump(exclude_none=True) for k, b in outcome.experiment.expect.items()
+        "name": run.name,
+        "claim": "" if experiment is None else experiment.claim,
+        **{
+            method: estimate_as_json(estimate) | _errors(errors.get(method))
+            for method, estimate in run.estimates.items()
         },
-        "verdicts": dict(outcome.verdicts),
-        "as_expected": outcome.as_expected,
-        "warnings": list(outcome.warnings),
-        "model_sha256": outcome.recording.facts["model_sha256"],
+        "failures": dict(run.failures),
+        "metrics": dict(run.metrics),
+        "expect": {k: b.model_dump(exclude_none=True) for k, b in expect.items()},
+        "verdicts": run.verdicts,
+        "as_expected": run.as_expected,
+        "warnings": list(run.warnings),
+        "model_sha256": run.recording.facts.get("model_sha256"),
         "versions": versions(),
     }
 
@@ -125,9 +137,12 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
     }
 
 
-def _errors(errors: Errors) -> dict[str, Any]:
+def _errors(errors: Errors | None) -> dict[str, Any]:
+    """Errors as JSON takes them: null where there is no number."""
+    if errors is None:
+        return {}
+    numbers = {"truth": errors.truth, "relative_error": errors.relative, "z": errors.z}
     return {
-        "truth": errors.truth.tolist(),
-        "relative_error": errors.relative.tolist(),
-        "z": errors.z.tolist(),
+        name: [x if np.isfinite(x) else None for x in values.tolist()]
+        for name, values in numbers.items()
     }

@@ -27,11 +27,19 @@ from testbed.kernel.layout import layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
-from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.columns import AXES
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]
+
+METHODS: tuple[Method, ...] = ("external", "internal")
+"""By the bedplate's reaction, and by joint torques."""
+
+MODEL_OF: dict[Method, Model] = {"external": "reaction", "internal": "dynamic"}
+"""Which parameters a method sees."""
 
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
@@ -115,15 +123,15 @@ def identify(
             measurement.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
-    if method not in ("external", "internal"):
-        raise UnknownName("method", method, ("external", "internal"))
+    if method not in METHODS:
+        raise UnknownName("method", method, METHODS)
     source, settings = open_source(recording), settings or Settings()
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
+    _check_signal(source, method)
     gravity = source.facts.get("gravity") if gravity is None else gravity
-    model: Model = "reaction" if method == "external" else "dynamic"
-    minimal = minimal_set(tree, model, gravity, zeros)
+    minimal = minimal_set(tree, MODEL_OF[method], gravity, zeros)
     geometry = tree.without_inertias()
     terms = settings.terms if method == "internal" else ()
     rows = layout(geometry, minimal, terms, settings.joined)
@@ -146,6 +154,20 @@ def identify(
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))
     return _estimate(method, units, minimal, products, found, tuple(warnings))
+
+
+def _check_signal(source: Source, method: Method) -> None:
+    """Whether the recording has what the method needs.
+
+    Raises:
+        RecordingError: It has not.
+    """
+    needed, other = ("wrench", "torque") if method == "external" else ("torque", "wrench")
+    if needed in source.signals:
+        return
+    way = "external" if other == "wrench" else "internal"
+    advice = f"; its {other} allows the {way} one" if other in source.signals else ""
+    raise RecordingError(f"the recording has no {needed}, which the {method} method needs{advice}")
 
 
 def _tare(

@@ -115,8 +115,8 @@ def predicted_torque(
 
 
 def predictions(
-    tree: Tree, recording: Recording, motion: Motion, estimates: Mapping[str, Estimate]
-) -> tuple[dict[str, Array], dict[str, Array]]:
+    tree: Tree, recording: Recording, motion: Motion, estimates: Mapping[Method, Estimate]
+) -> tuple[dict[Method, Array], dict[Method, Array]]:
     """The plate's wrench, pedestal included, and motor torques, by method.
 
     By the internal estimate the wrench is the external one's with those parameters put in that
@@ -129,7 +129,8 @@ def predictions(
         estimates: By method, "external" first.
     """
     tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
-    wrench, torque = {}, {}
+    wrench: dict[Method, Array] = {}
+    torque: dict[Method, Array] = {}
     whole = None
     for method, estimate in estimates.items():
         theta = parameters_of(estimate, tree.n, whole)

@@ -18,6 +18,7 @@ from testbed.report.tables import (
 )
 
 if TYPE_CHECKING:
+    from testbed.experiment.run import Run
     from testbed.identification.identify import Estimate
 
 
@@ -72,26 +73,32 @@ def print_estimates(estimates: list[Estimate], warnings: tuple[str, ...]) -> Non
     print_warnings(out, (*warnings, *(d for e in estimates for d in e.warnings)))
 
 
-def print_outcome(outcome: Any, folder: Path) -> None:
+def print_run(run: Run, folder: Path) -> None:
     """Print what came of an experiment.
 
     Args:
-        outcome: `campaign.carry_out.Outcome`.
+        run: What came of it.
         folder: Where it is kept.
     """
     out = console()
-    external, internal, title = outcome.external, outcome.internal, outcome.experiment.name
-    out.print(result_table(external, internal, outcome.truths, title, out.width < WIDE))
-    for line in quality_lines((external, internal)):
+    narrow, estimates = out.width < WIDE, list(run.estimates.values())
+    pair = run.estimates.get("external"), run.estimates.get("internal")
+    if pair[0] is not None and pair[1] is not None:
+        out.print(result_table(pair[0], pair[1], run.truths, run.name, narrow))
+    else:
+        out.print(estimate_table(estimates, narrow))
+    for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
-    print_warnings(out, outcome.warnings)
-    verdicts = outcome.verdicts
-    for name, value in outcome.comparison.metrics.items():
+    print_warnings(out, run.warnings)
+    verdicts = run.verdicts
+    expect = {} if run.experiment is None else run.experiment.expect
+    for name, value in run.metrics.items():
         claim = ""
         if name in verdicts:
-            wanted = outcome.experiment.expect[name].wanted
-            claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
+            claim = f"  ({expect[name].wanted}: {'holds' if verdicts[name] else 'FAILS'})"
         out.print(f"{name:30s} {value:9.3g}{claim}")
+    for name in expect.keys() - run.metrics.keys():
+        out.print(f"{name:30s}      none  ({expect[name].wanted}: FAILS)")
     out.print(f"run folder: {folder}", soft_wrap=True)
 
 

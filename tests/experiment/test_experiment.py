@@ -110,7 +110,7 @@ def test_a_claim_holds_or_fails() -> None:
 
 def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experiment) -> None:
     outcome = tb.carry_out(quick)
-    assert set(outcome.comparison.metrics) == set(METRICS)
+    assert set(outcome.metrics) == set(METRICS)
     assert set(outcome.verdicts) == set(quick.expect)
     strict = quick.model_copy(
         update={"expect": {"external_rms_relative_error": Bound(at_most=0.0)}}

@@ -1,26 +1,31 @@
-"""The instrument: encoders, drives and plate, each with its imperfections, seeded.
-
-Every channel draws from a stream of its own, so that switching one imperfection off
-leaves the noise of the others as it was.
-"""
+"""The whole instrument: encoders, drives and plate, each a chain of stages."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.instruments.drives import TorqueConstantError, TorqueNoise
+from testbed.instruments.encoders import EncoderNoise, EncoderResolution
+from testbed.instruments.plate import PlateNoise
+from testbed.instruments.stage import Stage, applied
 from testbed.recordings.recording import Recording, Truth
+
+Signal = Literal["position", "torque", "wrench"]
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """How well things are measured; by default perfectly.
+    """How samples are taken and how well; by default perfectly. The table [measurement].
 
     Attributes:
+        rate: Samples a second; also the controller's rate [Hz].
+        averaged: Each sample is the mean over its steps, else its first instant.
+        senses_kinematics: Velocities and accelerations are sensed exactly.
         encoder_resolution: Least count of the encoders; 0 for none [rad or m].
         encoder_noise: Standard deviation of position noise [rad or m].
         torque_noise: Standard deviation of the reported motor torque [N m or N].
@@ -28,21 +33,38 @@ class Instrument:
             name: 0.08 reports 8 % too much.
         force_noise: Standard deviation of the plate's forces [N].
         moment_noise: Standard deviation of the plate's moments [N m].
-        senses_kinematics: Whether velocities and accelerations are sensed, exactly.
     """
 
+    rate: float = 1000.0
+    averaged: bool = True
+    senses_kinematics: bool = False
     encoder_resolution: float = 0.0
     encoder_noise: float = 0.0
     torque_noise: float = 0.0
     torque_constant_error: Mapping[str, float] = field(default_factory=dict)
     force_noise: float = 0.0
     moment_noise: float = 0.0
-    senses_kinematics: bool = False
 
     @property
     def plate_noise(self) -> Array:
         """Standard deviation of the plate's channels, (6,) [N, N m]."""
         return np.repeat([self.force_noise, self.moment_noise], 3)
+
+    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Stage, ...]]:
+        """What happens to each signal, in order.
+
+        Args:
+            names: Joint names.
+        """
+        encoders: list[Stage] = [EncoderNoise(self.encoder_noise)]
+        if self.encoder_resolution:
+            encoders.append(EncoderResolution(self.encoder_resolution))
+        errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
+        return {
+            "position": tuple(encoders),
+            "torque": (TorqueConstantError(errors), TorqueNoise(self.torque_noise)),
+            "wrench": (PlateNoise(self.force_noise, self.moment_noise),),
+        }
 
 
 def measure(
@@ -65,26 +87,21 @@ def measure(
         facts: Kept with the recording.
         seed: Of the noise.
     """
-    streams = np.random.SeedSequence(seed).spawn(3)
-    encoders, drives, plate = (np.random.default_rng(stream) for stream in streams)
-    position = truth.position + instrument.encoder_noise * encoders.normal(
-        size=truth.position.shape
-    )
-    if instrument.encoder_resolution:
-        count = instrument.encoder_resolution
-        position = count * np.round(position / count)
-    gain = np.array([1 + instrument.torque_constant_error.get(name, 0.0) for name in names])
-    noise = instrument.torque_noise * drives.normal(size=truth.torque.shape)
     senses = instrument.senses_kinematics
-    return Recording(
+    exact = Recording(
         names=names,
         time=time,
-        position=position,
-        torque=gain * truth.torque + noise,
-        wrench=truth.wrench + instrument.plate_noise * plate.normal(size=truth.wrench.shape),
+        position=truth.position,
+        torque=truth.torque,
+        wrench=truth.wrench,
         velocity=truth.velocity if senses else None,
         acceleration=truth.acceleration if senses else None,
         tare=tare,
         truth=truth,
         facts=facts,
     )
+    seen: dict[str, Any] = {
+        signal: applied(stages, exact.measured(signal), time, seed)
+        for signal, stages in instrument.stages(names).items()
+    }
+    return replace(exact, **seen)
