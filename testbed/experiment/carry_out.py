@@ -11,7 +11,7 @@ from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.evaluate import evaluate, robot_of
+from testbed.experiment.evaluate import evaluate, held_joints, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
@@ -73,6 +73,8 @@ def simulate(
         tree,
         simulation.step,
         weld_root=experiment.weld_root,
+        lock=held_joints(experiment),
+        changed=experiment.robot.joint,
         friction=simulation.friction,
     )
     run = simulate_motion(

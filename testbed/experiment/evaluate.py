@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from testbed.errors import ExperimentError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
-from testbed.robot.load import load_tree
+from testbed.robot.load import load_tree, mimic_joints
 from testbed.robot.tree import Tree
 
 
@@ -50,12 +47,22 @@ def robot_of(experiment: Experiment) -> Tree:
     Raises:
         ExperimentError: A table names a joint that the robot has not.
     """
-    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
+    tree = load_tree(experiment.model, weld_root=experiment.weld_root, lock=held_joints(experiment))
     for table, entries in experiment.joint_tables.items():
         for name in entries:
             if name not in tree.names:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    gravity = experiment.gravity
-    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
+    known = {name: t.model_dump(exclude_none=True) for name, t in experiment.robot.joint.items()}
+    return tree.with_joints(known).with_gravity(experiment.gravity)
+
+
+def held_joints(experiment: Experiment) -> dict[str, float | None]:
+    """The joints that an experiment holds, and where; None: where the joint rests.
+
+    Args:
+        experiment: Says so in its table `robot`.
+    """
+    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
+    return dict.fromkeys(mimic) | experiment.robot.lock

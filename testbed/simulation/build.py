@@ -14,6 +14,7 @@ pays for it (docs/architecture.md).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from pathlib import Path
 
 import mujoco
@@ -40,6 +41,7 @@ def build_plant(
     *,
     weld_root: bool = False,
     lock: Lock | None = None,
+    changed: Collection[str] = (),
     friction: bool = True,
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
@@ -50,7 +52,8 @@ def build_plant(
         step: Simulation step [s].
         weld_root: Weld a floating root to the bedplate.
         lock: Joints that are held, as when the tree was read.
-        friction: Keep the file's joint friction.
+        changed: Joints whose friction and rotor inertia are the tree's, not the file's.
+        friction: Keep the joints' friction.
 
     Raises:
         ModelError: MuJoCo refuses the model.
@@ -61,7 +64,7 @@ def build_plant(
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
-        _equip(spec, tree, step, prefix)
+        _equip(spec, tree, step, prefix, changed)
         plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
         check_plant(plant, tree, path)
     return plant
@@ -98,7 +101,9 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
+def _equip(
+    spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str, changed: Collection[str]
+) -> None:
     """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
     option = spec.option
     option.timestep, option.gravity = step, tree.gravity
@@ -110,6 +115,9 @@ def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
     for joint in spec.joints:
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the drive limits itself
         known = tree.joints[tree.index(joint.name.removeprefix(prefix))]
+        if known.name in changed:
+            joint.frictionloss, joint.armature = known.coulomb, known.rotor_inertia
+            joint.damping = np.concatenate([[known.viscous], np.zeros(np.size(joint.damping) - 1)])
         if not known.coulomb:
             joint.frictionloss = 0.0
         if not known.viscous:
