@@ -1,6 +1,7 @@
 """A run folder: everything needed to repeat a run and to read its result.
 
 experiment.toml   the experiment, every default written out
+model/            the model file and what it refers to: a run folder needs nothing else
 recording.parquet what was measured (and, apart, what happened)
 result.json       estimates, truth, metrics, verdicts, versions; written after the others
 """
@@ -19,6 +20,7 @@ from testbed.experiment.run import Run
 from testbed.files import fingerprint, replacing
 from testbed.recordings.recording import Recording
 from testbed.robot.load import model_format
+from testbed.robot.model_files import copy_model
 
 EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
 MODEL = "model"
@@ -86,7 +88,9 @@ def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -
     """
     with replacing(folder, folder=True) as fresh:
         fresh.mkdir()
-        (fresh / EXPERIMENT).write_text(experiment.as_toml(), encoding="utf-8")
+        model = copy_model(Path(experiment.model), fresh / MODEL).relative_to(fresh)
+        here = experiment.model_copy(update={"model": model.as_posix()})
+        (fresh / EXPERIMENT).write_text(here.as_toml(), encoding="utf-8")
         recording.save(fresh / RECORDING)
 
 
@@ -139,5 +143,5 @@ def read_run(folder: Path) -> Run:
     if not model.is_file():
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
     if fingerprint(model) != recording.facts.get("model_sha256"):
-        raise ExperimentError(f"'{model}' has changed since the run was made; run it again")
+        raise ExperimentError(f"'{model}' is not the model that was simulated; run it again")
     return evaluate(experiment, recording)

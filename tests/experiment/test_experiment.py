@@ -122,6 +122,7 @@ def test_a_run_folder_repeats_the_run(quick: tb.Experiment, tmp_path: Path) -> N
     write_run(tb.carry_out(quick), tmp_path / "run")
     assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [
         "experiment.toml",
+        "model",
         "recording.parquet",
         "result.json",
     ]
