@@ -72,10 +72,11 @@ def _command() -> int:
     import warnings
 
     from testbed.cli.commands import app
+    from testbed.cli.options import joined_vectors
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
     try:
-        code = app(standalone_mode=False)
+        code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
     except SystemExit:  # the option parser's answer to a broken pipe
         return UNREAD
     sys.stdout.flush()

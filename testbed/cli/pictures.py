@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Weld, Zeros, app
+from testbed.cli.options import Accept, Weld, Zeros, app, note
 
 if TYPE_CHECKING:
     from testbed.identification.predict import Growth
@@ -83,6 +83,8 @@ def report(
     from testbed.report.html import write_report
 
     path = out or _beside(run, ".html")
+    if path.is_dir():
+        raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
     if path.suffix == ".json":
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
@@ -123,9 +125,17 @@ def of_run(folder: Path) -> Story:
         for method in METHODS
         if method in run.estimates
     }
-    shapes = load_shapes(run.model or folder, run.tree, weld_root=run.weld_root)
+    looks = load_shapes(run.model or folder, run.tree, weld_root=run.weld_root)
+    note(looks.warnings)
     return tell(
-        run.name, run.tree, run.recording, shapes, run.estimates, run.truths, grown, run.settings
+        run.name,
+        run.tree,
+        run.recording,
+        looks.shapes,
+        run.estimates,
+        run.truths,
+        grown,
+        run.settings,
     )
 
 
@@ -141,7 +151,7 @@ def _of_recording(
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
     run = assemble_run(tree, Recording.load(path), name=path.stem, zeros=zeros)
-    for method, reason in run.failures.items():
-        typer.echo(f"note: no {method} estimate: {reason}", err=True)
-    shapes = load_shapes(model, tree, weld_root=weld_root)
-    return tell(run.name, run.tree, run.recording, shapes, run.estimates)
+    looks = load_shapes(model, tree, weld_root=weld_root)
+    note(f"no {method} estimate: {reason}" for method, reason in run.failures.items())
+    note(looks.warnings)
+    return tell(run.name, run.tree, run.recording, looks.shapes, run.estimates)

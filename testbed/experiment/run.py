@@ -19,9 +19,6 @@ from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
-_SIGNALS = {"external": "bedplate wrench", "internal": "joint torques"}
-"""What a method needs, in words."""
-
 
 @dataclass(frozen=True, eq=False)
 class Run:
@@ -117,10 +114,6 @@ def assemble_run(
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in METHODS:
-        measured = recording.wrench if method == "external" else recording.torque
-        if measured is None:
-            failures[method] = f"the recording has no {_SIGNALS[method]}"
-            continue
         try:
             estimates[method] = identify(
                 tree, recording, method, zeros=zeros, settings=settings, progress=progress

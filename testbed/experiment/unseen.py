@@ -7,8 +7,8 @@ from pathlib import Path
 from testbed.errors import TestbedError
 from testbed.experiment.carry_out import simulate
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.results import result
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import result
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
 from testbed.report.contents import Subject

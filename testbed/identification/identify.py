@@ -41,6 +41,9 @@ METHODS: tuple[Method, ...] = ("external", "internal")
 MODEL_OF: dict[Method, Model] = {"external": "reaction", "internal": "dynamic"}
 """Which parameters a method sees."""
 
+SIGNAL_OF: dict[Method, str] = {"external": "wrench", "internal": "torque"}
+"""What a method needs of a recording besides positions."""
+
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
 
@@ -162,12 +165,13 @@ def _check_signal(source: Source, method: Method) -> None:
     Raises:
         RecordingError: It has not.
     """
-    needed, other = ("wrench", "torque") if method == "external" else ("torque", "wrench")
-    if needed in source.signals:
+    if SIGNAL_OF[method] in source.signals:
         return
-    way = "external" if other == "wrench" else "internal"
-    advice = f"; its {other} allows the {way} one" if other in source.signals else ""
-    raise RecordingError(f"the recording has no {needed}, which the {method} method needs{advice}")
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
 
 
 def _tare(

@@ -20,7 +20,7 @@ from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
-from testbed.experiment.carry_out import evaluate
+from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import subject_of
@@ -56,7 +56,7 @@ def story(outcome: Run) -> Story:
     grown: dict[Method, Growth] = {
         "external": growth(outcome.tree, outcome.recording, "external", times, zeros=True)
     }
-    shapes = load_shapes(ROOT / "models/puma562.xml", outcome.tree)
+    shapes = load_shapes(ROOT / "models/puma562.xml", outcome.tree).shapes
     return tell(
         "puma", outcome.tree, outcome.recording, shapes, outcome.estimates, outcome.truths, grown
     )
@@ -163,7 +163,7 @@ def test_both_languages_give_shapes_to_the_right_bodies() -> None:
     seen = {}
     for name in ("puma562.xml", "puma562.urdf"):
         tree = tb.load_tree(ROOT / "models" / name)
-        shapes = load_shapes(ROOT / "models" / name, tree)
+        shapes = load_shapes(ROOT / "models" / name, tree).shapes
         seen[name] = {shape.body for shape in shapes}
         assert all(np.isfinite(shape.position).all() for shape in shapes)
         for shape in shapes:  # the upper arm is beside the shoulder, the column below it
@@ -365,7 +365,7 @@ def test_a_broken_mesh_is_left_out(tmp_path: Path) -> None:
     text = text.replace(f'<link name="{name}">', f'<link name="{name}">{visual}{box}')
     (tmp_path / "r.urdf").write_text(text)
     tree = tb.load_tree(tmp_path / "r.urdf")
-    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree)] == ["box"]
+    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree).shapes] == ["box"]
 
 
 def test_no_rows_at_all_is_said(puma: tb.Tree, puma_recording: tb.Recording) -> None:
