@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import time
 import tomllib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,24 +56,38 @@ class Result:
         return f"{self.fate:<9} {self.mutant}" + (f"  [{self.by}]" if self.by else "")
 
 
-def campaign(
-    count: int, seed: int, only: str | None, jobs: int, minutes: float | None, say: Say
-) -> tuple[list[Result], bool]:
+@dataclass(frozen=True)
+class Plan:
+    """What a campaign is to do.
+
+    Attributes:
+        count: How many mutants to draw.
+        seed: Of the draw.
+        room: Only this one's; None for all.
+        own: Meet the tests of the mutant's own room only: quick, and stricter.
+        jobs: Copies of the project that work at once.
+        minutes: After which nothing new is started; None for no end.
+    """
+
+    count: int = 200
+    seed: int = 0
+    room: str | None = None
+    own: bool = False
+    jobs: int = 2
+    minutes: float | None = None
+
+
+def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
     """Draw mutants and try those that no kept result speaks of.
 
     Args:
-        count: How many to draw.
-        seed: Of the draw.
-        only: A room; None for all.
-        jobs: Copies of the project that work at once.
-        minutes: After which nothing new is started; None for no end.
+        plan: What to do.
         say: Called with a line for every result.
 
     Returns:
         What is known so far, and whether that is all.
     """
-    deadline = time.monotonic() + 60 * minutes if minutes is not None else float("inf")
-    mutants = draw(ROOT, count, seed, only)
+    mutants = draw(ROOT, plan.count, plan.seed, plan.room)
     aside = set_aside()
     results = [Result(m, "set aside", aside[_saying(m)], 0) for m in mutants if _saying(m) in aside]
     waiting = [m for m in mutants if _saying(m) not in aside]
@@ -82,7 +96,8 @@ def campaign(
     waiting = [m for m in waiting if m.key not in kept]
     if waiting:
         load_packages()
-        shop = Shop(jobs, deadline)
+        rooms = {mutant.room for mutant in waiting} if plan.own else None
+        shop = Shop(plan, rooms)
         if shop.trace(say):
             for result in shop.try_all(waiting):
                 say(str(result))
@@ -93,12 +108,13 @@ def campaign(
 class Shop:
     """Benches at work, until a deadline."""
 
-    def __init__(self, jobs: int, deadline: float) -> None:
-        self._jobs, self._deadline = jobs, deadline
+    def __init__(self, plan: Plan, rooms: Collection[str] | None) -> None:
+        self._plan = plan
+        self._deadline = time.monotonic() + 60 * (plan.minutes or float("inf"))
         self._benches: SimpleQueue[Bench] = SimpleQueue()
-        for k in range(jobs):
+        for k in range(plan.jobs):
             self._benches.put(Bench(ROOT, FOLDER / f"copy-{k}"))
-        self._coverage = Coverage(ROOT, FOLDER / "coverage")
+        self._coverage = Coverage(ROOT, FOLDER / "coverage", rooms)
 
     def trace(self, say: Say) -> bool:
         """See to it that it is known what every test executes; whether it is by now."""
@@ -121,6 +137,8 @@ class Shop:
 
         def judge(bench: Bench, mutant: Mutant) -> Result:
             seeing = self._coverage.seeing(mutant, tests)
+            if self._plan.own:
+                seeing = [test for test in seeing if test.room == mutant.room]
             compiles = self._coverage.is_compiled(mutant.module)
             bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
             by = ""
@@ -130,7 +148,8 @@ class Shop:
                 by = by or bench.failure([test.name for test in part], limit, compiles=compiles)
             bench.restore()
             result = Result(mutant, "killed" if by else "survived", by, len(seeing))
-            _keep(result)
+            if by or not self._plan.own:
+                _keep(result)
             return result
 
         return self._shared(judge, mutants)
@@ -149,7 +168,7 @@ class Shop:
             finally:
                 self._benches.put(bench)
 
-        with ThreadPoolExecutor(self._jobs) as pool:
+        with ThreadPoolExecutor(self._plan.jobs) as pool:
             for done in as_completed([pool.submit(one, item) for item in items]):
                 answer = done.result()
                 if answer is not None:

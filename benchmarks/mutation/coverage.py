@@ -10,7 +10,7 @@ import ast
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,16 +56,24 @@ def digest(*paths: Path) -> str:
 class Coverage:
     """What the tests execute, file by file, kept until a file or what it executes changes."""
 
-    def __init__(self, root: Path, folder: Path) -> None:
-        self._root, self._folder = root, folder
+    def __init__(self, root: Path, folder: Path, rooms: Collection[str] | None = None) -> None:
+        """What is kept in a folder.
+
+        Args:
+            root: The project.
+            folder: Where the maps are.
+            rooms: Whose tests count; None for all.
+        """
+        self._root, self._folder, self._rooms = root, folder, rooms
         self._imports = {name: set(_imports(root, name)) for name in _modules(root)}
         self._compiled = self._closure(_importers(self._imports, {COMPILER}) | {COMPILER})
         folder.mkdir(parents=True, exist_ok=True)
 
     def files(self) -> list[str]:
-        """All files of tests."""
-        found = (self._root / "tests").rglob("test_*.py")
-        return sorted(path.relative_to(self._root).as_posix() for path in found)
+        """All files of tests that count."""
+        found = (path.relative_to(self._root) for path in (self._root / "tests").rglob("test_*.py"))
+        wanted = (p for p in found if self._rooms is None or p.parts[1] in self._rooms)
+        return sorted(path.as_posix() for path in wanted)
 
     def place(self, file: str) -> Path:
         """Where the map of a file of tests is kept."""

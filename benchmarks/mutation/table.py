@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.mutation.campaign import ROOT, Result, campaign
+from benchmarks.mutation.campaign import ROOT, Plan, Result, campaign
 from benchmarks.mutation.draw import draw
 
 FATES = ("killed", "set aside", "survived")
@@ -19,41 +19,35 @@ GOAL, ROOM_GOAL = 0.92, 0.80
 """Share of the mutants that tests are to see: of all, and of every room's."""
 
 
-def run(
-    count: int,
-    seed: int,
-    only: str | None,
-    jobs: int,
-    minutes: float | None,
-    *,
-    show: bool,
-    as_json: bool,
-) -> int:
-    """The command `mutation`: its exit code.
+def run(plan: Plan, *, show: bool, as_json: bool) -> int:
+    """The command `mutation`: its exit code, 1 if a complete campaign misses the goal.
 
     Args:
-        count: How many mutants to draw.
-        seed: Of the draw.
-        only: A room; None for all.
-        jobs: Copies of the project that work at once.
-        minutes: After which nothing new is started.
-        show: Draw and print them, try none.
+        plan: What to do.
+        show: Draw mutants and print them, try none.
         as_json: Print JSON instead of a table.
     """
     if show:
-        for mutant in draw(ROOT, count, seed, only):
+        for mutant in draw(ROOT, plan.count, plan.seed, plan.room):
             print(mutant)
         return 0
-    say = (lambda line: None) if as_json else (lambda line: print(line, flush=True))
-    results, complete = campaign(count, seed, only, jobs, minutes, say)
+    results, complete = campaign(plan, _silent if as_json else _spoken)
     found = by_room(results)
     if as_json:
         said = [asdict(r.mutant) | {"fate": r.fate, "by": r.by} for r in results]
-        whole = {"benchmark": "mutation", "seed": seed, "complete": complete}
+        whole = {"benchmark": "mutation", **asdict(plan), "complete": complete}
         print(json.dumps(whole | {"rooms": found, "mutants": said}))
     else:
         _print(results, found, complete)
     return 0 if not complete or goals_met(found) else 1
+
+
+def _spoken(line: str) -> None:
+    print(line, flush=True)
+
+
+def _silent(line: str) -> None:
+    pass
 
 
 def by_room(results: Sequence[Result]) -> list[dict[str, Any]]:
@@ -81,7 +75,7 @@ def _print(results: Sequence[Result], found: Sequence[dict[str, Any]], complete:
         for result in results:
             if result.fate == fate:
                 print(result)
-    table = Table("room", *(("drawn", *FATES, "share killed")))
+    table = Table("room", "drawn", *FATES, "share killed")
     for line in found:
         counts = [str(line[name]) for name in ("drawn", *FATES)]
         table.add_row(line["room"], *counts, f"{line['share']:.0%}")
