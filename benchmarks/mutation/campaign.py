@@ -25,6 +25,9 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "build" / "mutation"
 EQUIVALENT = ROOT / "benchmarks" / "equivalent_mutants.toml"
 
+HOUSE = ("house",)
+"""Folders of tests that are about all rooms."""
+
 PATIENCE, START, COMPILING = 5.0, 30.0, 300.0
 """Time for tests: this much longer than they took when traced, to start, to compile [s]."""
 
@@ -64,7 +67,7 @@ class Plan:
         count: How many mutants to draw.
         seed: Of the draw.
         room: Only this one's; None for all.
-        own: Meet the tests of the mutant's own room only: quick, and stricter.
+        own: Meet the tests of the mutant's own room only, and those about all rooms: quick.
         jobs: Copies of the project that work at once.
         minutes: After which nothing new is started; None for no end.
     """
@@ -96,7 +99,7 @@ def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
     waiting = [m for m in waiting if m.key not in kept]
     if waiting:
         load_packages()
-        rooms = {mutant.room for mutant in waiting} if plan.own else None
+        rooms = {*(mutant.room for mutant in waiting), *HOUSE} if plan.own else None
         shop = Shop(plan, rooms)
         if shop.trace(say):
             for result in shop.try_all(waiting):
@@ -138,7 +141,7 @@ class Shop:
         def judge(bench: Bench, mutant: Mutant) -> Result:
             seeing = self._coverage.seeing(mutant, tests)
             if self._plan.own:
-                seeing = [test for test in seeing if test.room == mutant.room]
+                seeing = [test for test in seeing if test.room in (mutant.room, *HOUSE)]
             compiles = self._coverage.is_compiled(mutant.module)
             bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
             by = ""

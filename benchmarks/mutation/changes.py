@@ -226,6 +226,8 @@ def _changes(statement: ast.stmt) -> Iterator[Change]:
         yield "arithmetic", statement, _like(statement, op=other)
     for node, parent, text in _own(statement):
         for kind, old, new in _of_expression(node, parent):
+            if ast.dump(old) == ast.dump(new):
+                continue  # both operands are the same
             if text is None:
                 yield kind, old, new
             else:  # within an f-string, nodes do not know their places
