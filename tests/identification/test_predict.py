@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +35,8 @@ def test_a_motion_that_was_half_sensed_is_taken_from_the_encoders(
 ) -> None:
     encoders = replace(recording, velocity=None, acceleration=None)
     whole, where = motion_in(encoders)
-    motion, there = motion_in(replace(recording, **{missing: None}))
+    lost: dict[str, Any] = {missing: None}
+    motion, there = motion_in(replace(recording, **lost))
     assert there == where
     for name in ("t", "q", "qd", "qdd"):
         np.testing.assert_array_equal(getattr(motion, name), getattr(whole, name))
