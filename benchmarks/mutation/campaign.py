@@ -221,9 +221,13 @@ def _kept(mutant: Mutant) -> Result | None:
 
 def set_aside() -> dict[tuple[str, str, str, str], str]:
     """Changes that change nothing that can be observed, and why; written by hand."""
-    entries = tomllib.loads(EQUIVALENT.read_text()).get("mutant", [])
-    names = ("module", "function", "original", "mutated")
-    return {tuple(entry[name] for name in names): entry["because"] for entry in entries}
+    found = {}
+    for entry in tomllib.loads(EQUIVALENT.read_text())["mutant"]:
+        mutated = entry["mutated"]
+        for each in [mutated] if isinstance(mutated, str) else mutated:
+            place = entry["module"], entry["function"], entry["original"], each
+            found[place] = entry["because"]
+    return found
 
 
 def _saying(mutant: Mutant) -> tuple[str, str, str, str]:
