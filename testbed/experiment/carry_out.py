@@ -23,7 +23,7 @@ from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
+from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
@@ -57,6 +57,7 @@ def simulate(
     experiment: Experiment,
     progress: Progress = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
 ) -> Recording:
     """Simulate an experiment's robot on its bedplate and measure it.
 
@@ -64,6 +65,7 @@ def simulate(
         experiment: What to do.
         progress: Called with samples done and samples in all.
         watch: Called with what happens while it is simulated, a second or so at a time.
+        forces: On the joints, besides motors and the model's friction, asked before every step.
     """
     tree, sampling = robot_of(experiment), _sampling(experiment)
     instrument, simulation = experiment.measurement, experiment.simulation
@@ -86,6 +88,7 @@ def simulate(
         sampling,
         progress,
         watch,
+        forces,
     )
     facts = _facts(experiment, tree, run)
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, experiment.seed)

@@ -19,7 +19,7 @@ WITNESS = 1e-12
 
 
 @pytest.fixture(scope="module")
-def puma_scene(puma: tb.Tree) -> Plant:
+def puma_plant(puma: tb.Tree) -> Plant:
     return build_plant(PUMA, puma, 1e-4)
 
 
@@ -29,24 +29,24 @@ def states(rng: np.random.Generator, count: int) -> Array:
     return drawn
 
 
-def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_scene: Plant) -> None:
+def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_plant: Plant) -> None:
     """1000 states with friction and damping on; the pedestal's weight is on the sensor."""
     drawn = states(np.random.default_rng(0), 1000)
-    found = [sensed(puma_scene, *state) for state in drawn]
+    found = [sensed(puma_plant, *state) for state in drawn]
     qdd, friction, wrench = (np.array([f[k] for f in found]) for k in range(3))
     motion = tb.Motion(np.arange(1000.0), drawn[:, 0], drawn[:, 1], qdd)
-    expected = tb.base_wrench(puma, motion) + puma_scene.tare
+    expected = tb.base_wrench(puma, motion) + puma_plant.tare
     assert np.abs(wrench - expected).max() <= WITNESS * np.abs(expected).max()
     forces = tb.joint_forces(puma, motion)
     assert np.abs(drawn[:, 2] - friction - forces).max() <= WITNESS * np.abs(forces).max()
     assert np.abs(friction).max() > 5.0
 
 
-def test_friction_does_not_leak_into_the_reaction(puma: tb.Tree, puma_scene: Plant) -> None:
+def test_friction_does_not_leak_into_the_reaction(puma: tb.Tree, puma_plant: Plant) -> None:
     """At the same (q, qd, qdd), with and without friction, the wrench is the same."""
     smooth = build_plant(PUMA, puma, 1e-4, friction=False)
     for q, qd, effort in states(np.random.default_rng(1), 200):
-        qdd, friction, wrench = sensed(puma_scene, q, qd, effort)
+        qdd, friction, wrench = sensed(puma_plant, q, qd, effort)
         same, none, other = sensed(smooth, q, qd, effort - friction)
         assert np.abs(none).max() == 0
         np.testing.assert_allclose(same, qdd, rtol=1e-9, atol=1e-9)
@@ -76,7 +76,7 @@ def test_any_robot_can_be_put_on_a_plate(seed: int, form: str, tmp_path: Path) -
 
 
 def test_a_turned_and_displaced_sensor_reads_the_same_wrench(
-    puma: tb.Tree, puma_scene: Plant, tmp_path: Path
+    puma: tb.Tree, puma_plant: Plant, tmp_path: Path
 ) -> None:
     """The wrench is given in bedplate axes about O^0, wherever the sensor sits."""
     path = tmp_path / "r.xml"
@@ -86,6 +86,6 @@ def test_a_turned_and_displaced_sensor_reads_the_same_wrench(
     path.write_text(text)
     elsewhere = build_plant(path, puma, 1e-4)
     for q, qd, effort in states(np.random.default_rng(2), 20):
-        _, _, here = sensed(puma_scene, q, qd, effort)
+        _, _, here = sensed(puma_plant, q, qd, effort)
         _, _, there = sensed(elsewhere, q, qd, effort)
         np.testing.assert_allclose(there, here, atol=1e-11 * np.abs(here).max())
