@@ -172,13 +172,12 @@ def _unwatched(time: Array, truth: Truth) -> None:
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
     from testbed.experiment.carry_out import robot_of
-    from testbed.robot.visuals.load_shapes import load_shapes
-    from testbed.viewer.live import Live, nothing_yet
-    from testbed.viewer.story import tell
+    from testbed.robot.visuals.appearance import load_appearance
+    from testbed.viewer.live import Live
 
-    tree = robot_of(experiment)
-    shapes = load_shapes(experiment.model, tree, weld_root=experiment.weld_root)
-    return Live(tell(experiment.name, tree, nothing_yet(tree.names), shapes))
+    tree, model = robot_of(experiment), Path(experiment.model)
+    look = load_appearance(tree, model, weld_root=experiment.weld_root)
+    return Live(experiment.name, look)
 
 
 def _hertz(text: str) -> float | None:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
 from testbed.identification.identify import METHODS, Estimate, Method, identify
 from testbed.identification.passes import Progress
@@ -127,7 +128,10 @@ def assemble_run(
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)
-    friction = experiment is not None and experiment.simulation.friction
+    judged = None
+    if experiment is not None:
+        judged = score(tree, estimates, zeros, experiment.simulation.friction)
+    errors = {} if judged is None else judged.errors
     return Run(
         name=name,
         tree=tree,
@@ -137,22 +141,8 @@ def assemble_run(
         settings=settings,
         zeros=zeros,
         experiment=experiment,
-        score=score(tree, estimates, zeros, friction) if experiment is not None else None,
+        score=judged,
         model=model,
         weld_root=weld_root,
-        warnings=_warnings(tree, recording, estimates, failures),
+        warnings=warnings_of(tree, recording, estimates, failures, errors),
     )
-
-
-def _warnings(
-    tree: Tree,
-    recording: Recording,
-    estimates: Mapping[Method, Estimate],
-    failures: Mapping[Method, str],
-) -> tuple[str, ...]:
-    """Of the model, the recording and the estimates, none twice."""
-    lines = [*tree.warnings, *recording.facts.get("warnings", ())]
-    lines += [f"no {method} estimate: {reason}" for method, reason in failures.items()]
-    for estimate in estimates.values():
-        lines += estimate.warnings
-    return tuple(dict.fromkeys(lines))
