@@ -33,6 +33,7 @@ def agreement(**changes: Any) -> Agreement:
         sampled_distance=1e-14,
         gap=1e9,
         change=1e-15,
+        inverse=1e-15,
     )
     return replace(whole, **changes)
 
@@ -44,6 +45,7 @@ def test_witnesses_agree_on_equal_spaces_and_a_clear_rank() -> None:
     assert not agreement(recursion_distance=1.01e-7).holds
     assert not agreement(sampled_distance=1.01e-7).holds
     assert not agreement(gap=999.0).holds
+    assert not agreement(inverse=1.01e-9).holds
 
 
 @pytest.mark.parametrize("model", MODELS)
