@@ -23,13 +23,6 @@ class _Method(StrEnum):
     both = "both"
 
 
-class _Term(StrEnum):
-    coulomb = "coulomb"
-    viscous = "viscous"
-    offset = "offset"
-    rotor = "rotor"
-
-
 class _Weights(StrEnum):
     channels = "channels"
     full = "full"
@@ -103,7 +96,7 @@ def identify(
     cutoff: Annotated[str, typer.Option(help="Parallel low-pass [Hz], or off.")] = "5",
     deadband: Annotated[float, typer.Option(help="Slower joint rows are dropped.")] = 0.02,
     term: Annotated[
-        list[_Term] | None,
+        list[str] | None,
         typer.Option(help="In a joint's torque besides the robot; again for more."),
     ] = None,
     weights: Annotated[_Weights, typer.Option(help="Noise: each channel's, or all together.")] = (
@@ -121,13 +114,18 @@ def identify(
     from testbed.experiment.run_folder import estimate_as_json
     from testbed.identification.identify import identify as identified
     from testbed.identification.settings import Settings
-    from testbed.kernel.layout import TERMS
     from testbed.report import terminal
     from testbed.robot.load import load_tree
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    terms = tuple(TERMS[list(_Term).index(t)] for t in term or (_Term.coulomb, _Term.viscous))
-    treatment = Settings(_hertz(position_cutoff), _hertz(cutoff), deadband, terms, weights.value)
+    treatment = Settings(
+        zeros=zeros,
+        position_cutoff=_hertz(position_cutoff),
+        cutoff=_hertz(cutoff),
+        deadband=deadband,
+        terms=tuple(term or Settings.terms),
+        weights=weights.value,
+    )
     names: tuple[Literal["external", "internal"], ...] = ("external", "internal")
     estimates = []
     for name in names:
@@ -138,7 +136,6 @@ def identify(
                 tree,
                 recording,
                 name,
-                zeros=zeros,
                 gravity=gravity,
                 settings=treatment,
                 threads=threads,

@@ -11,7 +11,7 @@ import typer
 from testbed.cli.options import Accept, Weld, Zeros, app
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
     from testbed.identification.predict import Growth
     from testbed.viewer.story import Story
 

@@ -18,7 +18,8 @@ from testbed.excitation.random_motion import best_motion
 from testbed.experiment.experiment import Experiment, joint_tables
 from testbed.experiment.score import Comparison, compare
 from testbed.files import fingerprint
-from testbed.identification.identify import Estimate, identify
+from testbed.identification.estimate import Estimate
+from testbed.identification.identify import identify
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.instruments.instrument import Instrument, measure
@@ -110,16 +111,16 @@ def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcom
         tree: The robot.
         recording: What the instrument measured.
     """
-    table, settings = experiment.identification, settings_of(experiment)
-    external = identify(tree, recording, "external", zeros=table.zeros, settings=settings)
-    internal = identify(tree, recording, "internal", zeros=table.zeros, settings=settings)
+    settings = settings_of(experiment)
+    external = identify(tree, recording, "external", settings=settings)
+    internal = identify(tree, recording, "internal", settings=settings)
     return Outcome(
         experiment=experiment,
         tree=tree,
         recording=recording,
         external=external,
         internal=internal,
-        comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
+        comparison=compare(tree, external, internal, experiment.simulation.friction),
         warnings=tuple(dict.fromkeys((*tree.warnings, *external.warnings, *internal.warnings))),
     )
 
@@ -131,11 +132,7 @@ def settings_of(experiment: Experiment) -> Settings:
         experiment: Says so in its table `identification`.
     """
     table = experiment.identification
-    return Settings(
-        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
-        cutoff=None if table.cutoff == "off" else table.cutoff,
-        deadband=table.deadband,
-    )
+    return Settings(**table.model_dump())
 
 
 def simulate(experiment: Experiment, progress: Progress = lambda done, total: None) -> Recording:

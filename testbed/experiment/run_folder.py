@@ -17,7 +17,7 @@ from testbed.experiment.carry_out import Outcome, evaluate, robot_of, versions
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.score import Errors
 from testbed.files import fingerprint, replacing
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 from testbed.recordings.recording import Recording
 
 FILES = ("experiment.toml", "recording.parquet", "result.json")
@@ -115,7 +115,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "values": estimate.values.tolist(),
         "sigma": estimate.sigma.tolist(),
         "covariance": estimate.covariance.tolist(),
-        "count": estimate.count,
+        "count": len(estimate.base.names),
         "channels": list(estimate.channels),
         "residual": estimate.residual.tolist(),
         "relative_residual": estimate.relative_residual.tolist(),

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 from testbed.parameters.barycentric import barycentric
-from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.parameters.minimal_set import selection
 from testbed.robot.tree import Tree
 
 SMALL = 0.01
@@ -47,9 +47,7 @@ class Comparison:
     metrics: Mapping[str, float]
 
 
-def compare(
-    tree: Tree, external: Estimate, internal: Estimate, zeros: bool, friction: bool
-) -> Comparison:
+def compare(tree: Tree, external: Estimate, internal: Estimate, friction: bool) -> Comparison:
     """Compare two estimates of one run with the truth.
 
     Relative rms errors are over delta_d, which both methods know: the external one's is
@@ -59,17 +57,17 @@ def compare(
         tree: The robot with its true inertias and friction.
         external: Estimate from the plate.
         internal: Estimate from the motor torques.
-        zeros: Whether zeros of the model file were taken as known.
         friction: Whether the plant had the file's friction.
     """
     theta = barycentric(tree)
-    dynamic, reaction = (minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
+    dynamic, reaction = internal.minimal, external.minimal
     s = selection(dynamic, reaction)
-    losses = [joint.coulomb for joint in tree.joints] + [joint.viscous for joint in tree.joints]
-    true_losses = np.array(losses) if friction else np.zeros(2 * tree.n)
+    if internal.drives is None:
+        raise ValueError("the internal estimate knows no drives")
+    plant = tree if friction else tree.without_friction()
     outer = _errors(external, reaction.values(theta))
-    inner = _errors(internal, np.concatenate([dynamic.values(theta), true_losses]))
-    shared = _relative(s @ external.values, dynamic.values(theta), dynamic.units)
+    inner = _errors(internal, internal.drives.values(theta, plant))
+    shared = _relative(s @ external.base.values, dynamic.values(theta), dynamic.units)
     n = dynamic.count
     rms = {"external": _rms(shared), "internal": _rms(inner.relative[:n])}
     metrics = {
@@ -80,7 +78,7 @@ def compare(
         "internal_max_relative_error": float(np.abs(inner.relative[:n]).max()),
         "internal_max_z": float(np.abs(inner.z[:n]).max()),
         "internal_to_external": rms["internal"] / max(rms["external"], np.finfo(float).tiny),
-        "friction_max_relative_error": float(np.abs(inner.relative[n:]).max()),
+        "friction_max_relative_error": float(np.abs(inner.relative[n:]).max(initial=0.0)),
     }
     return Comparison(outer, inner, metrics)
 

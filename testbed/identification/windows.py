@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -100,7 +101,7 @@ class Plan:
             position=part.position,
             velocity=part.velocity if sensed and part.velocity is not None else nothing,
             acceleration=part.acceleration if sensed and part.acceleration is not None else nothing,
-            measured=part.torque if dynamic else part.wrench - self.tare,
+            measured=measured(part, "torque") if dynamic else measured(part, "wrench") - self.tare,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
@@ -108,6 +109,26 @@ class Plan:
             step=self.step,
             number=window.rows,
         )
+
+
+def measured(part: Recording, group: Literal["torque", "wrench"]) -> Array:
+    """Joint torques, (M, n), or the plate's wrench, (M, 6).
+
+    Raises:
+        RecordingError: The recording has none.
+    """
+    values: Array | None = getattr(part, group)
+    if values is not None:
+        return values
+    lacking, method, other = (
+        ("joint torques", "internal", "external")
+        if group == "torque"
+        else ("wrench of the bedplate", "external", "internal")
+    )
+    raise RecordingError(
+        f"the recording has no {lacking}, which the {method} method needs; ask for the {other} "
+        "method alone"
+    )
 
 
 def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -> Plan:
@@ -123,17 +144,17 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         RecordingError: The recording is too short, or sampled too slowly.
     """
     rate, sensed = source.rate, source.senses_kinematics
-    cutoffs = [c for c in (settings.cutoff, None if sensed else settings.position_cutoff) if c]
-    fast = [cutoff for cutoff in cutoffs if cutoff >= rate / 2]
+    slow, position = settings.row_low_pass, None if sensed else settings.position_low_pass
+    fast = [cutoff for cutoff in (slow, position) if cutoff is not None and cutoff >= rate / 2]
     if fast:
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
         )
     unit = np.array([[1.0], [0.0], [0.0]])
-    taps = unit if sensed else motion_taps(rate, settings.position_cutoff)
-    weights = row_weights(rate, settings.cutoff)
+    taps = unit if sensed else motion_taps(rate, position)
+    weights = row_weights(rate, slow)
     reach = taps.shape[1] // 2 + len(weights) // 2
-    step = 1 if settings.cutoff is None else int(rate / (ROWS_PER_CUTOFF * settings.cutoff)) or 1
+    step = 1 if slow is None else int(rate / (ROWS_PER_CUTOFF * slow)) or 1
     rows = len(range(reach, source.samples - reach, step))
     if rows < 2:
         raise RecordingError(

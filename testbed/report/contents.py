@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.identification.estimate import Estimate
 from testbed.identification.filters import row_weights
-from testbed.identification.identify import Estimate
 from testbed.identification.predict import (
     friction,
     motion_in,
@@ -140,10 +140,10 @@ def parameter_rows(subject: Subject) -> list[dict[str, Any]]:
     """The Table-6-like table: every parameter, by both methods."""
     estimates = (subject.external, subject.internal)
     internal = subject.internal
-    names = dict.fromkeys((*internal.names[: internal.count], *subject.external.names))
+    names = dict.fromkeys((*internal.base.names, *subject.external.names))
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
     rows = []
-    for name in (*names, *internal.names[internal.count :]):
+    for name in (*names, *(term.name for term in internal.joint_terms)):
         truth = subject.truths.get(name)
         rows.append(
             {

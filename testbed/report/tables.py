@@ -12,7 +12,7 @@ _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
 
 
 def result_table(
@@ -42,8 +42,9 @@ def result_table(
     error = "z" if narrow else "error/sigma"
     for column in ("truth", "external", error, "internal", error):
         table.add_column(column, justify="right", no_wrap=True)
-    names = dict.fromkeys((*internal.names[: internal.count], *external.names, *internal.names))
-    sections = {internal.count - 1, len(names) - 1 - (len(internal.names) - internal.count)}
+    shared = internal.base.names
+    names = dict.fromkeys((*shared, *external.names, *internal.names))
+    sections = {len(shared) - 1, len(names) - 1 - len(internal.joint_terms)}
     units = dict(zip(internal.names, internal.units, strict=True)) | dict(
         zip(external.names, external.units, strict=True)
     )

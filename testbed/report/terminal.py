@@ -18,7 +18,7 @@ from testbed.report.tables import (
 )
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
 
 
 WIDE = 110

@@ -82,8 +82,8 @@ def _tabs(story: Story, at: str, tab: str) -> rrb.Tabs:
         views.append(rrb.Grid(*curves, name="friction"))
     if story.growth:
         method = next(iter(story.growth))
-        estimate = story.estimates[method]
-        units = zip(estimate.names[: estimate.count], estimate.units, strict=False)
+        base = story.estimates[method].base
+        units = zip(base.names, base.units, strict=True)
         plots = [
             _plot(f"{at}/estimate/{safe(name)}", f"{name} [{u}]", legend=k == 0)
             for k, (name, u) in enumerate(units)

@@ -268,8 +268,7 @@ def _friction(stream: rr.RecordingStream, story: Story, at: str) -> None:
 def _estimates(stream: rr.RecordingStream, story: Story, at: str) -> None:
     """Every parameter over the time recorded: value, two sigmas to either side, truth."""
     for method, grown in story.growth.items():
-        names = story.estimates[method].names[: story.estimates[method].count]
-        for k, name in enumerate(names):
+        for k, name in enumerate(story.estimates[method].base.names):
             there = np.isfinite(grown.values[:, k])
             value, sigma = grown.values[there, k], grown.sigma[there, k]
             if not there.any():

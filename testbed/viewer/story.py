@@ -14,7 +14,7 @@ from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 from testbed.identification.predict import (
     Growth,
     friction,
