@@ -11,7 +11,7 @@ from testbed.cli.pictures import of_run
 from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_folder import read_run, write_run
-from testbed.experiment.story import subject_of
+from testbed.experiment.unseen import subject_of
 from testbed.report.html import write_report
 from testbed.viewer.log import write_rrd
 

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Weld, Zeros, app
+from testbed.cli.options import Accept, Weld, Zeros, app, note
 
 if TYPE_CHECKING:
-    from testbed.identification.estimate import Estimate
     from testbed.identification.predict import Growth
     from testbed.viewer.story import Story
 
-METHODS: tuple[Literal["external"], Literal["internal"]] = ("external", "internal")
 STAGES = 12
 """Estimates from more and more of a recording."""
 
@@ -81,11 +78,13 @@ def report(
     Example: testbed report runs/table6-286a25ef
     """
     from testbed.experiment.run_folder import read_run
-    from testbed.experiment.story import subject_of
+    from testbed.experiment.unseen import subject_of
     from testbed.report import terminal
     from testbed.report.html import write_report
 
     path = out or _beside(run, ".html")
+    if path.is_dir():
+        raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
     if path.suffix == ".json":
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
@@ -109,35 +108,34 @@ def of_run(folder: Path) -> Story:
     """A run folder's story, with its truth."""
     import numpy as np
 
-    from testbed.experiment.carry_out import settings_of
     from testbed.experiment.run_folder import read_run
+    from testbed.identification.estimate import METHODS, Method
     from testbed.identification.predict import growth
     from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.story import tell
 
-    outcome = read_run(folder)
-    experiment = outcome.experiment
-    duration = outcome.recording.time[-1] - outcome.recording.time[0]
+    run = read_run(folder)
+    duration = run.recording.time[-1] - run.recording.time[0]
     times = np.geomspace(duration / 30, duration, STAGES)
     times[-1] = duration + 1.0  # all of it
-    zeros, treatment = experiment.identification.zeros, settings_of(experiment)
-    estimates = {"external": outcome.external, "internal": outcome.internal}
-    grown: dict[str, Growth] = {
+    grown: dict[Method, Growth] = {
         method: growth(
-            outcome.tree, outcome.recording, method, times, zeros=zeros, settings=treatment
+            run.tree, run.recording, method, times, zeros=run.zeros, settings=run.settings
         )
         for method in METHODS
+        if method in run.estimates
     }
-    shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
+    looks = load_shapes(run.model or folder, run.tree, weld_root=run.weld_root)
+    note(looks.warnings)
     return tell(
-        experiment.name,
-        outcome.tree,
-        outcome.recording,
-        shapes,
-        estimates,
-        outcome.truths,
+        run.name,
+        run.tree,
+        run.recording,
+        looks.shapes,
+        run.estimates,
+        run.truths,
         grown,
-        treatment,
+        run.settings,
     )
 
 
@@ -145,25 +143,15 @@ def _of_recording(
     path: Path, model: Path, zeros: bool, weld_root: bool, accept_inertia: bool
 ) -> Story:
     """A recording's story: estimates where the data suffice, no truth."""
-    import numpy as np
-
-    from testbed.errors import RecordingError, UnseenParameters
-    from testbed.identification.identify import identify
-    from testbed.recordings.recording import Recording, check_robot
+    from testbed.experiment.run import assemble_run
+    from testbed.recordings.recording import Recording
     from testbed.robot.load import load_tree
     from testbed.robot.visuals.load_shapes import load_shapes
     from testbed.viewer.story import tell
 
     tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    recording = Recording.load(path)
-    check_robot(recording, tree)
-    gravity = recording.facts.get("gravity")
-    tree = tree if gravity is None else replace(tree, gravity=np.array(gravity))
-    estimates: dict[str, Estimate] = {}
-    for method in METHODS:
-        try:
-            estimates[method] = identify(tree, recording, method, zeros=zeros)
-        except (RecordingError, UnseenParameters) as error:
-            typer.echo(f"note: no {method} estimate: {error}", err=True)
-    shapes = load_shapes(model, tree, weld_root=weld_root)
-    return tell(path.stem, tree, recording, shapes, estimates)
+    run = assemble_run(tree, Recording.load(path), name=path.stem, zeros=zeros)
+    looks = load_shapes(model, tree, weld_root=weld_root)
+    note(f"no {method} estimate: {reason}" for method, reason in run.failures.items())
+    note(looks.warnings)
+    return tell(run.name, run.tree, run.recording, looks.shapes, run.estimates)

@@ -22,6 +22,9 @@ METHODS: tuple[Method, ...] = ("external", "internal")
 MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
 """Which of the two minimal sets a method sees."""
 
+SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
+"""What a method needs of a recording besides positions."""
+
 
 @dataclass(frozen=True, eq=False)
 class BaseEstimate:

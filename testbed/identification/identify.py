@@ -18,19 +18,21 @@ from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
 from testbed.identification.diagnosis import quality_warnings
-from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
+from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.weights import noise_weights
-from testbed.identification.windows import Plan, make_plan, measured
+from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.columns import AXES
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
@@ -78,7 +80,7 @@ def identify(
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
-    measured(source.part(0, 1), "wrench" if method == "external" else "torque")
+    _check_signal(source, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
@@ -97,6 +99,21 @@ def identify(
     return _estimate(method, tree, equations, found, minimal, drives, warnings)
 
 
+def _check_signal(source: Source, method: Method) -> None:
+    """Whether the recording has what the method needs.
+
+    Raises:
+        RecordingError: It has not.
+    """
+    if SIGNAL_OF[method] in source.signals:
+        return
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
+
+
 def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None) -> Tree:
     """The robot under the gravity that was given, or else the recording's, or the model file's.
 
@@ -106,7 +123,7 @@ def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None)
         gravity: (3,) [m/s^2], bedplate frame, or None.
     """
     given = source.facts.get("gravity") if gravity is None else gravity
-    return replace(tree, gravity=tree.gravity_or(given))
+    return tree.with_gravity(given)
 
 
 def tare_of(tree: Tree, source: Source) -> Array:

@@ -22,7 +22,8 @@ from testbed.arrays import Array
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
 from testbed.kernel.records import Question, Signals, Sums
-from testbed.recordings.recording import LARGEST, Recording, check_times, check_values
+from testbed.recordings.checks import LARGEST, check_times, check_values
+from testbed.recordings.recording import Recording
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
@@ -82,15 +83,20 @@ class Passes:
         check, self.checked = not self.checked, True
         return self._pass(lambda part, window: self._sums(part, window, question, check))
 
-    def rows(self) -> Iterator[tuple[Array, Array]]:
-        """All rows, a block at a time: columns, (C, k, p), and measurements, (C, k)."""
+    def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
+        """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+        """
         layout = self.plan.layout
+        lead = layout.basis @ combined
         for blocks in self._pass(self._rows):
             for block in blocks:
-                columns = np.zeros((layout.width, block.shape[1], layout.basis.shape[1]))
+                columns = np.empty((layout.width, block.shape[1], lead.shape[1]))
                 for c, own in enumerate(layout.channels):
                     at = layout.rows.start[c]
-                    columns[c] = block[at : at + len(own)].T @ layout.basis[own]
+                    columns[c] = block[at : at + len(own)].T @ lead[own]
                 yield columns, block[layout.rows.measured]
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
@@ -119,10 +125,10 @@ class Passes:
 
     def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
         if check:
-            check_times(part, "the recording", 1 / self.plan.source.rate, window.first)
+            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         found = self._answer(self.plan.signals(part, window), window, question)
         if check and not found.squares[0] < LARGEST**2:  # what is no number is not
-            check_values(part, "the recording", window.first)
+            check_values(part.columns(), "the recording", window.first)
         return found
 
     def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:

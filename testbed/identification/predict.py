@@ -85,9 +85,9 @@ def predictions(
     tree: Tree,
     recording: Recording,
     motion: Motion,
-    estimates: Mapping[str, Estimate],
+    estimates: Mapping[Method, Estimate],
     gravity: ArrayLike | None = None,
-) -> tuple[dict[str, Array], dict[str, Array]]:
+) -> tuple[dict[Method, Array], dict[Method, Array]]:
     """What plate and drives should have shown along a motion, by method.
 
     By the internal estimate the wrench is the external one's with those parameters put in that
@@ -106,8 +106,8 @@ def predictions(
     """
     tree = in_its_gravity(tree, recording, gravity)
     tare = tare_of(tree, recording)
-    wrench: dict[str, Array] = {}
-    torque: dict[str, Array] = {}
+    wrench: dict[Method, Array] = {}
+    torque: dict[Method, Array] = {}
     whole: Array | None = None
     for method in METHODS:
         if method not in estimates:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -101,7 +100,7 @@ class Plan:
             position=part.position,
             velocity=part.velocity if sensed and part.velocity is not None else nothing,
             acceleration=part.acceleration if sensed and part.acceleration is not None else nothing,
-            measured=measured(part, "torque") if dynamic else measured(part, "wrench") - self.tare,
+            measured=part.measured("torque") if dynamic else part.measured("wrench") - self.tare,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
@@ -109,26 +108,6 @@ class Plan:
             step=self.step,
             number=window.rows,
         )
-
-
-def measured(part: Recording, group: Literal["torque", "wrench"]) -> Array:
-    """Joint torques, (M, n), or the plate's wrench, (M, 6).
-
-    Raises:
-        RecordingError: The recording has none.
-    """
-    values: Array | None = getattr(part, group)
-    if values is not None:
-        return values
-    lacking, method, other = (
-        ("joint torques", "internal", "external")
-        if group == "torque"
-        else ("wrench of the bedplate", "external", "internal")
-    )
-    raise RecordingError(
-        f"the recording has no {lacking}, which the {method} method needs; ask for the {other} "
-        "method alone"
-    )
 
 
 def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -> Plan:

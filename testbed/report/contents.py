@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.estimate import Estimate
+from testbed.identification.estimate import Estimate, Method
 from testbed.identification.filters import row_weights
 from testbed.identification.predict import (
     friction,
@@ -17,7 +17,8 @@ from testbed.identification.predict import (
     predictions,
 )
 from testbed.identification.settings import Settings
-from testbed.recordings.recording import AXES, Recording
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
 from testbed.report.tables import with_sigma
 from testbed.robot.tree import Tree
 
@@ -120,11 +121,11 @@ def check(subject: Subject) -> Check:
     recording = subject.unseen or subject.recording
     recording = recording if recording.names == tree.names else recording.ordered(tree)
     motion, inner = motion_in(recording, subject.settings)
-    estimates = {"external": subject.external, "internal": subject.internal}
+    estimates: dict[Method, Estimate] = {"external": subject.external, "internal": subject.internal}
     wrench, torque = predictions(tree, recording, motion, estimates)
     pairs = [np.hstack([wrench[method], torque[method]]) for method in estimates]
     units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
-    measured = np.hstack([recording.wrench[inner], recording.torque[inner]])
+    measured = np.hstack([recording.measured("wrench")[inner], recording.measured("torque")[inner]])
     channels = (*AXES, *tree.names)
     units = (*UNITS, *units)
     return Check(motion.t, recording.rate, motion.qd, channels, units, measured, *pairs)

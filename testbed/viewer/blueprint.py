@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import rerun.blueprint as rrb
 
-from testbed.recordings.recording import AXES
+from testbed.recordings.columns import AXES
 from testbed.viewer.story import Story, extent, root, safe, span
 
 UNITS = dict(zip(AXES, ("N",) * 3 + ("N m",) * 3, strict=True))

@@ -9,7 +9,8 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.errors import ViewerError
-from testbed.recordings.recording import AXES, Recording, Truth
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording, Truth
 from testbed.viewer.blueprint import blueprint
 from testbed.viewer.colours import COLOURS, joint_colours
 from testbed.viewer.log import ARROW, clock, draw_robot, reach, send_arrows, send_poses

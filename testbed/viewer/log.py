@@ -11,7 +11,7 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.files import replacing
-from testbed.recordings.recording import AXES
+from testbed.recordings.columns import AXES
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import Shape
 from testbed.viewer.blueprint import blueprint
@@ -166,7 +166,7 @@ def send_arrows(
 def _plate(stream: rr.RecordingStream, story: Story, at: str) -> None:
     """Force and moment, drawn at the plate's edge; centre of pressure and its trace."""
     size = story.frames.step
-    wrench = means(story.measured(story.recording.wrench), size)
+    wrench = means(story.measured(story.recording.measured("wrench")), size)
     times = story.motion.t[::size]
     length = ARROW * reach(story)
     largest = [
@@ -199,8 +199,8 @@ def _signals(stream: rr.RecordingStream, story: Story, at: str) -> None:
         joint_colours(len(names)),
     )  # fmt: skip
     groups = (
-        ("wrench", AXES, recording.wrench, story.wrench),
-        ("torque", names, recording.torque, story.torque),
+        ("wrench", AXES, recording.measured("wrench"), story.wrench),
+        ("torque", names, recording.measured("torque"), story.torque),
     )
     for group, channels, measured, predicted in groups:
         for c, channel in enumerate(channels):

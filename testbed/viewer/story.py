@@ -14,7 +14,7 @@ from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
-from testbed.identification.estimate import Estimate
+from testbed.identification.estimate import Estimate, Method
 from testbed.identification.predict import (
     Growth,
     friction,
@@ -57,11 +57,11 @@ class Story:
     recording: Recording
     motion: Motion
     inner: slice
-    wrench: Mapping[str, Array] = field(default_factory=dict)
-    torque: Mapping[str, Array] = field(default_factory=dict)
-    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    wrench: Mapping[Method, Array] = field(default_factory=dict)
+    torque: Mapping[Method, Array] = field(default_factory=dict)
+    estimates: Mapping[Method, Estimate] = field(default_factory=dict)
     truths: Mapping[str, float] = field(default_factory=dict)
-    growth: Mapping[str, Growth] = field(default_factory=dict)
+    growth: Mapping[Method, Growth] = field(default_factory=dict)
 
     @property
     def frames(self) -> slice:
@@ -76,7 +76,7 @@ class Story:
     def rubbing(self) -> Array | None:
         """Torque that the robot's own dynamics do not explain, (M, n) [N m or N]."""
         clean = self.torque.get("external")
-        return None if clean is None else self.measured(self.recording.torque) - clean
+        return None if clean is None else self.measured(self.recording.measured("torque")) - clean
 
     def rubbing_model(self, speed: Array) -> Array | None:
         """Friction at speeds, (k, n), that the internal estimate tells."""
@@ -89,9 +89,9 @@ def tell(
     tree: Tree,
     recording: Recording,
     shapes: Sequence[Shape] = (),
-    estimates: Mapping[str, Estimate] | None = None,
+    estimates: Mapping[Method, Estimate] | None = None,
     truths: Mapping[str, float] | None = None,
-    growth: Mapping[str, Growth] | None = None,
+    growth: Mapping[Method, Growth] | None = None,
     settings: Settings | None = None,
 ) -> Story:
     """Compute what there is to see of a run.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +19,6 @@ from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import JointLaw
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off")
-METHODS: tuple[Method, ...] = ("external", "internal")
 
 
 def ideal(
@@ -67,3 +68,9 @@ def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
     return np.concatenate(
         [delta, [j.coulomb for j in tree.joints], [j.viscous for j in tree.joints]]
     )
+
+
+def plus(recording: Recording, **extra: ArrayLike) -> Recording:
+    """A recording with something added to some of its signals."""
+    changed: dict[str, Any] = {s: recording.measured(s) + np.asarray(v) for s, v in extra.items()}
+    return replace(recording, **changed)

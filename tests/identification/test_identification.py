@@ -11,10 +11,10 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
-from testbed.identification.estimate import Method
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.recordings.recording import Recording
-from tests.helpers.ideal import EXACT, METHODS, ideal, true_values
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -94,10 +94,10 @@ def coverage(draws: int, correlation: float) -> Array:
     truth, inside = true_values(tree, "external"), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
-        noise = rng.normal(size=clean.wrench.shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
+        noise = rng.normal(size=clean.measured("wrench").shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
         for k in range(1, len(noise)):
             noise[k] += correlation * noise[k - 1]
-        noisy = replace(clean, wrench=clean.wrench + noise)
+        noisy = plus(clean, wrench=noise)
         estimate = tb.identify(tree, noisy, "external", settings=tb.Settings(cutoff=5.0))
         inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.sigma)
     share: Array = np.mean(inside, axis=0)
@@ -195,8 +195,8 @@ def test_a_term_of_the_model_file_that_the_settings_leave_out_is_a_warning(
 
 def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:
     clean = ideal(puma, duration=3.0)
-    noise = np.random.default_rng(0).normal(size=clean.wrench.shape) * 20
-    estimate = tb.identify(puma, replace(clean, wrench=clean.wrench + noise), "external")
+    noise = np.random.default_rng(0).normal(size=clean.measured("wrench").shape) * 20
+    estimate = tb.identify(puma, plus(clean, wrench=noise), "external")
     assert any("poorly determined" in warning for warning in estimate.warnings)
 
 

@@ -160,7 +160,7 @@ def test_a_law_of_ones_own_goes_all_the_way(
     np.testing.assert_allclose([term.value for term in terms], coefficients, rtol=1e-8)
     motion = tb.Motion(recording.time, *kinematics(recording))
     torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
-    np.testing.assert_allclose(torque, recording.torque, atol=1e-7)
+    np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-7)
     expected = coefficients * law.column(motion.qd, motion.qdd)
     np.testing.assert_allclose(own_torque(tree, motion, found), expected, atol=1e-7)
 
@@ -185,7 +185,7 @@ def words(path: Path) -> set[str]:
 
 def test_names_of_laws_are_spelt_in_one_place() -> None:
     """Beside the defaults of the settings."""
-    rooms = ("kernel", "excitation", "simulation", "identification", "experiment", "cli")
+    rooms = ("kernel", "excitation", "simulation", "identification", "cli")
     for path in (each for room in rooms for each in (ROOT / "testbed" / room).rglob("*.py")):
         if path.name != "settings.py":
             spelt = [law.kind for law in (COULOMB, VISCOUS, ROTOR) if law.kind in words(path)]

@@ -20,15 +20,15 @@ from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.newton_euler import transmitted
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size
-from testbed.identification.estimate import Method
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Passes, is_small
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
-from testbed.recordings.formats.parquet import write_parts
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import open_source
-from tests.helpers.ideal import EXACT, METHODS, ideal, true_values
+from testbed.recordings.stored import write_parts
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -101,7 +101,7 @@ def test_memory_file_map_and_stream_give_the_same_bits(
         recording,
         names=names,
         position=recording.position[:, ::-1],
-        torque=recording.torque[:, ::-1],
+        torque=recording.measured("torque")[:, ::-1],
     )
     same(tb.identify(tree, turned, method, settings=FILTERED), whole)
 
@@ -116,8 +116,8 @@ def test_kernel_and_reference_give_one_estimate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     short = encoders(recording.part(0, 4000)) if settings is FILTERED else recording.part(0, 4000)
-    noise = np.random.default_rng(0).normal(size=short.wrench.shape)
-    noisy = replace(short, wrench=short.wrench + noise, torque=short.torque + noise[:, :3])
+    noise = np.random.default_rng(0).normal(size=short.measured("wrench").shape)
+    noisy = plus(short, wrench=noise, torque=noise[:, :3])
     found = []
     for limit in (0.0, 1e9):
         monkeypatch.setattr("testbed.identification.passes.SMALL", limit)
@@ -217,8 +217,8 @@ def test_a_fit_of_some_channels_is_the_fit_of_their_rows(
 ) -> None:
     """All but one channel, by weight and by leaving its rows out of a dense problem."""
     short = recording.part(0, 2000)
-    noise = np.random.default_rng(0).normal(size=short.wrench.shape)
-    noisy = replace(short, wrench=short.wrench + noise, torque=short.torque + noise[:, :3])
+    noise = np.random.default_rng(0).normal(size=short.measured("wrench").shape)
+    noisy = plus(short, wrench=noise, torque=noise[:, :3])
     settings = replace(EXACT, terms=(), deadband=0.0)
     estimate = tb.identify(tree, noisy, method, settings=settings)
     left = {name: 1.0 + k for k, name in enumerate(estimate.channels)}
@@ -226,7 +226,7 @@ def test_a_fit_of_some_channels_is_the_fit_of_their_rows(
     minimal = tb.minimal_set(tree, "dynamic" if method == "internal" else "reaction")
     motion = tb.Motion(noisy.time, noisy.position, noisy.velocity, noisy.acceleration)  # type: ignore[arg-type]
     phi = tb.regressor(tree, motion, minimal)
-    y = noisy.torque if method == "internal" else noisy.wrench
+    y = noisy.measured("torque") if method == "internal" else noisy.measured("wrench")
     keep = [k for k, name in enumerate(estimate.channels) if name in left]
     root = np.sqrt([left[estimate.channels[k]] for k in keep])
     a = (phi[:, keep] * root[:, None]).reshape(-1, minimal.count)
@@ -248,8 +248,8 @@ def correlated(tree: tb.Tree) -> tuple[Recording, Array]:
     rng = np.random.default_rng(5)
     root = np.eye(6) * 0.1
     root[0, 0] = root[4, 0] = 3.0
-    noise = rng.normal(size=clean.wrench.shape) @ root.T
-    return replace(clean, wrench=clean.wrench + noise), root @ root.T
+    noise = rng.normal(size=clean.measured("wrench").shape) @ root.T
+    return plus(clean, wrench=noise), root @ root.T
 
 
 def test_the_full_covariance_of_the_plate_is_worth_knowing(tree: tb.Tree) -> None:

@@ -20,10 +20,12 @@ from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
-from testbed.experiment.carry_out import Outcome, evaluate, settings_of
+from testbed.experiment.evaluate import evaluate
+from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
-from testbed.experiment.story import subject_of
-from testbed.identification.predict import growth
+from testbed.experiment.unseen import subject_of
+from testbed.identification.estimate import Method
+from testbed.identification.predict import Growth, growth
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Truth
 from testbed.report.contents import Subject, notes
@@ -42,26 +44,26 @@ LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
 
 
 @pytest.fixture(scope="module")
-def outcome(puma_recording: tb.Recording) -> Outcome:
+def outcome(puma_recording: tb.Recording) -> Run:
     settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
     experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
-    return evaluate(experiment, tb.load_tree(experiment.model), puma_recording)
+    return evaluate(experiment, puma_recording)
 
 
 @pytest.fixture(scope="module")
-def story(outcome: Outcome) -> Story:
-    estimates = {"external": outcome.external, "internal": outcome.internal}
-    truths = dict(
-        zip(outcome.external.names, outcome.comparison.external.truth.tolist(), strict=True)
-    )
+def story(outcome: Run) -> Story:
     times = [2.0, 4.0, 10.0]
-    grown = {"external": growth(outcome.tree, outcome.recording, "external", times, zeros=True)}
-    shapes = load_shapes(outcome.experiment.model, outcome.tree)
-    return tell("puma", outcome.tree, outcome.recording, shapes, estimates, truths, grown)
+    grown: dict[Method, Growth] = {
+        "external": growth(outcome.tree, outcome.recording, "external", times, zeros=True)
+    }
+    shapes = load_shapes(ROOT / "models/puma562.xml", outcome.tree).shapes
+    return tell(
+        "puma", outcome.tree, outcome.recording, shapes, outcome.estimates, outcome.truths, grown
+    )
 
 
 @pytest.fixture(scope="module")
-def subject(outcome: Outcome) -> Subject:
+def subject(outcome: Run) -> Subject:
     return subject_of(outcome)
 
 
@@ -87,7 +89,7 @@ def rrd(story: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> None:
     found = columns(rrd, "/wrench/Fz", "Scalars:scalars").reshape(-1, 3)
     expected = np.column_stack(
-        [story.measured(story.recording.wrench)[:, 2]]
+        [story.measured(story.recording.measured("wrench"))[:, 2]]
         + [story.wrench[method][:, 2] for method in ("external", "internal")]
     )
     np.testing.assert_array_equal(found, expected)
@@ -97,7 +99,7 @@ def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> N
 
 def test_the_arrows_are_the_measured_reaction(story: Story, rrd: Path) -> None:
     size = round(story.recording.rate / 50)
-    wrench = means(story.measured(story.recording.wrench), size)
+    wrench = means(story.measured(story.recording.measured("wrench")), size)
     for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
         found = columns(rrd, f"/world/bedplate/{name}", "Arrows3D:vectors")
         arrows = np.stack(list(found.reshape(-1, 3)))
@@ -161,7 +163,7 @@ def test_both_languages_give_shapes_to_the_right_bodies() -> None:
     seen = {}
     for name in ("puma562.xml", "puma562.urdf"):
         tree = tb.load_tree(ROOT / "models" / name)
-        shapes = load_shapes(ROOT / "models" / name, tree)
+        shapes = load_shapes(ROOT / "models" / name, tree).shapes
         seen[name] = {shape.body for shape in shapes}
         assert all(np.isfinite(shape.position).all() for shape in shapes)
         for shape in shapes:  # the upper arm is beside the shoulder, the column below it
@@ -190,14 +192,13 @@ def test_predictions_without_noise_are_exact(puma: tb.Tree) -> None:
     settings = ["motion.duration=4", "motion.candidates=3", "simulation.step=1e-3"]
     experiment = tb.Experiment.load(ROOT / "experiments/noise_free.toml", settings)
     outcome = tb.carry_out(experiment)
-    estimates = {"external": outcome.external, "internal": outcome.internal}
-    told = tell("exact", outcome.tree, outcome.recording, estimates=estimates)
-    for method in estimates:
-        gap = told.wrench[method] - told.measured(outcome.recording.wrench)
-        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.wrench).max()
-    gap = told.torque["internal"] - told.measured(outcome.recording.torque)
+    told = tell("exact", outcome.tree, outcome.recording, estimates=outcome.estimates)
+    for method in outcome.estimates:
+        gap = told.wrench[method] - told.measured(outcome.recording.measured("wrench"))
+        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.measured("wrench")).max()
+    gap = told.torque["internal"] - told.measured(outcome.recording.measured("torque"))
     turning = np.abs(told.motion.qd) > 0.02  # dry friction at rest has no formula
-    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.torque).max()
+    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.measured("torque")).max()
 
 
 @pytest.fixture
@@ -345,9 +346,9 @@ def test_dollars_in_names_are_dollars(subject: Subject, tmp_path: Path) -> None:
     assert "a$\\foo_{$" in (tmp_path / "r.html").read_text()
 
 
-def test_growth_ends_at_the_estimate(outcome: Outcome) -> None:
+def test_growth_ends_at_the_estimate(outcome: Run) -> None:
     """With the run's own settings."""
-    settings = replace(settings_of(outcome.experiment), cutoff=3.0, deadband=0.1)
+    settings = replace(outcome.settings, cutoff=3.0, deadband=0.1)
     known: dict[str, Any] = {"zeros": True, "settings": settings}
     grown = growth(outcome.tree, outcome.recording, "internal", [5.0, 99.0], **known)
     whole = tb.identify(outcome.tree, outcome.recording, "internal", **known)
@@ -364,7 +365,7 @@ def test_a_broken_mesh_is_left_out(tmp_path: Path) -> None:
     text = text.replace(f'<link name="{name}">', f'<link name="{name}">{visual}{box}')
     (tmp_path / "r.urdf").write_text(text)
     tree = tb.load_tree(tmp_path / "r.urdf")
-    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree)] == ["box"]
+    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree).shapes] == ["box"]
 
 
 def test_no_rows_at_all_is_said(puma: tb.Tree, puma_recording: tb.Recording) -> None:
@@ -378,10 +379,14 @@ def test_hostile_names_stay_text(subject: Subject, tmp_path: Path) -> None:
     assert "<script" not in (tmp_path / "r.html").read_text()
 
 
-def test_a_run_is_read_as_it_was_written(outcome: Outcome, tmp_path: Path) -> None:
+def test_a_run_is_read_as_it_was_written(outcome: Run, tmp_path: Path) -> None:
     write_run(outcome, tmp_path / "run")
     again = read_run(tmp_path / "run")
-    np.testing.assert_array_equal(again.external.values, outcome.external.values)
-    np.testing.assert_array_equal(again.internal.sigma, outcome.internal.sigma)
+    np.testing.assert_array_equal(
+        again.estimates["external"].values, outcome.estimates["external"].values
+    )
+    np.testing.assert_array_equal(
+        again.estimates["internal"].sigma, outcome.estimates["internal"].sigma
+    )
     with pytest.raises(ExperimentError, match="is no run folder: it has no experiment.toml"):
         read_run(tmp_path)

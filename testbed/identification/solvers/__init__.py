@@ -70,4 +70,4 @@ def fit(equations: NormalEquations, weights: Mapping[str, float] | None = None) 
             if name not in equations.channels:
                 raise UnknownName("channel", name, equations.channels)
         chosen = np.diag([float(weights.get(c, 0.0)) for c in equations.channels])
-    return by_normal_equations(equations, chosen, lambda: iter(()))
+    return by_normal_equations(equations, chosen, lambda combined: iter(()))

@@ -10,8 +10,9 @@ from testbed.arrays import Array
 from testbed.errors import UnseenParameters
 from testbed.identification.normal_equations import NormalEquations
 
-Rows = Callable[[], Iterator[tuple[Array, Array]]]
-"""Starts a pass over all rows: blocks of columns, (C, k, p), and of measurements, (C, k)."""
+Rows = Callable[[Array], Iterator[tuple[Array, Array]]]
+"""Starts a pass over all rows, with columns combined by a matrix, (p, q): blocks of combined
+columns, (C, k, q), and of measurements, (C, k)."""
 
 _PART = 0.1  # an unknown with a larger part in a direction that the data miss is named
 

@@ -69,7 +69,8 @@ def _triangle(root: Array, scale: Array, rows: Rows) -> Array:
 
 def _white(root: Array, lead: Array, values: Array, rows: Rows) -> Iterator[tuple[Array, Array]]:
     """Rows with noise of unit covariance: columns @ lead, (k, p), and what values leave, (k,)."""
-    for columns, measured in rows():
-        stack = np.concatenate([columns @ lead, (measured - columns @ values)[..., None]], axis=2)
+    for columns, measured in rows(np.column_stack([lead, values])):
+        left = measured - columns[..., -1]
+        stack = np.concatenate([columns[..., :-1], left[..., None]], axis=2)
         white = np.tensordot(root.T, stack, 1).reshape(-1, stack.shape[2])
         yield white[:, :-1], white[:, -1]

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.errors import TestbedError
-from testbed.experiment.carry_out import Outcome, settings_of, simulate
+from testbed.experiment.carry_out import simulate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.run_folder import result
+from testbed.experiment.results import result
+from testbed.experiment.run import Run
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
 from testbed.report.contents import Subject
@@ -16,14 +17,15 @@ UNSEEN = 12.0
 """Seconds of the motion on which predictions are checked."""
 
 
-def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) -> Subject:
+def subject_of(run: Run, progress: Progress = lambda done, total: None) -> Subject:
     """What there is to report of a run; simulates another motion to check predictions on.
 
     Args:
-        outcome: What came of the experiment.
+        run: Of an experiment.
         progress: Called with samples done and samples in all.
     """
-    experiment, metrics = outcome.experiment, outcome.comparison.metrics
+    experiment, metrics = run.experiment, run.metrics
+    assert experiment is not None
     other, warnings = None, []
     try:
         other = unseen(experiment, progress)
@@ -34,24 +36,24 @@ def subject_of(outcome: Outcome, progress: Progress = lambda done, total: None) 
             "name": name.replace("_", " "),
             "wanted": bound.wanted,
             "value": f"{metrics[name]:.3g}",
-            "holds": outcome.verdicts[name],
+            "holds": run.verdicts[name],
         }
         for name, bound in experiment.expect.items()
     ]
     return Subject(
-        title=experiment.name,
-        tree=outcome.tree,
-        recording=outcome.recording,
+        title=run.name,
+        tree=run.tree,
+        recording=run.recording,
         unseen=other,
-        external=outcome.external,
-        internal=outcome.internal,
-        truths=outcome.truths,
+        external=run.estimates["external"],
+        internal=run.estimates["internal"],
+        truths=run.truths,
         claim=experiment.claim,
         verdicts=verdicts,
-        asked=_asked(outcome),
-        settings=settings_of(experiment),
-        origin=_origin(outcome),
-        warnings=(*outcome.warnings, *warnings),
+        asked=_asked(run),
+        settings=run.settings,
+        origin=_origin(run),
+        warnings=(*run.warnings, *warnings),
     )
 
 
@@ -72,16 +74,17 @@ def unseen(experiment: Experiment, progress: Progress) -> Recording:
     return simulate(other, progress)
 
 
-def _asked(outcome: Outcome) -> list[tuple[str, str]]:
-    experiment = outcome.experiment
+def _asked(run: Run) -> list[tuple[str, str]]:
+    experiment = run.experiment
+    assert experiment is not None
     motion, plate = experiment.motion, experiment.measurement
     errors = ", ".join(f"{k} {v:+.0%}" for k, v in plate.torque_constant_error.items())
     table, plant = experiment.identification, experiment.simulation
-    n = outcome.tree.n
-    joints = f"{n} joint{'s' if n > 1 else ''}: {', '.join(outcome.tree.names)}"
-    gx, gy, gz = outcome.tree.gravity
+    n = run.tree.n
+    joints = f"{n} joint{'s' if n > 1 else ''}: {', '.join(run.tree.names)}"
+    gx, gy, gz = run.tree.gravity
     return [
-        ("robot", f"{outcome.tree.name}, {joints}"),
+        ("robot", f"{run.tree.name}, {joints}"),
         ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the bedplate frame"),
         ("model file", Path(experiment.model).name),
         (
@@ -119,12 +122,12 @@ def _asked(outcome: Outcome) -> list[tuple[str, str]]:
     ]
 
 
-def _origin(outcome: Outcome) -> list[tuple[str, str]]:
-    facts = result(outcome)
+def _origin(run: Run) -> list[tuple[str, str]]:
+    facts = result(run)
     versions = ", ".join(f"{name} {number}" for name, number in facts["versions"].items())
     return [
         ("model's SHA-256", facts["model_sha256"]),
-        ("seed", str(outcome.experiment.seed)),
+        ("seed", str(run.recording.facts["seed"])),
         ("versions", versions),
         ("again", "testbed run experiment.toml, with the file of the run folder"),
     ]

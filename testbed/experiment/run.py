@@ -1,0 +1,152 @@
+"""A run: one recording of one robot, what was identified from it, and how well.
+
+The value that terminal, report and viewer take, whether a simulation made the recording or
+somebody's own instruments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from testbed.errors import RecordingError, UnseenParameters
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.score import Score, score
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.identify import identify, in_its_gravity
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One recording and what came of it.
+
+    Attributes:
+        name: Of the run.
+        tree: The robot, under the recording's gravity.
+        recording: What was measured; joint columns in the order of `tree.names`.
+        estimates: By method; only those that could be made.
+        failures: Why a method has no estimate, by method.
+        settings: How the recording's signals were treated.
+        zeros: Whether zeros of the model file were taken as known.
+        experiment: What was carried out; None for a recording that no experiment made.
+        score: The estimates against the truth; None where the truth is not known.
+        model: The model file, for its shapes; None if the robot came from no file.
+        weld_root: Whether a floating root was welded to the bedplate.
+        warnings: What a careful reader should know, one line each.
+    """
+
+    name: str
+    tree: Tree
+    recording: Recording
+    estimates: Mapping[Method, Estimate]
+    failures: Mapping[Method, str] = field(default_factory=dict)
+    settings: Settings = field(default_factory=Settings)
+    zeros: bool = False
+    experiment: Experiment | None = None
+    score: Score | None = None
+    model: Path | None = None
+    weld_root: bool = False
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name; {} where they are not known."""
+        return {} if self.score is None else self.score.truths
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Figures of merit by name (docs/experiments.md); {} where the truth is not known."""
+        return {} if self.score is None else self.score.metrics
+
+    @property
+    def verdicts(self) -> dict[str, bool]:
+        """For each metric in [expect], whether the claim holds; not if the run lacks the metric."""
+        if self.experiment is None:
+            return {}
+        return {
+            name: name in self.metrics and bound.holds(self.metrics[name])
+            for name, bound in self.experiment.expect.items()
+        }
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether every claim holds."""
+        return all(self.verdicts.values())
+
+
+def assemble_run(
+    tree: Tree,
+    recording: Recording,
+    *,
+    name: str,
+    settings: Settings | None = None,
+    zeros: bool = False,
+    experiment: Experiment | None = None,
+    model: Path | None = None,
+    weld_root: bool = False,
+    progress: Progress = lambda done, total: None,
+) -> Run:
+    """Identify by every method that the recording's signals allow, and score where that is known.
+
+    A method that fails does not take the other with it: the run says why it has none.
+
+    Args:
+        tree: The robot.
+        recording: What was measured; its gravity, where it says so, goes before the tree's.
+        name: Of the run.
+        settings: How the signals are treated; default `Settings()`.
+        zeros: Take barycentric parameters that are zero in the model file as known.
+        experiment: What made the recording: the tree then holds the truth.
+        model: The model file, for its shapes.
+        weld_root: Whether a floating root was welded to the bedplate.
+        progress: Called with samples done and samples in all, method by method.
+
+    Raises:
+        RecordingError: The recording is of another robot.
+    """
+    recording = recording.ordered(tree)
+    tree = in_its_gravity(tree, recording)
+    settings = settings or Settings()
+    estimates: dict[Method, Estimate] = {}
+    failures: dict[Method, str] = {}
+    for method in METHODS:
+        try:
+            estimates[method] = identify(
+                tree, recording, method, zeros=zeros, settings=settings, progress=progress
+            )
+        except (RecordingError, UnseenParameters) as error:
+            failures[method] = str(error)
+    friction = experiment is not None and experiment.simulation.friction
+    return Run(
+        name=name,
+        tree=tree,
+        recording=recording,
+        estimates=estimates,
+        failures=failures,
+        settings=settings,
+        zeros=zeros,
+        experiment=experiment,
+        score=score(tree, estimates, zeros, friction) if experiment is not None else None,
+        model=model,
+        weld_root=weld_root,
+        warnings=_warnings(tree, recording, estimates, failures),
+    )
+
+
+def _warnings(
+    tree: Tree,
+    recording: Recording,
+    estimates: Mapping[Method, Estimate],
+    failures: Mapping[Method, str],
+) -> tuple[str, ...]:
+    """Of the model, the recording and the estimates, none twice."""
+    lines = [*tree.warnings, *recording.facts.get("warnings", ())]
+    lines += [f"no {method} estimate: {reason}" for method, reason in failures.items()]
+    for estimate in estimates.values():
+        lines += estimate.warnings
+    return tuple(dict.fromkeys(lines))
