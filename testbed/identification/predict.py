@@ -116,37 +116,35 @@ def predictions(
         if method == "external":
             whole = theta
         joints, plate = linear(tree, motion, theta[..., None])
-        torque[method] = joints[..., 0] + own_torque(tree, motion, estimates[method])
+        torque[method] = joints[..., 0] + own_torque(motion, estimates[method])
         if whole is not None:
             wrench[method] = plate[..., 0] + tare
     return wrench, torque
 
 
-def own_torque(tree: Tree, motion: Motion, estimate: Estimate) -> Array:
+def own_torque(motion: Motion, estimate: Estimate) -> Array:
     """What an estimate's joint terms add to the torques, (M, n) [N m or N].
 
     Args:
-        tree: Gives the order of the joints.
-        motion: M samples.
+        motion: M samples, joints in the order of `estimate.joints`.
         estimate: Of either method; the external one knows none.
     """
     found = np.zeros_like(motion.qd)
     for term in estimate.joint_terms:
-        j = tree.index(term.joint)
+        j = estimate.joints.index(term.joint)
         found[:, j] += term.value * term.law.columns(motion.qd[:, j], motion.qdd[:, j])
     return found
 
 
-def friction(tree: Tree, speed: Array, estimate: Estimate) -> Array:
+def friction(speed: Array, estimate: Estimate) -> Array:
     """What an estimate's joint terms add to the torques at steady speed, (M, n) [N m or N].
 
     Args:
-        tree: Gives the order of the joints.
-        speed: Joint velocities, (M, n) [rad/s or m/s].
+        speed: Joint velocities, (M, n) [rad/s or m/s], in the order of `estimate.joints`.
         estimate: Of the internal method.
     """
     steady = Motion(np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed))
-    return own_torque(tree, steady, estimate)
+    return own_torque(steady, estimate)
 
 
 def growth(

@@ -134,7 +134,7 @@ def check(subject: Subject) -> Check:
 def friction_points(subject: Subject, found: Check) -> tuple[Array, Array]:
     """Torque that the plate's estimate leaves unexplained, and what the torques' friction says."""
     rest = found.measured[:, 6:] - found.external[:, 6:]
-    return rest, friction(subject.tree, found.speed, subject.internal)
+    return rest, friction(found.speed, subject.internal)
 
 
 def parameter_rows(subject: Subject) -> list[dict[str, Any]]:

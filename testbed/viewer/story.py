@@ -81,7 +81,7 @@ class Story:
     def rubbing_model(self, speed: Array) -> Array | None:
         """Friction at speeds, (k, n), that the internal estimate tells."""
         internal = self.estimates.get("internal")
-        return None if internal is None else friction(self.tree, speed, internal)
+        return None if internal is None else friction(speed, internal)
 
 
 def tell(

@@ -162,7 +162,7 @@ def test_a_law_of_ones_own_goes_all_the_way(
     torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
     np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-7)
     expected = coefficients * law.column(motion.qd, motion.qdd)
-    np.testing.assert_allclose(own_torque(tree, motion, found), expected, atol=1e-7)
+    np.testing.assert_allclose(own_torque(motion, found), expected, atol=1e-7)
 
 
 def kinematics(recording: Recording) -> tuple[Array, Array, Array]:
