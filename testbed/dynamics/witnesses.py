@@ -30,6 +30,9 @@ CLEAR_GAP = 1e3
 SAME = 1e-7
 """Sine of the angle between two row spaces below which they are the same."""
 
+UNCHANGED = 1e-8
+"""Largest relative change of the model by regrouping; files with rounded angles come near it."""
+
 INVERSE = 1e-9
 """Largest element of S lift - 1 that is rounding."""
 
@@ -63,9 +66,15 @@ class Agreement:
 
     @property
     def holds(self) -> bool:
-        """Whether all three agree, and the sampled rank was a clear decision."""
-        same = max(self.recursion_distance, self.sampled_distance) <= SAME
-        return same and self.gap >= CLEAR_GAP and self.inverse <= INVERSE
+        """Whether all three agree, and the sampled rank was a clear decision.
+
+        Sampling knows its space only as well as it tells it from rounding, to 1 / gap; that
+        regrouping does not change the model holds more exactly.
+        """
+        same = self.recursion_distance <= SAME
+        near = self.sampled_distance <= max(SAME, 1.0 / self.gap)
+        exact = self.change <= UNCHANGED and self.inverse <= INVERSE
+        return same and near and exact and self.gap >= CLEAR_GAP
 
 
 def sampled_regressor(
@@ -151,7 +160,8 @@ class DriveAgreement:
     @property
     def holds(self) -> bool:
         """Whether both agree, and the sampled rank was a clear decision."""
-        return self.count == self.sampled and self.gap >= CLEAR_GAP and self.change <= INVERSE
+        same = self.count == self.sampled and self.gap >= CLEAR_GAP
+        return same and self.change <= UNCHANGED
 
 
 def verify_drives(tree: Tree, drives: DriveSet, seed: int = 0) -> DriveAgreement:

@@ -273,8 +273,9 @@ def known_zeros(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_]:
 
 def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
     theta = np.abs(barycentric(tree))
-    zero = np.zeros(theta.shape, dtype=bool)
-    for columns in (slice(0, 1), slice(1, 4), slice(4, 10)):
-        scale = theta[:, columns].max(axis=1, keepdims=True)
-        zero[:, columns] = theta[:, columns] <= NO_MATTER * scale
-    return zero
+    mass, moments, tensors = theta[:, :1], theta[:, 1:4], theta[:, 4:]
+    tensor = tensors.max(axis=1, keepdims=True)
+    # moments may all be rounding: a mass at a distance of the size of the body tells
+    moment = np.maximum(moments.max(axis=1, keepdims=True), np.sqrt(mass * tensor))
+    scale = np.hstack([mass, np.repeat(moment, 3, axis=1), np.repeat(tensor, 6, axis=1)])
+    return theta <= NO_MATTER * scale
