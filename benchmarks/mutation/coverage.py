@@ -17,6 +17,9 @@ from typing import Any
 
 from benchmarks.mutation.changes import Mutant, room_of
 
+HOUSE = "house"
+"""The folder of tests about all rooms: they look at modules without running them."""
+
 COMPILER = "testbed/kernel/compiler.py"
 """What imports it, directly or not, may hold compiled functions."""
 
@@ -117,6 +120,7 @@ class Coverage:
             found = [t for t in tests if not t.lines.get(mutant.module, _NONE).isdisjoint(lines)]
         else:
             found = self._importing(mutant.module, tests)
+            found += [t for t in tests if t.room == HOUSE and not t.slow and t not in found]
         rank: dict[str, int] = defaultdict(int)
         ranked = []
         for test in sorted(found, key=lambda test: test.seconds):
