@@ -63,12 +63,12 @@ def test_steps_may_differ_by_a_hundredth(share: float) -> None:
 @pytest.mark.parametrize("typical", [0.9e-9, 1.1e6])
 def test_sampling_times_that_are_a_mistake_are_refused(typical: float) -> None:
     with pytest.raises(RecordingError, match="is no sampling time"):
-        check_times(np.arange(5) * typical, "r", typical)
+        check_times(typical * np.arange(5.0), "r", typical)
 
 
 @pytest.mark.parametrize("typical", [1.1e-9, 0.9e6])
 def test_very_fast_and_very_slow_sampling_is_sampling(typical: float) -> None:
-    check_times(np.arange(5) * typical, "r", typical)
+    check_times(typical * np.arange(5.0), "r", typical)
 
 
 @pytest.mark.parametrize("count", [0, 1])

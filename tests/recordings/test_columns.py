@@ -137,15 +137,12 @@ def test_the_truth_is_put_in_order_too(whole: Recording) -> None:
         name: values if name == "wrench" else values[:, order]
         for name, values in vars(truth).items()
     }
-    shuffled = replace(
-        whole,
-        names=tuple(whole.names[k] for k in order),
-        truth=replace(truth, **turned),
-        **{
-            name: whole.measured(name)[:, order]
-            for name in ("position", "velocity", "acceleration", "torque")
-        },
-    )
+    names = tuple(whole.names[k] for k in order)
+    seen: dict[str, Any] = {
+        name: whole.measured(name)[:, order]
+        for name in ("position", "velocity", "acceleration", "torque")
+    }
+    shuffled = replace(whole, names=names, truth=replace(truth, **turned), **seen)
     again = shuffled.ordered(tree)
     assert again.names == tree.names
     for name, values in (whole.columns() | whole.true_columns()).items():
