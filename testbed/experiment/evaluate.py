@@ -9,7 +9,8 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
-from testbed.robot.load import load_tree, mimic_joints
+from testbed.robot.load import mimic_joints
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
 
@@ -32,8 +33,7 @@ def evaluate(
         settings=experiment.identification.settings,
         zeros=experiment.identification.zeros,
         experiment=experiment,
-        model=Path(experiment.model),
-        weld_root=experiment.weld_root,
+        model=model_of(experiment),
         progress=progress,
     )
 
@@ -47,22 +47,22 @@ def robot_of(experiment: Experiment) -> Tree:
     Raises:
         ExperimentError: A table names a joint that the robot has not.
     """
-    tree = load_tree(experiment.model, weld_root=experiment.weld_root, lock=held_joints(experiment))
+    tree = model_of(experiment).tree()
     for table, entries in experiment.joint_tables.items():
         for name in entries:
             if name not in tree.names:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    known = {name: t.model_dump(exclude_none=True) for name, t in experiment.robot.joint.items()}
-    return tree.with_joints(known).with_gravity(experiment.gravity)
+    return tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
 
 
-def held_joints(experiment: Experiment) -> dict[str, float | None]:
-    """The joints that an experiment holds, and where; None: where the joint rests.
+def model_of(experiment: Experiment) -> ModelFile:
+    """The model file of an experiment, and how it is read.
 
     Args:
-        experiment: Says so in its table `robot`.
+        experiment: Says so in `model`, `weld_root` and its table `robot`.
     """
     mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
-    return dict.fromkeys(mimic) | experiment.robot.lock
+    held = dict.fromkeys(mimic) | experiment.robot.lock
+    return ModelFile(Path(experiment.model), weld_root=experiment.weld_root, lock=held)

@@ -66,6 +66,11 @@ class RobotTable(Table):
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
 
+    @property
+    def settings(self) -> dict[str, dict[str, object]]:
+        """What is said of joints, by joint and key."""
+        return {name: table.model_dump(exclude_none=True) for name, table in self.joint.items()}
+
 
 class MotionTable(Table):
     """Which motion: the best of a few random Fourier series within the limits."""

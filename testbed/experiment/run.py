@@ -8,15 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
 from testbed.identification.identify import METHODS, Estimate, Method, identify
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
 
@@ -35,7 +36,6 @@ class Run:
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
-        weld_root: Whether a floating root was welded to the bedplate.
         warnings: What a careful reader should know, one line each.
     """
 
@@ -48,8 +48,7 @@ class Run:
     zeros: bool = False
     experiment: Experiment | None = None
     score: Score | None = None
-    model: Path | None = None
-    weld_root: bool = False
+    model: ModelFile | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -86,8 +85,7 @@ def assemble_run(
     settings: Settings | None = None,
     zeros: bool = False,
     experiment: Experiment | None = None,
-    model: Path | None = None,
-    weld_root: bool = False,
+    model: ModelFile | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
@@ -102,7 +100,6 @@ def assemble_run(
         zeros: Take barycentric parameters that are zero in the model file as known.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
-        weld_root: Whether a floating root was welded to the bedplate.
         progress: Called with samples done and samples in all, method by method.
 
     Raises:
@@ -120,7 +117,10 @@ def assemble_run(
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)
-    friction = experiment is not None and experiment.simulation.friction
+    judged = None
+    if experiment is not None:
+        judged = score(tree, estimates, zeros, experiment.simulation.friction)
+    errors = {} if judged is None else judged.errors
     return Run(
         name=name,
         tree=tree,
@@ -130,22 +130,7 @@ def assemble_run(
         settings=settings,
         zeros=zeros,
         experiment=experiment,
-        score=score(tree, estimates, zeros, friction) if experiment is not None else None,
+        score=judged,
         model=model,
-        weld_root=weld_root,
-        warnings=_warnings(tree, recording, estimates, failures),
+        warnings=warnings_of(tree, recording, estimates, failures, errors),
     )
-
-
-def _warnings(
-    tree: Tree,
-    recording: Recording,
-    estimates: Mapping[Method, Estimate],
-    failures: Mapping[Method, str],
-) -> tuple[str, ...]:
-    """Of the model, the recording and the estimates, none twice."""
-    lines = [*tree.warnings, *recording.facts.get("warnings", ())]
-    lines += [f"no {method} estimate: {reason}" for method, reason in failures.items()]
-    for estimate in estimates.values():
-        lines += estimate.warnings
-    return tuple(dict.fromkeys(lines))

@@ -109,7 +109,7 @@ def _shared(tree: Tree, external: Estimate, zeros: bool) -> Array:
     """Relative errors of delta_d by the plate's estimate."""
     dynamic, reaction = (minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
     values = selection(dynamic, reaction) @ external.values
-    return _relative(values, dynamic.values(barycentric(tree)), dynamic.units)
+    return relative_errors(values, dynamic.values(barycentric(tree)), dynamic.units)
 
 
 def _inertial(
@@ -126,12 +126,18 @@ def _inertial(
 def _errors(estimate: Estimate, truth: Array) -> Errors:
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, np.finfo(float).tiny)
-    relative = _relative(estimate.values, truth, estimate.units)
+    relative = relative_errors(estimate.values, truth, estimate.units)
     return Errors(estimate.names, truth, relative, error / sigma)
 
 
-def _relative(values: Array, truth: Array, units: tuple[str, ...]) -> Array:
-    """Errors over their scale; not a number where a unit has none."""
+def relative_errors(values: Array, truth: Array, units: tuple[str, ...]) -> Array:
+    """Errors over their scale, (..., p); not a number where a unit has none.
+
+    Args:
+        values: (..., p).
+        truth: (p,).
+        units: (p,).
+    """
     scale = np.abs(truth)
     least = NOTHING * scale.max(initial=0.0)
     for unit in set(units):

@@ -1,4 +1,4 @@
-"""What an estimate says the instruments should have read; and how it grew with the data.
+"""What an estimate says the instruments should have read.
 
 A prediction takes the motion as the identification does: sensed, or encoder positions
 through the filter on positions.
@@ -6,8 +6,7 @@ through the filter on positions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,27 +14,12 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear, pedestal_wrench
 from testbed.dynamics.motion import Motion
-from testbed.errors import RecordingError, UnseenParameters
+from testbed.errors import RecordingError
 from testbed.identification.filters import motion_taps
-from testbed.identification.identify import Estimate, Method, identify
+from testbed.identification.identify import Estimate, Method
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-
-
-@dataclass(frozen=True, eq=False)
-class Growth:
-    """Estimates from the first seconds of a recording, and from more and more of it.
-
-    Attributes:
-        time: Until when, (k,) [s].
-        values: (k, p); not a number where the data did not suffice.
-        sigma: (k, p).
-    """
-
-    time: Array
-    values: Array
-    sigma: Array
 
 
 def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[Motion, slice]:
@@ -157,39 +141,3 @@ def friction(tree: Tree, speed: Array, estimate: Estimate) -> Array:
         for kind in ("coulomb", "viscous")
     )
     return np.asarray(dry * np.sign(speed) + wet * speed)
-
-
-def growth(
-    tree: Tree,
-    recording: Recording,
-    method: Method,
-    times: ArrayLike,
-    *,
-    zeros: bool | Sequence[str] = False,
-    settings: Settings | None = None,
-) -> Growth:
-    """Estimates from more and more of a recording.
-
-    Args:
-        tree: The robot, as for `identify`.
-        recording: In memory.
-        method: "external" or "internal".
-        times: From the beginning until when [s].
-        zeros: As for `identify`.
-        settings: As for `identify`.
-    """
-    until = np.asarray(times, dtype=np.float64)
-    last = np.searchsorted(recording.time, recording.time[0] + until, "right")
-    whole = identify(tree, recording, method, zeros=zeros, settings=settings)
-    values, sigma = np.full((2, len(until), len(whole.names)), np.nan)
-    for k, samples in enumerate(last):
-        if samples >= recording.samples:
-            values[k], sigma[k] = whole.values, whole.sigma
-            continue
-        try:
-            part = recording.part(0, int(samples))
-            found = identify(tree, part, method, zeros=zeros, settings=settings)
-        except (RecordingError, UnseenParameters):
-            continue
-        values[k], sigma[k] = found.values, found.sigma
-    return Growth(np.minimum(until, recording.time[-1]), values, sigma)

@@ -8,6 +8,7 @@ Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -213,7 +214,7 @@ class Tree:
         vector = _numbers(self.gravity if gravity is None else gravity, (3,))
         if vector is None or not np.isfinite(vector).all():
             raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}")
-        size = float(np.linalg.norm(vector / 1e3)) * 1e3
+        size = math.hypot(*vector)  # overflows and vanishes only where numbers do
         if vector.any() and not WEAKEST <= size <= STRONGEST:
             raise ModelError(
                 f"gravity of {size:.3g} m/s^2 is outside {WEAKEST:g} ... {STRONGEST:g}; "

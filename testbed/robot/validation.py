@@ -7,7 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import ModelError
+from testbed.robot.model_xml import check_name
 from testbed.robot.tree import Tree
+
+MOST_JOINTS = 1_000
+"""Matrices of a robot grow with the square of its joints."""
 
 
 def check_tree(tree: Tree, path: Path) -> None:
@@ -22,6 +26,12 @@ def check_tree(tree: Tree, path: Path) -> None:
     """
     if tree.n == 0:
         raise ModelError(f"{path}: the robot has no joint that moves")
+    if tree.n > MOST_JOINTS:
+        raise ModelError(f"{path}: {tree.n} joints that move; {MOST_JOINTS} is the limit")
+    check_name(tree.name, "the robot's name", path)
+    for joint in tree.joints:
+        check_name(joint.name, "a joint's name", path)
+        check_name(joint.body, "a body's name", path)
     tree.gravity_or(tree.gravity)
     if len(set(tree.names)) < tree.n:
         raise ModelError(f"{path}: two joints have the same name")

@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rerun.chunk import RrdReader
+from testbed.viewer.story import Story, means, poses, pressure, tell
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
@@ -35,7 +36,6 @@ from testbed.robot.visuals.shapes import poses_at_zero
 from testbed.robot.visuals.sticks import sticks
 from testbed.viewer.live import Live
 from testbed.viewer.log import write_rrd
-from testbed.viewer.story import Story, means, poses, pressure, tell
 from tests.helpers.browser import browser
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot, random_states

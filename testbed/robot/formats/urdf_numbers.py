@@ -113,8 +113,8 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
 def _check_attributes(part: ET.Element, where: str) -> None:
     """Whether an attribute is a misspelled one."""
     known = {*_ATTRIBUTES[part.tag], _TEXTS.get(part.tag, "")} - {""}
-    for key in part.attrib:
-        meant = get_close_matches(key.lower(), known - {key}, n=1, cutoff=0.85)
-        if key not in known and (meant or part.tag not in _EXTENDED):
+    for key in sorted(set(part.attrib) - known):
+        meant = get_close_matches(key.lower(), known, n=1, cutoff=0.85)
+        if meant or part.tag not in _EXTENDED:
             hint = f"did you mean {meant[0]}?" if meant else f"it has {', '.join(sorted(known))}"
             raise ModelError(f"{where}: <{part.tag}> holds the unknown {key!r:.40}; {hint}")

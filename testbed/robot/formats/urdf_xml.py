@@ -18,6 +18,8 @@ from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 from testbed.robot.model_xml import read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
 
+DEEPEST_LINKS = 1_500
+"""Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
 _MOVING = ("revolute", "continuous", "prismatic")
 _SUPPORTED = (*_MOVING, "fixed")
 _PARTS = {
@@ -191,15 +193,23 @@ def _check_structure(
                 f"by joint '{name}'; closed loops are not supported"
             )
         carriers[child] = joint
+    _check_tree(known, carriers, path)
+    return carriers
+
+
+def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) -> None:
+    """Whether all links hang on one root, and not too deep: parsers recurse along them."""
     roots = [name for name in known if name not in carriers]
-    reached, waiting = set(roots), list(roots)
     below: dict[str, list[str]] = {}
     for child, joint in carriers.items():
         below.setdefault(_end(joint, "parent"), []).append(child)
-    while waiting:
-        found = below.get(waiting.pop(), [])
-        reached.update(found)
-        waiting += found
+    reached, level, depth = set(roots), roots, 0
+    while level:
+        level = [child for link in level for child in below.get(link, [])]
+        reached.update(level)
+        depth += 1
+        if depth > DEEPEST_LINKS:
+            raise ModelError(f"{path}: a chain of more than {DEEPEST_LINKS} links")
     if len(reached) < len(known):
         lost = min(known - reached)
         raise ModelError(
@@ -207,8 +217,9 @@ def _check_structure(
         )
     if len(roots) > 1:
         listed = ", ".join(f"'{name}'" for name in sorted(roots)[:5])
-        raise ModelError(f"{path}: {len(roots)} links are carried by no joint ({listed}); one is")
-    return carriers
+        raise ModelError(
+            f"{path}: {len(roots)} links are carried by no joint ({listed}); a robot has one such"
+        )
 
 
 def _end(joint: ET.Element, end: str) -> str:
