@@ -129,7 +129,7 @@ def identify(
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
     from testbed.experiment.results import estimate_as_json
-    from testbed.identification.identify import METHODS, SIGNAL_OF
+    from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.recordings.source import open_source
     from testbed.report import terminal
@@ -148,9 +148,8 @@ def identify(
                 tree,
                 source,
                 name,
-                zeros=table.zeros,
                 gravity=gravity,
-                settings=table.settings,
+                settings=table,
                 threads=threads,
                 progress=progress,
             )

@@ -133,7 +133,6 @@ def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
         reading.tree(model),
         Recording.load(path),
         name=path.stem,
-        settings=table.settings,
-        zeros=table.zeros,
+        settings=table,
         model=reading.model_file(model),
     )

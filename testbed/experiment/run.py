@@ -7,13 +7,14 @@ somebody's own instruments.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
-from testbed.identification.identify import METHODS, Estimate, Method, identify
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
@@ -32,7 +33,6 @@ class Run:
         estimates: By method; only those that could be made.
         failures: Why a method has no estimate, by method.
         settings: How the recording's signals were treated.
-        zeros: Whether zeros of the model file were taken as known.
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
@@ -45,7 +45,6 @@ class Run:
     estimates: Mapping[Method, Estimate]
     failures: Mapping[Method, str] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
-    zeros: bool = False
     experiment: Experiment | None = None
     score: Score | None = None
     model: ModelFile | None = None
@@ -83,7 +82,6 @@ def assemble_run(
     *,
     name: str,
     settings: Settings | None = None,
-    zeros: bool = False,
     experiment: Experiment | None = None,
     model: ModelFile | None = None,
     progress: Progress = lambda done, total: None,
@@ -97,7 +95,6 @@ def assemble_run(
         recording: What was measured; its gravity, where it says so, goes before the tree's.
         name: Of the run.
         settings: How the signals are treated; default `Settings()`.
-        zeros: Take barycentric parameters that are zero in the model file as known.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
         progress: Called with samples done and samples in all, method by method.
@@ -106,20 +103,20 @@ def assemble_run(
         RecordingError: The recording is of another robot.
     """
     recording = recording.ordered(tree)
-    tree = replace(tree, gravity=tree.gravity_or(recording.facts.get("gravity")))
+    tree = in_its_gravity(tree, recording)
     settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in METHODS:
         try:
             estimates[method] = identify(
-                tree, recording, method, zeros=zeros, settings=settings, progress=progress
+                tree, recording, method, settings=settings, progress=progress
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)
     judged = None
     if experiment is not None:
-        judged = score(tree, estimates, zeros, experiment.simulation.friction)
+        judged = score(tree, estimates, settings.zeros, experiment.simulation.friction)
     errors = {} if judged is None else judged.errors
     return Run(
         name=name,
@@ -128,7 +125,6 @@ def assemble_run(
         estimates=estimates,
         failures=failures,
         settings=settings,
-        zeros=zeros,
         experiment=experiment,
         score=judged,
         model=model,

@@ -7,7 +7,7 @@ from typing import Any
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
@@ -92,7 +92,7 @@ def parameter_rows(run: Run) -> list[dict[str, Any]]:
     """
     internal = run.estimates.get("internal")
     units = {n: u for e in run.estimates.values() for n, u in zip(e.names, e.units, strict=True)}
-    first = () if internal is None else internal.names[: internal.count]
+    first = () if internal is None else internal.base.names
     external = run.estimates.get("external")
     second = () if external is None else external.names
     rows = []

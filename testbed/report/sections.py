@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.summary import percent
-from testbed.identification.identify import METHODS, Method
+from testbed.identification.estimate import METHODS, Method
 from testbed.report.figures import Panel, thinned
 from testbed.report.spectrum import rms_within, spectrum
 

@@ -17,7 +17,7 @@ from testbed.experiment.growth import Growth
 from testbed.experiment.predictions import Predictions, predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.identify import MODEL_OF, Method
+from testbed.identification.estimate import MODEL_OF, Method
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 
@@ -110,7 +110,7 @@ class Scene:
     def bodies(self, method: Method) -> dict[int, list[int]]:
         """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
         run = self.run
-        minimal = minimal_set(run.tree, MODEL_OF[method], zeros=run.zeros)
+        minimal = minimal_set(run.tree, MODEL_OF[method], zeros=run.settings.zeros)
         found: dict[int, list[int]] = {}
         for k, body in enumerate(minimal.bodies):
             found.setdefault(body, []).append(k)

@@ -25,7 +25,7 @@ from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import subject_of
-from testbed.identification.identify import Method
+from testbed.identification.estimate import Method
 from testbed.identification.predict import Growth, growth
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Truth
