@@ -117,7 +117,7 @@ class RecordingError(TestbedError):
     """A recording that is damaged, incomplete, or of another robot."""
 
 
-class SettingsError(TestbedError):
+class SettingsError(TestbedError, ValueError):
     """A treatment of the signals that would spoil them."""
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
 from testbed.instruments.encoders import EncoderNoise, EncoderResolution
 from testbed.instruments.plate import PlateNoise
@@ -16,6 +17,7 @@ from testbed.instruments.stage import Stage, applied
 from testbed.recordings.recording import Recording, Truth
 
 Signal = Literal["position", "torque", "wrench"]
+_PLATE = ("force_noise", "moment_noise")
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,19 @@ class Instrument:
     torque_constant_error: Mapping[str, float] = field(default_factory=dict)
     force_noise: float = 0.0
     moment_noise: float = 0.0
+
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rate < np.inf:
+            raise SettingsError(f"rate is a positive frequency [Hz], found {self.rate}")
+        for name in ("encoder_resolution", "encoder_noise", "torque_noise", *_PLATE):
+            value = getattr(self, name)
+            if not 0 <= value < np.inf:
+                raise SettingsError(f"{name} cannot be negative or infinite, found {value}")
+        for joint, error in self.torque_constant_error.items():
+            if not np.isfinite(error):
+                raise SettingsError(f"torque_constant_error of '{joint}' is no number: {error}")
 
     @property
     def plate_noise(self) -> Array:

@@ -10,6 +10,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ModelError, UnknownName
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import SETTABLE
 from testbed.simulation.build import build_plant
 from tests.helpers.robots import random_robot
@@ -103,7 +104,7 @@ def test_joints_without_limits_are_read_and_can_be_given_them(what: str, tmp_pat
     joint = tree.joints[tree.index("j2")]
     assert np.isinf(joint.position_range).all()
     assert np.isinf([joint.max_velocity, joint.max_effort]).all()
-    build_plant(path, tree, 1e-3)
+    build_plant(ModelFile(path), tree, 1e-3)
     given = tree.with_joints({"j2": {"position_range": [-1, 2], "max_effort": 7.0}})
     assert given.joints[tree.index("j2")].max_effort == 7.0
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import InertiaError, ModelError
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from tests.helpers.robots import random_robot
 
@@ -162,7 +163,7 @@ def test_blanks_around_a_mass_do_not_lose_it(text: str, tmp_path: Path) -> None:
     path.write_bytes(ET.tostring(root))
     tree = tb.load_tree(path)
     assert tree.inertias[tree.index("j2")].mass == 3.0
-    build_plant(path, tree, 1e-3)
+    build_plant(ModelFile(path), tree, 1e-3)
 
 
 MISSPELLED = {

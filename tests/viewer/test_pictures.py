@@ -17,14 +17,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from rerun.chunk import RrdReader
+from testbed.viewer.story import Story, means, poses, pressure, tell
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
-from testbed.experiment.carry_out import evaluate
+from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import subject_of
-from testbed.identification.identify import Method
+from testbed.identification.estimate import Method
 from testbed.identification.predict import Growth, growth
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Truth
@@ -35,7 +36,6 @@ from testbed.robot.visuals.shapes import poses_at_zero
 from testbed.robot.visuals.sticks import sticks
 from testbed.viewer.live import Live
 from testbed.viewer.log import write_rrd
-from testbed.viewer.story import Story, means, poses, pressure, tell
 from tests.helpers.browser import browser
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot, random_states

@@ -1,19 +1,23 @@
-"""Formats of recordings: one reader a file of this room, which yields columns and metadata.
+"""Formats of recordings: one module a format, named for the ending of its files.
 
-A reader is a function `open_table(path) -> Table`; it is found by the file's ending.
+A module of this room holds a function `open_table(path) -> Table`, which yields columns and
+metadata; nothing else knows of it.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.columns import Table
-from testbed.recordings.formats.magic import is_parquet
+from testbed.recordings.magic import is_parquet
 
-READERS = {".parquet": "testbed.recordings.formats.parquet"}
-"""Modules with a reader, by the ending of the files they read."""
+
+def formats() -> tuple[str, ...]:
+    """The endings of files that can be read, as .parquet."""
+    return tuple(sorted(f".{module.name}" for module in iter_modules(__path__)))
 
 
 def open_table(path: Path) -> Table:
@@ -30,10 +34,10 @@ def open_table(path: Path) -> Table:
         raise RecordingError(f"there is no recording '{path}'")
     if not path.is_file():
         raise RecordingError(f"'{path}' is no file; a recording is one")
-    ending = path.suffix.lower()
-    if ending not in READERS:
+    ending, known = path.suffix.lower(), formats()
+    if ending not in known:  # a file's name never names code: only one of ours is imported
         if ending and not is_parquet(path):
-            raise UnknownName("format of a recording", ending, READERS)
+            raise UnknownName("format of a recording", ending, known)
         ending = ".parquet"
-    found: Table = import_module(READERS[ending]).open_table(path)
+    found: Table = import_module(f"{__name__}{ending}").open_table(path)
     return found

@@ -19,14 +19,15 @@ from testbed.robot.formats.urdf_xml import supported_xml
 from testbed.robot.locks import Lock
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import Appearance, Shape
+from testbed.robot.visuals.mesh_files import find_mesh
+from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])
 
 
 def read_shapes(
     path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> Appearance:
+) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
     Args:
@@ -50,7 +51,7 @@ def read_shapes(
             model, seen = _built(root)
         except Exception as error:
             raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
-    return Appearance(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
+    return DrawnShapes(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
 
 
 def _shapes(
@@ -113,12 +114,12 @@ def _prepared(link: ET.Element, path: Path) -> Iterator[str]:
         mesh = visual.find("geometry/mesh")
         if mesh is not None:
             name = mesh.get("filename", "")
-            found = _mesh_file(name, path)
+            found = find_mesh(name, path)
             if found is None:
                 link.remove(visual)
                 yield f"mesh file '{name}' of {owner} is not found; it is not drawn"
             else:
-                mesh.set("filename", str(found))
+                mesh.set("filename", str(found[1]))
 
 
 def _without_unreadable(link: ET.Element) -> Iterator[str]:
@@ -134,16 +135,3 @@ def _without_unreadable(link: ET.Element) -> Iterator[str]:
             what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
             said = " ".join(str(error).split())
             yield f"{what} of link '{link.get('name')}' is not drawn: {said}"
-
-
-def _mesh_file(name: str, path: Path) -> Path | None:
-    """A mesh's file: package://PACKAGE/... is looked for below all folders above the model."""
-    places = [path.resolve().parent, *path.resolve().parent.parents]
-    bare = name.removeprefix("file://")
-    if name.startswith("package://"):
-        rest = Path(name.removeprefix("package://"))
-        inside = Path(*rest.parts[1:]) if len(rest.parts) > 1 else rest
-        candidates = [place / part for place in places for part in (rest, inside)]
-    else:
-        candidates = [places[0] / bare]
-    return next((found for found in candidates if found.is_file()), None)

@@ -1,0 +1,31 @@
+"""What a careful reader of an estimate should know."""
+
+from __future__ import annotations
+
+from testbed.identification.estimate import Estimate
+
+SIGNIFICANT = 0.3
+"""Relative sigma above which a parameter is reported as poorly determined."""
+
+ILL_CONDITIONED = 1e3
+"""Condition of the scaled equations above which the estimate is reported as doubtful."""
+
+
+def quality_warnings(estimate: Estimate) -> list[str]:
+    """Ill-conditioned equations, and parameters that the data hardly determine."""
+    warnings = []
+    if estimate.condition > ILL_CONDITIONED:
+        warnings.append(
+            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
+            "errors of the instrument grow by up to that factor"
+        )
+    base = estimate.base
+    loose = [
+        f"{name} ({value:.3g} +- {sigma:.2g})"
+        for name, value, sigma in zip(base.names, base.values, base.sigma, strict=True)
+        if sigma > SIGNIFICANT * abs(value)
+    ]
+    if loose:
+        listed = ", ".join(loose)
+        warnings.append(f"the {estimate.method} estimate leaves poorly determined: {listed}")
+    return warnings
