@@ -15,8 +15,6 @@ import testbed as tb
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits
 from testbed.robot.visuals.shapes import Shape
-from tests.helpers.ideal import EXACT, ideal
-from tests.helpers.robots import random_robot
 
 
 def dataclasses_of_the_project() -> list[type[Any]]:
