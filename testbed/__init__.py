@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
-    from testbed.recordings.formats.parquet import StoredRecording as StoredRecording
     from testbed.recordings.recording import Recording as Recording
+    from testbed.recordings.stored import StoredRecording as StoredRecording
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
     from testbed.robot.tree import Joint as Joint
@@ -57,7 +57,7 @@ _HOMES = {
     "testbed.identification.settings": ("Settings",),
     "testbed.identification.normal_equations": ("Products",),
     "testbed.identification.solve": ("fit",),
-    "testbed.recordings.formats.parquet": ("StoredRecording",),
+    "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),

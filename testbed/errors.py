@@ -6,8 +6,49 @@ attributes. The command line prints the message as one line and exits with code 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+
+LONGEST_MESSAGE = 500
+"""Characters of a message; more would drive everything else off the terminal."""
+LONGEST_NAME = 200
+"""Names longer than this are not searched for likely typing errors: that takes too long."""
+
+
+def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
+    r"""Text as one line that any terminal shows as it is.
+
+    Args:
+        text: Any, also from a file: names, messages.
+        limit: Characters of the result; text that is longer loses its middle, and says so.
+
+    Returns:
+        Blanks and line ends of every kind as single spaces; what a terminal would obey and not
+        show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
+    """
+    shown = [c if c.isprintable() else _spelled(c) for c in " ".join(text.split())]
+    count = sum(map(len, shown))
+    if count <= limit:
+        return "".join(shown)
+    gap = f" ... ({count} characters in all) ... "
+    gap = gap if 2 * len(gap) < limit else "..."
+    left = limit - len(gap)
+    return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
+
+
+def _spelled(character: str) -> str:
+    return character.encode("unicode_escape").decode()
+
+
+def _start(pieces: Sequence[str], limit: int, *, backwards: bool = False) -> str:
+    """As many whole pieces as there is place for."""
+    taken: list[str] = []
+    for piece in pieces:
+        limit -= len(piece)
+        if limit < 0:
+            break
+        taken.append(piece)
+    return "".join(taken[::-1] if backwards else taken)
 
 
 class TestbedError(Exception):
@@ -43,13 +84,31 @@ class FreeRootError(ModelError):
         )
 
 
+class MimicError(ModelError):
+    """Joints that follow others, which a tree cannot express; `masters` by follower."""
+
+    def __init__(self, source: str, masters: Mapping[str, str], hold: Sequence[str]) -> None:
+        self.masters = dict(masters)
+        names = list(dict.fromkeys(hold))
+        first, master = next(iter(masters.items()))
+        more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        options = " ".join(f"--lock {name}" for name in names[:4]) + " ..." * (len(names) > 4)
+        super().__init__(
+            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
+            f"{options} holds followed and followers; --lock-mimic holds followers only, where "
+            "their masters' zeros take them (in an experiment lock and lock_mimic under [robot]; "
+            f"in Python lock={{'{names[0]}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
+        )
+
+
 class UnknownName(TestbedError):
     """A name that is not one of those known; `name` and `known` are kept."""
 
     def __init__(self, what: str, name: str, known: Iterable[str]) -> None:
         self.name = name
         self.known = tuple(known)
-        near = get_close_matches(name, self.known, n=1)
+        short = [each for each in self.known if len(each) <= LONGEST_NAME]
+        near = get_close_matches(name, short, n=1) if len(name) <= LONGEST_NAME else []
         hint = f"; did you mean '{near[0]}'?" if near else ""
         super().__init__(f"unknown {what} '{name}'{hint} (known: {', '.join(self.known)})")
 
@@ -58,7 +117,7 @@ class RecordingError(TestbedError):
     """A recording that is damaged, incomplete, or of another robot."""
 
 
-class SettingsError(TestbedError):
+class SettingsError(TestbedError, ValueError):
     """A treatment of the signals that would spoil them."""
 
 

@@ -1,18 +1,36 @@
-"""Files appear whole or not at all."""
+"""Files appear whole or not at all.
+
+What is being written stands in a hidden folder beside its place, a nest, which its writer
+holds locked. The lock goes with the process, so the next writer there can sweep the nests of
+those that were killed.
+"""
 
 from __future__ import annotations
 
+import ctypes
+import errno
+import fcntl
 import hashlib
+import os
+import platform
+import re
 import shutil
+import stat
+import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
+
+NEST = f".testbed-{re.sub('[^A-Za-z0-9]', '_', platform.node())[:64]}-"
+"""How nests begin: with this machine's name, since not every file system shares its locks."""
 
 
 @contextmanager
 def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it if the block succeeds.
+    """A temporary path beside `path`, which takes its place if the block succeeds.
+
+    At every instant the old or the new one stands there, complete.
 
     Args:
         path: What is to appear; what stands there is replaced only if it is of its kind.
@@ -26,34 +44,165 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         OSError: A folder stands where a file is to appear or the other way round, or a
             device, or the place may not be written to.
     """
-    shown, path = path, path.resolve()  # a link stays, what it points to is replaced
-    if path.exists() and path.is_dir() is not folder:
-        raise OSError(
-            f"'{shown}' is a {'folder' if path.is_dir() else 'file'}; choose another name"
-        )
-    if path.exists() and not folder and not path.is_file():
-        raise OSError(f"'{shown}' is a device or pipe, not a file; choose another name")
+    place = _place(path, folder)
+    made: list[Path] = []
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        nest = Path(tempfile.mkdtemp(prefix=".testbed-", dir=path.parent))
+        _make_folders(place.parent, made)
+        _sweep(place.parent)
+        nest, lock = _new_nest(place.parent)
     except OSError as error:
-        raise OSError(f"'{shown}' may not be written there: {error.strerror}") from None
+        _remove_empty(made)
+        raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
+    done = False
     try:
-        fresh = nest / "fresh"
-        yield fresh
-        if folder and path.exists():  # a folder cannot be renamed over a full one
-            path.rename(nest / "old")
-            try:
-                fresh.rename(path)
-            except OSError:
-                (nest / "old").rename(path)
-                raise
-        else:
-            fresh.replace(path)
+        yield nest / "fresh"
+        _put(nest, place)
+        done = True
     finally:
+        os.close(lock)
         shutil.rmtree(nest, ignore_errors=True)
+        if not done:
+            _remove_empty(made)
 
 
 def fingerprint(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _place(path: Path, folder: bool) -> Path:
+    """Where to write: a link stays, what it points to is replaced."""
+    try:
+        place = path.resolve()
+        mode = place.stat().st_mode
+    except FileNotFoundError:
+        return place
+    except OSError as error:
+        raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
+    except (RuntimeError, ValueError) as error:  # links in a circle; a zero byte
+        raise OSError(f"'{path}' cannot be written: {error}") from None
+    if stat.S_ISDIR(mode) is not folder:
+        kind = "folder" if stat.S_ISDIR(mode) else "file"
+        raise OSError(f"'{path}' is a {kind}; choose another name")
+    if not folder and not stat.S_ISREG(mode):
+        raise OSError(f"'{path}' is a device or pipe, not a file; choose another name")
+    return place
+
+
+def _make_folders(folder: Path, made: list[Path]) -> None:
+    """Make a folder and those above it; `made` tells which were not there, the outermost first."""
+    if not folder.is_dir():
+        _make_folders(folder.parent, made)
+        with suppress(FileExistsError):
+            folder.mkdir()
+            made.append(folder)
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in reversed(folders):
+        with suppress(OSError):  # somebody else writes there by now
+            folder.rmdir()
+
+
+def _new_nest(parent: Path) -> tuple[Path, int]:
+    """A folder for what is not whole yet, and the lock on it."""
+    while True:
+        nest = Path(tempfile.mkdtemp(prefix=NEST, dir=parent))
+        lock = _locked(nest)
+        if lock is not None:
+            return nest, lock
+
+
+def _locked(nest: Path, *, sweeping: bool = False) -> int | None:
+    """The lock on a nest; None if another process has it, or has just swept the nest away."""
+    path = nest / "lock"
+    try:
+        lock = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if os.path.samestat(os.fstat(lock), path.stat()):
+            return lock
+    except (BlockingIOError, FileNotFoundError):
+        pass
+    except OSError:  # a file system without locks: nobody can sweep there
+        if not sweeping:
+            return lock
+    os.close(lock)
+    return None
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the nests of writers that were killed there."""
+    for nest in folder.glob(f"{NEST}*"):
+        with suppress(OSError):
+            lock = None if nest.is_symlink() else _locked(nest, sweeping=True)
+            if lock is not None:
+                _put_back(nest)
+                shutil.rmtree(nest, ignore_errors=True)
+                os.close(lock)
+                nest.rmdir()  # gone already, unless the file system keeps what is open
+
+
+def _put(nest: Path, place: Path) -> None:
+    """Put what is fresh in its place."""
+    fresh = nest / "fresh"
+    while True:
+        try:
+            fresh.replace(place)
+            return
+        except OSError as error:  # a folder cannot take the place of a full one
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+        try:
+            if not _exchanged(fresh, place):
+                _in_two_steps(nest, place)
+            return
+        except OSError as error:  # another writer may have moved what stood there
+            if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST):
+                raise
+
+
+def _exchanged(a: Path, b: Path) -> bool:
+    """Let two paths change places in one step; False if this system cannot."""
+    library = ctypes.CDLL(None, use_errno=True)
+    ends = (os.fsencode(a), os.fsencode(b))
+    if sys.platform == "darwin":
+        function, arguments = getattr(library, "renamex_np", None), (*ends, RENAME_SWAP)
+    else:
+        function = getattr(library, "renameat2", None)
+        arguments = (AT_FDCWD, ends[0], AT_FDCWD, ends[1], RENAME_EXCHANGE)
+    if function is None:
+        return False
+    if function(*arguments) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
+        return False
+    raise OSError(code, os.strerror(code), str(b))
+
+
+AT_FDCWD, RENAME_EXCHANGE, RENAME_SWAP = -100, 2, 2
+"""Of Linux' renameat2 and of renamex_np of macOS."""
+
+
+def _in_two_steps(nest: Path, place: Path) -> None:
+    """The older one away, the fresh one there; if that fails or is killed, the older one back."""
+    older = nest / "older" / place.name
+    shutil.rmtree(older.parent, ignore_errors=True)
+    older.parent.mkdir()
+    place.rename(older)
+    try:
+        (nest / "fresh").rename(place)
+    except OSError:
+        _put_back(nest)
+        raise
+
+
+def _put_back(nest: Path) -> None:
+    """What stood in a place that is empty now goes there again."""
+    if (nest / "older").is_dir():
+        for older in (nest / "older").iterdir():
+            with suppress(OSError):  # somebody has put something there
+                older.rename(nest.parent / older.name)

@@ -9,7 +9,19 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import Accept, Gravity, Json, Model, Weld, Zero, Zeros, app
+from testbed.cli.options import (
+    Accept,
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    Model,
+    Weld,
+    Zero,
+    Zeros,
+    app,
+    lock_of,
+)
 
 if TYPE_CHECKING:
     from testbed.robot.tree import Tree
@@ -58,6 +70,8 @@ def minimal(
     ] = False,
     as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
     weld_root: Weld = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
@@ -72,7 +86,8 @@ def minimal(
     from testbed.report.minimal import as_document, print_sets
     from testbed.robot.load import load_tree
 
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    held = lock_of(model, lock, lock_mimic)
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia, lock=held)
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
@@ -120,6 +135,8 @@ def equations(
         typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
     ] = None,
     weld_root: Weld = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
@@ -134,7 +151,8 @@ def equations(
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
 
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    held = lock_of(model, lock, lock_mimic)
+    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia, lock=held)
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Weld, Zeros, app
+from testbed.cli.options import Accept, RecordingSet, Weld, Zeros, app, note
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -29,6 +29,7 @@ def view(
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
     ] = False,
     port: Annotated[int, typer.Option(help="Of the page, with --serve.")] = 9090,
+    settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
@@ -48,14 +49,13 @@ def view(
     with terminal.Progress("looking") as progress:
         for k, path in enumerate(runs):
             progress(k, len(runs))
-            run = _run_at(path, model, zeros, weld_root, accept_inertia)
+            run = _run_at(path, model, settings, zeros, weld_root, accept_inertia)
             scenes.append(scene_of(run, growth(run)))
     path = save or _beside(runs[0], ".rrd")
     write_rrd(scenes, path)
-    out = terminal.console()
     for scene in scenes:
-        terminal.print_warnings(out, scene.run.warnings)
-    out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
+        note((*scene.run.warnings, *scene.robot.warnings))
+    terminal.console().print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
     elif save is None:
@@ -71,6 +71,7 @@ def report(
         Path | None, typer.Option(help="MJCF or URDF file of the robot, for a recording.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="HTML file; default RUN.html.")] = None,
+    settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
@@ -79,18 +80,25 @@ def report(
 
     Example: testbed report runs/table6-286a25ef
     """
+    from testbed.errors import TestbedError
     from testbed.experiment.unseen import unseen
     from testbed.report import terminal
     from testbed.report.html import write_report
 
     path = out or _beside(run, ".html")
+    if path.is_dir():
+        raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
     if path.suffix == ".json":
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
-    done = _run_at(run, model, zeros, weld_root, accept_inertia)
+    done = _run_at(run, model, settings, zeros, weld_root, accept_inertia)
+    other = None
     with terminal.Progress("simulating an unseen motion") as progress:
-        other = unseen(done, progress)
+        try:
+            other = unseen(done, progress)
+        except TestbedError as error:
+            note([f"predictions are checked on the identified motion only: {error}"])
     beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
@@ -105,27 +113,35 @@ def _beside(run: Path, ending: str) -> Path:
 
 
 def _run_at(
-    path: Path, model: Path | None, zeros: bool, weld_root: bool, accept_inertia: bool
+    path: Path,
+    model: Path | None,
+    settings: list[str] | None,
+    zeros: bool,
+    weld_root: bool,
+    accept_inertia: bool,
 ) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.errors import ExperimentError
-    from testbed.experiment.run import assemble_run
+    from testbed.experiment.evaluate import evaluate_recording
+    from testbed.experiment.experiment import RecordingTables
     from testbed.experiment.run_folder import read_run
-    from testbed.recordings.recording import Recording
-    from testbed.robot.load import load_tree
 
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'")
     if path.is_dir():
+        if model is not None or settings:
+            raise ExperimentError(
+                f"'{path}' is a run folder: it has its own model and settings; --model and --set "
+                "are for recordings"
+            )
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    return assemble_run(
-        tree,
-        Recording.load(path),
-        name=path.stem,
+    return evaluate_recording(
+        path,
+        model,
+        RecordingTables.of(settings or ()),
         zeros=zeros,
-        model=model,
         weld_root=weld_root,
+        accept_inertia=accept_inertia,
     )

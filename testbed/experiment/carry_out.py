@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +11,19 @@ from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.experiment import Experiment, joint_tables
-from testbed.experiment.run import Run, assemble_run
+from testbed.experiment.evaluate import evaluate, held_joints, robot_of
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run
+from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.passes import Progress
-from testbed.identification.settings import Settings
-from testbed.instruments.instrument import Instrument, measure
+from testbed.instruments.chain import Instrument, measure
 from testbed.parameters.minimal_set import minimal_set
-from testbed.recordings.recording import Recording, geometry
-from testbed.robot.load import load_tree
+from testbed.recordings.geometry import geometry
+from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
+from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
@@ -55,49 +53,11 @@ def carry_out(
     return evaluate(experiment, simulate(experiment, progress, watch))
 
 
-def evaluate(
-    experiment: Experiment,
-    recording: Recording,
-    progress: Progress = lambda done, total: None,
-) -> Run:
-    """Identify from an experiment's recording and compare with the truth.
-
-    Args:
-        experiment: What was carried out.
-        recording: What the instrument measured.
-        progress: Called with samples done and samples in all, method by method.
-    """
-    return assemble_run(
-        robot_of(experiment),
-        recording,
-        name=experiment.name,
-        settings=settings_of(experiment),
-        zeros=experiment.identification.zeros,
-        experiment=experiment,
-        model=Path(experiment.model),
-        weld_root=experiment.weld_root,
-        progress=progress,
-    )
-
-
-def settings_of(experiment: Experiment) -> Settings:
-    """How an experiment's signals are treated.
-
-    Args:
-        experiment: Says so in its table `identification`.
-    """
-    table = experiment.identification
-    return Settings(
-        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
-        cutoff=None if table.cutoff == "off" else table.cutoff,
-        deadband=table.deadband,
-    )
-
-
 def simulate(
     experiment: Experiment,
     progress: Progress = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
 ) -> Recording:
     """Simulate an experiment's robot on its bedplate and measure it.
 
@@ -105,16 +65,18 @@ def simulate(
         experiment: What to do.
         progress: Called with samples done and samples in all.
         watch: Called with what happens while it is simulated, a second or so at a time.
+        forces: On the joints, besides motors and the model's friction, asked before every step.
     """
     tree, sampling = robot_of(experiment), _sampling(experiment)
-    table = experiment.measurement.model_dump(exclude={"rate", "averaged"})
-    instrument, simulation = Instrument(**table), experiment.simulation
+    instrument, simulation = experiment.measurement, experiment.simulation
     motion = _motion(experiment, tree, instrument)
     plant = build_plant(
         Path(experiment.model),
         tree,
         simulation.step,
         weld_root=experiment.weld_root,
+        lock=held_joints(Path(experiment.model), experiment.robot),
+        changed=experiment.robot.joint,
         friction=simulation.friction,
     )
     run = simulate_motion(
@@ -126,29 +88,10 @@ def simulate(
         sampling,
         progress,
         watch,
+        forces,
     )
     facts = _facts(experiment, tree, run)
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, experiment.seed)
-
-
-def robot_of(experiment: Experiment) -> Tree:
-    """The robot of an experiment, under its gravity.
-
-    Args:
-        experiment: Names the model file.
-
-    Raises:
-        ExperimentError: A table names a joint that the robot has not.
-    """
-    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
-    for table, entries in joint_tables(experiment).items():
-        for name in entries:
-            if name not in tree.names:
-                raise ExperimentError(
-                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
-                )
-    gravity = experiment.gravity
-    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
 
 
 def _sampling(experiment: Experiment) -> Sampling:
@@ -240,14 +183,3 @@ def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fouri
         np.random.default_rng(experiment.seed),
     )
     return motion
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, testbed and the packages that make the numbers."""
-    found: dict[str, Any] = {"python": platform.python_version()}
-    for package in ("testbed", "mujoco", "numpy", "scipy", "pin"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found

@@ -17,7 +17,8 @@ from testbed.identification.filters import row_weights
 from testbed.identification.identify import Method
 from testbed.identification.predict import friction, motion_in, predictions
 from testbed.identification.settings import Settings
-from testbed.recordings.recording import AXES, Recording
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
 
 WRENCH_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 

@@ -7,7 +7,7 @@ somebody's own instruments.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbed.errors import RecordingError, UnseenParameters
@@ -18,10 +18,8 @@ from testbed.identification.identify import METHODS, Estimate, Method, identify
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
+from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
-
-_SIGNALS = {"external": "bedplate wrench", "internal": "joint torques"}
-"""What a method needs, in words."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +38,7 @@ class Run:
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
         weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that were held when the model file was read.
         warnings: What a careful reader should know, one line each.
     """
 
@@ -54,6 +53,7 @@ class Run:
     score: Score | None = None
     model: Path | None = None
     weld_root: bool = False
+    lock: Lock = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     @property
@@ -92,6 +92,7 @@ def assemble_run(
     experiment: Experiment | None = None,
     model: Path | None = None,
     weld_root: bool = False,
+    lock: Lock | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
@@ -107,21 +108,18 @@ def assemble_run(
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
         weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that were held when the model file was read.
         progress: Called with samples done and samples in all, method by method.
 
     Raises:
         RecordingError: The recording is of another robot.
     """
     recording = recording.ordered(tree)
-    tree = replace(tree, gravity=tree.gravity_or(recording.facts.get("gravity")))
+    tree = tree.with_gravity(recording.facts.get("gravity"))
     settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in METHODS:
-        measured = recording.wrench if method == "external" else recording.torque
-        if measured is None:
-            failures[method] = f"the recording has no {_SIGNALS[method]}"
-            continue
         try:
             estimates[method] = identify(
                 tree, recording, method, zeros=zeros, settings=settings, progress=progress
@@ -144,5 +142,6 @@ def assemble_run(
         score=judged,
         model=model,
         weld_root=weld_root,
+        lock=lock or {},
         warnings=warnings_of(tree, recording, estimates, failures, errors),
     )

@@ -27,7 +27,9 @@ from testbed.kernel.layout import layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.parameters.rules import Model
-from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.columns import AXES
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
 
@@ -38,6 +40,9 @@ METHODS: tuple[Method, ...] = ("external", "internal")
 
 MODEL_OF: dict[Method, Model] = {"external": "reaction", "internal": "dynamic"}
 """Which parameters a method sees."""
+
+SIGNAL_OF: dict[Method, str] = {"external": "wrench", "internal": "torque"}
+"""What a method needs of a recording besides positions."""
 
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
@@ -127,6 +132,7 @@ def identify(
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
+    _check_signal(source, method)
     gravity = source.facts.get("gravity") if gravity is None else gravity
     minimal = minimal_set(tree, MODEL_OF[method], gravity, zeros)
     geometry = tree.without_inertias()
@@ -151,6 +157,21 @@ def identify(
         raise RecordingError("the recording holds numbers too large to compute with")
     units = (*minimal.units, *_units(tree, terms))
     return _estimate(method, units, minimal, products, found, tuple(warnings))
+
+
+def _check_signal(source: Source, method: Method) -> None:
+    """Whether the recording has what the method needs.
+
+    Raises:
+        RecordingError: It has not.
+    """
+    if SIGNAL_OF[method] in source.signals:
+        return
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
 
 
 def _tare(

@@ -21,7 +21,8 @@ from testbed.arrays import Array
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
 from testbed.kernel.records import Question, Signals, Sums
-from testbed.recordings.recording import LARGEST, Recording, check_times, check_values
+from testbed.recordings.checks import LARGEST, check_times, check_values
+from testbed.recordings.recording import Recording
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
@@ -109,10 +110,10 @@ class Passes:
 
     def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
         if check:
-            check_times(part, "the recording", 1 / self.plan.source.rate, window.first)
+            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         found = self._answer(self.plan.signals(part, window), window, question)
         if check and not found.squares[0] < LARGEST**2:  # what is no number is not
-            check_values(part, "the recording", window.first)
+            check_values(part.columns(), "the recording", window.first)
         return found
 
     def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:

@@ -100,7 +100,7 @@ class Plan:
             position=part.position,
             velocity=part.velocity if sensed and part.velocity is not None else nothing,
             acceleration=part.acceleration if sensed and part.acceleration is not None else nothing,
-            measured=part.torque if dynamic else part.wrench - self.tare,
+            measured=part.measured("torque") if dynamic else part.measured("wrench") - self.tare,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,

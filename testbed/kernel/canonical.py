@@ -23,7 +23,7 @@ STRAIGHT = 1e-14
 """Sine of a lean that is none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Link:
     """One step outward: an offset, a turn about x, then the joint along or about z.
 

@@ -37,6 +37,7 @@ class Entry:
         form: On that body's ten redefined parameters, (10,).
         parts: The same on the redefined parameters of bodies that move.
         direction: Barycentric parameters, by body, for which it is 1 and all others 0.
+        axial: Whether it is the inertia that the body's own joint moves: K_ee, or mbar.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Entry:
     form: Array
     parts: Parts
     direction: Parts
+    axial: bool = False
 
 
 def list_entries(
@@ -65,7 +67,7 @@ def list_entries(
             unit = _UNITS.get(kept.head, "kg m^2")
             name = kept_name(tree, j, kept)
             parts, direction = ((j, kept.form),), ((j, kept.direction),)
-            entries.append(Entry(name, unit, j, kept.form, parts, direction))
+            entries.append(Entry(name, unit, j, kept.form, parts, direction, kept.axial))
     if model == "reaction" and gravity.any() and not tared:
         return _with_static(tree, entries, static_entries(tree, bodies, gravity))
     return entries

@@ -72,6 +72,11 @@ class MinimalSet:
         return tuple(entry.body for entry in self._entries)
 
     @property
+    def axial(self) -> tuple[int, ...]:
+        """Index of the body whose inertia along or about its own joint each is; else -1."""
+        return tuple(entry.body if entry.axial else -1 for entry in self._entries)
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Table and row of the rule that keeps each parameter; `rules.REASONS` says it."""
         return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)

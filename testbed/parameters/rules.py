@@ -50,12 +50,14 @@ class Kept:
         form: Coefficients on the ten parameters, (10,).
         direction: Ten parameters for which this form is 1, every other form kept for the
             joint 0, and nothing migrates, (10,).
+        axial: Whether it is the inertia that the joint itself moves: K_ee, or mbar.
     """
 
     head: str
     tail: str
     form: Array
     direction: Array
+    axial: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +140,7 @@ def _table5(joint: Joint, mobility: Mobility) -> Row:
 
 def _mass() -> Kept:
     unit = np.eye(10)[0]
-    return Kept("mbar", "", unit, unit)
+    return Kept("mbar", "", unit, unit, axial=True)
 
 
 def _moments(directions: Array, names: str) -> tuple[Kept, ...]:
@@ -166,7 +168,8 @@ def _about_axis(
     uv, ue, ve = (_product(*pair, "".join(sorted(key))) for key, pair in between.items())
     spread = _tensor_form(u, u) - _tensor_form(v, v)
     difference = Kept("2*K", "d", spread, (_tensor_part(u, u) - _tensor_part(v, v)) / 2)
-    axial = Kept("K", e + e, _tensor_form(axis, axis), _tensor_part(axis, axis))
+    own = _tensor_form(axis, axis), _tensor_part(axis, axis)
+    axial = Kept("K", e + e, *own, axial=True)
     return _moments(np.array([u, v]), p + q), axial, difference, (ve, ue), uv
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from testbed.experiment.carry_out import versions
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
+from testbed.experiment.versions import versions
 
 Facts = list[tuple[str, str]]
 

@@ -81,7 +81,7 @@ NOTHING = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
 """A body without matter."""
 
 
-def flaw(link: str, mass: float, central: ArrayLike) -> str | None:
+def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
     """What keeps a link from being a rigid body, in one line; None if nothing does.
 
     A link without any matter (all ten parameters zero) is no flaw: files use such links

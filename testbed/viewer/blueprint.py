@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 from testbed.experiment.growth import growing_errors
 from testbed.experiment.predictions import WRENCH_UNITS, Signal
 from testbed.identification.identify import Method
-from testbed.recordings.recording import AXES
+from testbed.recordings.columns import AXES
 from testbed.robot.tree import Tree
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import CUTOFF, Scene, root, safe

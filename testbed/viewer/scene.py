@@ -19,7 +19,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.identify import MODEL_OF, Method
 from testbed.parameters.minimal_set import minimal_set
-from testbed.robot.visuals.appearance import Appearance, load_appearance
+from testbed.robot.visuals.drawn_robot import DrawnRobot, draw
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
@@ -37,12 +37,12 @@ class Scene:
 
     Attributes:
         predictions: The run's recording beside what its estimates say of it.
-        appearance: What the robot looks like.
+        robot: What the robot looks like.
         growth: Estimates from more and more of the recording, by method.
     """
 
     predictions: Predictions
-    appearance: Appearance
+    robot: DrawnRobot
     growth: Mapping[Method, Growth] = field(default_factory=dict)
 
     @property
@@ -78,7 +78,7 @@ class Scene:
         """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
         placed = poses(self.run.tree, self.motion.q[self.frames])
         far = [position for _, position in placed]
-        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.appearance.tips.items()]
+        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.robot.tips.items()]
         return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
 
     @cached_property
@@ -124,9 +124,10 @@ class Scene:
         lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
-        if run.warnings:
+        warnings = (*run.warnings, *self.robot.warnings)
+        if warnings:
             lines.append("## Warnings")
-            lines.append("\n".join(f"- {plain(line)}" for line in run.warnings))
+            lines.append("\n".join(f"- {plain(line)}" for line in warnings))
         return "\n\n".join(lines)
 
     def friction_axes(self, j: int) -> tuple[float, float]:
@@ -143,8 +144,8 @@ def scene_of(run: Run, growth: Mapping[Method, Growth] | None = None) -> Scene:
         run: The run.
         growth: Its estimates from more and more of the recording; default none.
     """
-    appearance = load_appearance(run.tree, run.model, weld_root=run.weld_root)
-    return Scene(predict(run), appearance, growth or {})
+    robot = draw(run.tree, run.model, weld_root=run.weld_root, lock=run.lock)
+    return Scene(predict(run), robot, growth or {})
 
 
 def root(k: int, count: int) -> str:

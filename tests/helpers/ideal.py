@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 import testbed as tb
 from testbed.arrays import Array
@@ -47,3 +51,9 @@ def true_values(tree: tb.Tree, method: Method, zeros: bool = False) -> Array:
     return np.concatenate(
         [delta, [j.coulomb for j in tree.joints], [j.viscous for j in tree.joints]]
     )
+
+
+def plus(recording: Recording, **extra: ArrayLike) -> Recording:
+    """A recording with something added to some of its signals."""
+    changed: dict[str, Any] = {s: recording.measured(s) + np.asarray(v) for s, v in extra.items()}
+    return replace(recording, **changed)

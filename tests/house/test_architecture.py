@@ -44,7 +44,7 @@ ANYWHERE = {"__init__", "__main__", "cli"}
 
 # Packages that only some modules may import.
 GUESTS = {
-    "mujoco": ("robot/formats/mjcf.py", "robot/visuals/mjcf_shapes.py", "simulation/"),
+    "mujoco": ("robot/formats/mjcf", "robot/visuals/mjcf_shapes.py", "simulation/"),
     "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
     "coal": ("robot/visuals/urdf_shapes.py",),
     "rerun": ("viewer/",),

@@ -14,7 +14,7 @@ from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenPar
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.identification.identify import METHODS, Method
 from testbed.recordings.recording import Recording
-from tests.helpers.ideal import EXACT, ideal, true_values
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -94,10 +94,10 @@ def coverage(draws: int, correlation: float) -> Array:
     truth, inside = true_values(tree, "external"), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
-        noise = rng.normal(size=clean.wrench.shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
+        noise = rng.normal(size=clean.measured("wrench").shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
         for k in range(1, len(noise)):
             noise[k] += correlation * noise[k - 1]
-        noisy = replace(clean, wrench=clean.wrench + noise)
+        noisy = plus(clean, wrench=noise)
         estimate = tb.identify(tree, noisy, "external", settings=tb.Settings(cutoff=5.0))
         inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.sigma)
     share: Array = np.mean(inside, axis=0)
@@ -184,8 +184,8 @@ def test_rotor_inertia_is_a_doubt_of_the_internal_estimate(
 
 def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:
     clean = ideal(puma, duration=3.0)
-    noise = np.random.default_rng(0).normal(size=clean.wrench.shape) * 20
-    estimate = tb.identify(puma, replace(clean, wrench=clean.wrench + noise), "external")
+    noise = np.random.default_rng(0).normal(size=clean.measured("wrench").shape) * 20
+    estimate = tb.identify(puma, plus(clean, wrench=noise), "external")
     assert any("poorly determined" in warning for warning in estimate.warnings)
 
 

@@ -24,10 +24,10 @@ from testbed.identification.passes import Passes, is_small
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
-from testbed.recordings.formats.parquet import write_parts
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import open_source
-from tests.helpers.ideal import EXACT, ideal, true_values
+from testbed.recordings.stored import write_parts
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -100,7 +100,7 @@ def test_memory_file_map_and_stream_give_the_same_bits(
         recording,
         names=names,
         position=recording.position[:, ::-1],
-        torque=recording.torque[:, ::-1],
+        torque=recording.measured("torque")[:, ::-1],
     )
     same(tb.identify(tree, turned, method, settings=FILTERED), whole)
 
@@ -115,8 +115,8 @@ def test_kernel_and_reference_give_one_estimate(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     short = encoders(recording.part(0, 4000)) if settings is FILTERED else recording.part(0, 4000)
-    noise = np.random.default_rng(0).normal(size=short.wrench.shape)
-    noisy = replace(short, wrench=short.wrench + noise, torque=short.torque + noise[:, :3])
+    noise = np.random.default_rng(0).normal(size=short.measured("wrench").shape)
+    noisy = plus(short, wrench=noise, torque=noise[:, :3])
     found = []
     for limit in (0.0, 1e9):
         monkeypatch.setattr("testbed.identification.passes.SMALL", limit)
@@ -216,8 +216,8 @@ def test_a_fit_of_some_channels_is_the_fit_of_their_rows(
 ) -> None:
     """All but one channel, by weight and by leaving its rows out of a dense problem."""
     short = recording.part(0, 2000)
-    noise = np.random.default_rng(0).normal(size=short.wrench.shape)
-    noisy = replace(short, wrench=short.wrench + noise, torque=short.torque + noise[:, :3])
+    noise = np.random.default_rng(0).normal(size=short.measured("wrench").shape)
+    noisy = plus(short, wrench=noise, torque=noise[:, :3])
     settings = replace(EXACT, terms=(), deadband=0.0)
     estimate = tb.identify(tree, noisy, method, settings=settings)
     left = {name: 1.0 + k for k, name in enumerate(estimate.channels)}
@@ -225,7 +225,7 @@ def test_a_fit_of_some_channels_is_the_fit_of_their_rows(
     minimal = tb.minimal_set(tree, "dynamic" if method == "internal" else "reaction")
     motion = tb.Motion(noisy.time, noisy.position, noisy.velocity, noisy.acceleration)  # type: ignore[arg-type]
     phi = tb.regressor(tree, motion, minimal)
-    y = noisy.torque if method == "internal" else noisy.wrench
+    y = noisy.measured("torque") if method == "internal" else noisy.measured("wrench")
     keep = [k for k, name in enumerate(estimate.channels) if name in left]
     root = np.sqrt([left[estimate.channels[k]] for k in keep])
     a = (phi[:, keep] * root[:, None]).reshape(-1, minimal.count)
@@ -247,8 +247,8 @@ def correlated(tree: tb.Tree) -> tuple[Recording, Array]:
     rng = np.random.default_rng(5)
     root = np.eye(6) * 0.1
     root[0, 0] = root[4, 0] = 3.0
-    noise = rng.normal(size=clean.wrench.shape) @ root.T
-    return replace(clean, wrench=clean.wrench + noise), root @ root.T
+    noise = rng.normal(size=clean.measured("wrench").shape) @ root.T
+    return plus(clean, wrench=noise), root @ root.T
 
 
 def test_the_full_covariance_of_the_plate_is_worth_knowing(tree: tb.Tree) -> None:
@@ -280,10 +280,13 @@ def test_offset_and_rotor_are_found(puma: tb.Tree) -> None:
     clean = ideal(puma)
     assert clean.acceleration is not None
     offset, rotor = np.array([1.0, -2.0, 0.5]), np.array([0.0, 0.4, 0.7])
-    torque = clean.torque + offset + rotor * clean.acceleration
+    torque = clean.measured("torque") + offset + rotor * clean.acceleration
     settings = replace(EXACT, terms=("coulomb", "viscous", "offset"))
     found = tb.identify(
-        puma, replace(clean, torque=clean.torque + offset), "internal", settings=settings
+        puma,
+        plus(clean, torque=offset),
+        "internal",
+        settings=settings,
     )
     values = dict(zip(found.names, found.values, strict=True))
     units = dict(zip(found.names, found.units, strict=True))

@@ -20,7 +20,7 @@ from rerun.chunk import RrdReader
 
 import testbed as tb
 from testbed.errors import ExperimentError, UnseenParameters, ViewerError
-from testbed.experiment.carry_out import evaluate
+from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import subject_of
@@ -56,7 +56,7 @@ def story(outcome: Run) -> Story:
     grown: dict[Method, Growth] = {
         "external": growth(outcome.tree, outcome.recording, "external", times, zeros=True)
     }
-    shapes = load_shapes(ROOT / "models/puma562.xml", outcome.tree)
+    shapes = load_shapes(ROOT / "models/puma562.xml", outcome.tree).shapes
     return tell(
         "puma", outcome.tree, outcome.recording, shapes, outcome.estimates, outcome.truths, grown
     )
@@ -89,7 +89,7 @@ def rrd(story: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> None:
     found = columns(rrd, "/wrench/Fz", "Scalars:scalars").reshape(-1, 3)
     expected = np.column_stack(
-        [story.measured(story.recording.wrench)[:, 2]]
+        [story.measured(story.recording.measured("wrench"))[:, 2]]
         + [story.wrench[method][:, 2] for method in ("external", "internal")]
     )
     np.testing.assert_array_equal(found, expected)
@@ -99,7 +99,7 @@ def test_every_sample_of_the_wrench_is_in_the_file(story: Story, rrd: Path) -> N
 
 def test_the_arrows_are_the_measured_reaction(story: Story, rrd: Path) -> None:
     size = round(story.recording.rate / 50)
-    wrench = means(story.measured(story.recording.wrench), size)
+    wrench = means(story.measured(story.recording.measured("wrench")), size)
     for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
         found = columns(rrd, f"/world/bedplate/{name}", "Arrows3D:vectors")
         arrows = np.stack(list(found.reshape(-1, 3)))
@@ -163,7 +163,7 @@ def test_both_languages_give_shapes_to_the_right_bodies() -> None:
     seen = {}
     for name in ("puma562.xml", "puma562.urdf"):
         tree = tb.load_tree(ROOT / "models" / name)
-        shapes = load_shapes(ROOT / "models" / name, tree)
+        shapes = load_shapes(ROOT / "models" / name, tree).shapes
         seen[name] = {shape.body for shape in shapes}
         assert all(np.isfinite(shape.position).all() for shape in shapes)
         for shape in shapes:  # the upper arm is beside the shoulder, the column below it
@@ -194,11 +194,11 @@ def test_predictions_without_noise_are_exact(puma: tb.Tree) -> None:
     outcome = tb.carry_out(experiment)
     told = tell("exact", outcome.tree, outcome.recording, estimates=outcome.estimates)
     for method in outcome.estimates:
-        gap = told.wrench[method] - told.measured(outcome.recording.wrench)
-        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.wrench).max()
-    gap = told.torque["internal"] - told.measured(outcome.recording.torque)
+        gap = told.wrench[method] - told.measured(outcome.recording.measured("wrench"))
+        assert np.abs(gap).max() < 1e-8 * np.abs(outcome.recording.measured("wrench")).max()
+    gap = told.torque["internal"] - told.measured(outcome.recording.measured("torque"))
     turning = np.abs(told.motion.qd) > 0.02  # dry friction at rest has no formula
-    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.torque).max()
+    assert np.abs(gap[turning]).max() < 1e-6 * np.abs(outcome.recording.measured("torque")).max()
 
 
 @pytest.fixture
@@ -365,7 +365,7 @@ def test_a_broken_mesh_is_left_out(tmp_path: Path) -> None:
     text = text.replace(f'<link name="{name}">', f'<link name="{name}">{visual}{box}')
     (tmp_path / "r.urdf").write_text(text)
     tree = tb.load_tree(tmp_path / "r.urdf")
-    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree)] == ["box"]
+    assert [shape.kind for shape in load_shapes(tmp_path / "r.urdf", tree).shapes] == ["box"]
 
 
 def test_no_rows_at_all_is_said(puma: tb.Tree, puma_recording: tb.Recording) -> None:

@@ -51,6 +51,19 @@ class Shape:
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
 
+@dataclass(frozen=True)
+class Appearance:
+    """What there is to see of a robot.
+
+    Attributes:
+        shapes: Those that the model file gives.
+        warnings: What the file gives but cannot be shown, a line each.
+    """
+
+    shapes: tuple[Shape, ...]
+    warnings: tuple[str, ...] = ()
+
+
 def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
     """Rotation to the bedplate's axes and position of every body at q = 0."""
     poses: list[tuple[Array, Array]] = []

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.shapes import Appearance, Shape
 from testbed.robot.visuals.sticks import sticks
 
 STEEL = (0.62, 0.64, 0.68, 1.0)
@@ -22,16 +23,18 @@ CLEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Appearance:
-    """What a robot looks like.
+class DrawnRobot:
+    """A robot and what it looks like.
 
     Attributes:
         tree: The robot.
         shapes: On its bodies and on the bedplate.
+        warnings: What of the model file cannot be shown, one line each.
     """
 
     tree: Tree
     shapes: tuple[Shape, ...]
+    warnings: tuple[str, ...] = ()
 
     @cached_property
     def tips(self) -> dict[int, Array]:
@@ -86,22 +89,31 @@ def bounds(shape: Shape) -> tuple[Array, Array]:
     return shape.position - half, shape.position + half
 
 
-def load_appearance(
-    tree: Tree, model: Path | None = None, *, weld_root: bool = False
-) -> Appearance:
+def draw(
+    tree: Tree,
+    model: Path | None = None,
+    *,
+    weld_root: bool = False,
+    lock: Lock | None = None,
+) -> DrawnRobot:
     """What a robot looks like: as its model file draws it, else as sticks.
 
     Args:
         tree: The robot.
         model: Its model file, MJCF or URDF; None if it came from no file.
         weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that are held, as when the tree was read.
 
     Raises:
         ModelError: The file cannot be read.
     """
-    drawn = () if model is None else load_shapes(model, tree, weld_root=weld_root)
-    shapes = drawn or tuple(sticks(tree))
-    return Appearance(tree, _with_plate(tree, shapes))
+    seen = (
+        Appearance(())
+        if model is None
+        else load_shapes(model, tree, weld_root=weld_root, lock=lock)
+    )
+    shapes = seen.shapes or tuple(sticks(tree))
+    return DrawnRobot(tree, _with_plate(tree, shapes), seen.warnings)
 
 
 def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:

@@ -2,41 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import testbed as tb
 from testbed.arrays import Array, skew
-from testbed.dynamics.algebra import NUMBERS
-from testbed.dynamics.kinematics import kinematics
-from testbed.dynamics.newton_euler import transmitted
-from tests.helpers.robots import Robot, random_robot, random_states
+from testbed.dynamics.inverse_dynamics import blocks, parameter_regressor
+from testbed.parameters.rules import Model
+from tests.helpers.pinocchio import by_pinocchio
+from tests.helpers.robots import random_robot, random_states
 
 WITNESS = 1e-12  # relative to the largest entry
 GOLDEN_TOLERANCE = 1e-10
+MODELS: tuple[Model, ...] = ("dynamic", "reaction")
 
 
 def motion(rng: np.random.Generator, samples: int, n: int) -> tb.Motion:
     return tb.Motion(np.arange(samples, dtype=float), *random_states(rng, samples, n))
-
-
-def by_pinocchio(robot: Robot, tree: tb.Tree, states: tb.Motion) -> tuple[Array, Array]:
-    """Joint forces and the wrench on robot and pedestal: a free-flyer root held still."""
-    model = pin.buildModelFromXML(robot.urdf(), pin.JointModelFreeFlyer())
-    model.gravity.linear = tree.gravity
-    data = model.createData()
-    columns = [model.idx_vs[model.getJointId(name)] for name in tree.names]
-    places = [model.idx_qs[model.getJointId(name)] for name in tree.names]
-    forces = []
-    for q, qd, qdd in zip(states.q, states.qd, states.qdd, strict=True):
-        full_q, full_v, full_a = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
-        full_q[places], full_v[columns], full_a[columns] = q, qd, qdd
-        forces.append(pin.rnea(model, data, full_q, full_v, full_a))
-    stacked = np.array(forces)
-    return stacked[:, columns], stacked[:, :6]
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -45,7 +30,9 @@ def test_joint_forces_and_base_wrench_are_pinocchios(seed: int) -> None:
     robot = random_robot(rng, int(rng.integers(1, 11)), gravity=rng.normal(size=3) * 6)
     tree = robot.tree()
     states = motion(rng, 5, tree.n)
-    forces, wrench = by_pinocchio(robot, tree, states)
+    forces, wrench, *_ = by_pinocchio(
+        robot.urdf(), tree, (states.q, states.qd, states.qdd), pedestal=True
+    )
     base = tb.base_wrench(tree, states) + tb.pedestal_wrench(tree)
     assert np.abs(tb.joint_forces(tree, states) - forces).max() <= WITNESS * np.abs(forces).max()
     assert np.abs(base - wrench).max() <= WITNESS * np.abs(wrench).max()
@@ -172,35 +159,56 @@ def test_forces_do_not_depend_on_how_samples_are_blocked(puma: tb.Tree) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_recursion_serves_other_algebras(seed: int) -> None:
-    """On arrays of Python objects, one sample, it gives what it gives on floats."""
+def test_another_gravity_is_that_of_a_robot_in_it(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    tree = random_robot(rng, 5).tree()
-    state = motion(rng, 1, tree.n)
-    seen: list[str] = []
-
-    class Objects:
-        def sin(self, angle: Any) -> Any:
-            return np.array(float(np.sin(float(angle))), dtype=object)
-
-        def cos(self, angle: Any) -> Any:
-            return np.array(float(np.cos(float(angle))), dtype=object)
-
-        def keep(self, name: str, value: Any) -> Any:
-            seen.append(name)
-            return value
-
-    theta = tb.barycentric(tree)[..., None]
-    results = []
-    for algebra, dtype in ((NUMBERS, float), (Objects(), object)):
-        q, qd, qdd = (x[0].astype(dtype) for x in (state.q, state.qd, state.qdd))
-        moving = kinematics(tree, q, qd, qdd, tree.gravity, algebra)
-        results.append(transmitted(tree, moving, theta.astype(dtype), algebra))
-    for numbers, objects in zip(*results, strict=True):
-        np.testing.assert_allclose(objects.astype(float), numbers, rtol=1e-13, atol=1e-13)
-    assert {"w1", "wd1", "a1", "F1", "L5"} <= set(seen)
+    tree = random_robot(rng, 4).tree()
+    gravity = rng.normal(size=3) * 5
+    there = replace(tree, gravity=gravity)
+    states = motion(rng, 4, tree.n)
+    for law in (tb.joint_forces, tb.base_wrench):
+        np.testing.assert_array_equal(law(tree, states, gravity), law(there, states))
+        assert not np.allclose(law(tree, states, gravity), law(tree, states))
+    np.testing.assert_array_equal(tb.pedestal_wrench(tree, gravity), tb.pedestal_wrench(there))
+    for model in MODELS:
+        minimal = tb.minimal_set(tree, model, gravity)
+        np.testing.assert_array_equal(
+            tb.regressor(tree, states, minimal), tb.regressor(there, states, minimal)
+        )
+        np.testing.assert_array_equal(
+            parameter_regressor(tree, states, model, gravity),
+            parameter_regressor(there, states, model),
+        )
 
 
-def test_a_motion_of_the_wrong_shape_is_refused() -> None:
-    with pytest.raises(ValueError, match="qd has shape"):
-        tb.Motion(np.zeros(3), np.zeros((3, 2)), np.zeros((3, 1)), np.zeros((3, 2)))
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pedestal_weighs_where_its_centre_is(seed: int) -> None:
+    """Force minus m g, moment of that force about O^0."""
+    tree = random_robot(np.random.default_rng(seed), 1).tree()
+    wrench, weight = tb.pedestal_wrench(tree), tree.pedestal.mass * tree.gravity
+    np.testing.assert_allclose(wrench[:3], -weight)
+    np.testing.assert_allclose(wrench[3:], np.cross(tree.pedestal.com, -weight))
+
+
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize("seed", range(5))
+def test_the_whole_regressor_times_barycentric_parameters_is_the_force(
+    seed: int, model: Model
+) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 4).tree()
+    states = motion(rng, 4, tree.n)
+    force = (tb.joint_forces if model == "dynamic" else tb.base_wrench)(tree, states)
+    rows = parameter_regressor(tree, states, model)
+    np.testing.assert_allclose(rows @ tb.barycentric(tree).ravel(), force, atol=1e-10)
+
+
+def test_the_motion_of_another_robot_is_refused(puma: tb.Tree) -> None:
+    with pytest.raises(ValueError, match="a motion of 2 joints, a robot of 3"):
+        tb.joint_forces(puma, motion(np.random.default_rng(0), 5, 2))
+
+
+@pytest.mark.parametrize(("samples", "size"), [(0, 4), (3, 4), (4, 4), (9, 4)])
+def test_blocks_are_all_samples_once_in_order(samples: int, size: int) -> None:
+    taken = [np.arange(samples)[part] for part in blocks(samples, size)]
+    assert all(0 < len(part) <= size for part in taken)
+    assert [k for part in taken for k in part] == list(range(samples))

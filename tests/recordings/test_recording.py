@@ -11,8 +11,9 @@ import pytest
 
 import testbed as tb
 from testbed.errors import RecordingError
-from testbed.instruments.instrument import Instrument, measure
-from testbed.recordings.recording import Recording, Truth, check_robot, geometry
+from testbed.instruments.chain import Instrument, measure
+from testbed.recordings.geometry import check_robot, geometry
+from testbed.recordings.recording import Recording, Truth
 from tests.helpers.robots import random_robot
 
 
@@ -72,8 +73,8 @@ def test_channels_have_noise_of_their_own() -> None:
     """Switching the plate's noise off leaves the drives' noise as it was."""
     both = recording(Instrument(torque_noise=1.0, force_noise=1.0, encoder_noise=1.0))
     one = recording(Instrument(torque_noise=1.0))
-    np.testing.assert_array_equal(both.torque, one.torque)
-    assert not np.array_equal(both.wrench, one.wrench)
+    np.testing.assert_array_equal(both.measured("torque"), one.measured("torque"))
+    assert not np.array_equal(both.measured("wrench"), one.measured("wrench"))
 
 
 def test_the_same_seed_gives_the_same_noise_and_another_another() -> None:
@@ -96,14 +97,16 @@ def test_noise_and_gain_are_what_was_asked() -> None:
     r = measure(instrument, ("a", "b"), np.arange(n) / 1e3, clean, np.zeros(6), {}, 3)
     np.testing.assert_allclose(r.position, clean.position, atol=0.5e-3 * (1 + 1e-9))
     np.testing.assert_allclose(r.position / 1e-3, np.round(r.position / 1e-3), atol=1e-6)
-    assert np.std(r.torque[:, 0] - clean.torque[:, 0]) == pytest.approx(0.5, rel=0.03)
-    assert np.std(r.torque[:, 1] - 1.08 * clean.torque[:, 1]) == pytest.approx(0.5, rel=0.03)
-    spread = np.std(r.wrench - clean.wrench, axis=0)
+    assert np.std(r.measured("torque")[:, 0] - clean.torque[:, 0]) == pytest.approx(0.5, rel=0.03)
+    assert np.std(r.measured("torque")[:, 1] - 1.08 * clean.torque[:, 1]) == pytest.approx(
+        0.5, rel=0.03
+    )
+    spread = np.std(r.measured("wrench") - clean.wrench, axis=0)
     np.testing.assert_allclose(spread, [2, 2, 2, 0.1, 0.1, 0.1], rtol=0.03)
 
 
 def test_a_value_that_is_no_number_is_named_with_its_sample_and_time(tmp_path: Path) -> None:
-    bad = recording().wrench.copy()
+    bad = recording().measured("wrench").copy()
     bad[7, 2] = np.nan
     replace(recording(), wrench=bad).save(tmp_path / "r.parquet")
     with pytest.raises(RecordingError, match=r"'wrench/Fz' is nan at sample 7 \(t = 0\.07 s\)"):
@@ -162,4 +165,4 @@ def test_columns_are_mapped_by_name_never_by_position(puma: tb.Tree) -> None:
     position = np.tile([3.0, 1.0, 2.0], (50, 1))
     shuffled = Recording(names, np.arange(50.0), position, position, np.zeros((50, 6)))
     np.testing.assert_array_equal(shuffled.ordered(puma).position[0], [1, 2, 3])
-    np.testing.assert_array_equal(shuffled.ordered(puma).torque[0], [1, 2, 3])
+    np.testing.assert_array_equal(shuffled.ordered(puma).measured("torque")[0], [1, 2, 3])
