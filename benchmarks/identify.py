@@ -14,11 +14,11 @@ import numpy as np
 import testbed as tb
 from benchmarks.regressor import Case, stack
 from benchmarks.timing import forget_peak, least, peak_rss
-from testbed.identification.identify import Method
+from testbed.identification.estimate import Method
 from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording
 
-EXACT = tb.Settings(None, None, deadband=0.0, terms=())
+EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=())
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
 """How many times the samples of a case make a long recording."""
 

@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Gravity, Json, RecordingSet, Set, Weld, Zeros, app, note
+from testbed.cli.options import (
+    Accept,
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    RecordingSet,
+    Set,
+    Weld,
+    Zeros,
+    app,
+    note,
+)
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -104,6 +117,8 @@ def identify(
     gravity: Gravity = None,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Default one a processor.")] = None,
     as_json: Json = False,
 ) -> None:
@@ -113,16 +128,14 @@ def identify(
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
-    from testbed.experiment.experiment import RecordingTables
     from testbed.experiment.results import estimate_as_json
-    from testbed.identification.identify import METHODS, SIGNAL_OF
+    from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.recordings.source import open_source
     from testbed.report import terminal
-    from testbed.robot.load import load_tree
 
-    tables = RecordingTables.of(settings or ())
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    table, tree = reading.tables().identification, reading.tree(model)
     source = open_source(recording)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
@@ -135,9 +148,8 @@ def identify(
                 tree,
                 source,
                 name,
-                zeros=zeros or tables.identification.zeros,
                 gravity=gravity,
-                settings=tables.identification.settings,
+                settings=table,
                 threads=threads,
                 progress=progress,
             )
@@ -168,12 +180,10 @@ def _unwatched(time: Array, truth: Truth) -> None:
 
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
-    from testbed.experiment.evaluate import held_joints, robot_of
-    from testbed.robot.visuals.drawn_robot import draw
+    from testbed.experiment.evaluate import model_of, robot_of
+    from testbed.robot.visuals.appearance import load_appearance
     from testbed.viewer.live import Live
 
-    model = Path(experiment.model)
-    lock = held_joints(model, experiment.robot)
-    robot = draw(robot_of(experiment), model, weld_root=experiment.weld_root, lock=lock)
-    note(robot.warnings)
-    return Live(experiment.name, robot)
+    look = load_appearance(robot_of(experiment), model_of(experiment))
+    note(look.warnings)
+    return Live(experiment.name, look)

@@ -20,8 +20,8 @@ from testbed.cli.options import (
     Zero,
     Zeros,
     app,
-    lock_of,
 )
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
     from testbed.robot.tree import Tree
@@ -84,10 +84,8 @@ def minimal(
     from testbed.parameters.minimal_set import minimal_set
     from testbed.report import terminal
     from testbed.report.minimal import as_document, print_sets
-    from testbed.robot.load import load_tree
 
-    held = lock_of(model, lock, lock_mimic)
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia, lock=held)
+    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
@@ -145,14 +143,12 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.files import fingerprint, replacing
-    from testbed.robot.load import load_tree
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
 
-    held = lock_of(model, lock, lock_mimic)
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia, lock=held)
+    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")

@@ -107,15 +107,6 @@ Gravity = Annotated[
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
 
 
-def lock_of(model: Path, lock: list[str] | None, lock_mimic: bool) -> dict[str, float | None]:
-    """What --lock and --lock-mimic hold of a model."""
-    from testbed.robot.load import mimic_joints
-    from testbed.robot.locks import parse_lock
-
-    held = parse_lock(lock or ())
-    return dict.fromkeys(mimic_joints(model)) | held if lock_mimic else held
-
-
 def note(lines: Iterable[str]) -> None:
     """Say on standard error what a person should know, a line each."""
     for line in lines:

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, RecordingSet, Weld, Zeros, app, note
+from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app, note
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -33,6 +34,8 @@ def view(
     zeros: Zeros = False,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
 
@@ -45,17 +48,19 @@ def view(
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
     scenes = []
     with terminal.Progress("looking") as progress:
         for k, path in enumerate(runs):
             progress(k, len(runs))
-            run = _run_at(path, model, settings, zeros, weld_root, accept_inertia)
+            run = _run_at(path, model, reading)
             scenes.append(scene_of(run, growth(run)))
     path = save or _beside(runs[0], ".rrd")
     write_rrd(scenes, path)
+    out = terminal.console()
     for scene in scenes:
-        note((*scene.run.warnings, *scene.robot.warnings))
-    terminal.console().print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
+        terminal.print_warnings(out, scene.warnings)
+    out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
     elif save is None:
@@ -75,6 +80,8 @@ def report(
     zeros: Zeros = False,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
 
@@ -92,12 +99,13 @@ def report(
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
-    done = _run_at(run, model, settings, zeros, weld_root, accept_inertia)
-    other = None
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
         try:
             other = unseen(done, progress)
         except TestbedError as error:
+            other = None
             note([f"predictions are checked on the identified motion only: {error}"])
     beside = write_report(done, path, other)
     terminal.console().print(
@@ -112,36 +120,24 @@ def _beside(run: Path, ending: str) -> Path:
     return (run.parent if run.name else whole.parent) / name
 
 
-def _run_at(
-    path: Path,
-    model: Path | None,
-    settings: list[str] | None,
-    zeros: bool,
-    weld_root: bool,
-    accept_inertia: bool,
-) -> Run:
+def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.errors import ExperimentError
-    from testbed.experiment.evaluate import evaluate_recording
-    from testbed.experiment.experiment import RecordingTables
+    from testbed.experiment.run import assemble_run
     from testbed.experiment.run_folder import read_run
+    from testbed.recordings.recording import Recording
 
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'")
     if path.is_dir():
-        if model is not None or settings:
-            raise ExperimentError(
-                f"'{path}' is a run folder: it has its own model and settings; --model and --set "
-                "are for recordings"
-            )
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-    return evaluate_recording(
-        path,
-        model,
-        RecordingTables.of(settings or ()),
-        zeros=zeros,
-        weld_root=weld_root,
-        accept_inertia=accept_inertia,
+    table = reading.tables().identification
+    return assemble_run(
+        reading.tree(model),
+        Recording.load(path),
+        name=path.stem,
+        settings=table,
+        model=reading.model_file(model),
     )

@@ -11,7 +11,7 @@ from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.evaluate import evaluate, held_joints, robot_of
+from testbed.experiment.evaluate import evaluate, model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
@@ -71,11 +71,9 @@ def simulate(
     instrument, simulation = experiment.measurement, experiment.simulation
     motion = _motion(experiment, tree, instrument)
     plant = build_plant(
-        Path(experiment.model),
+        model_of(experiment),
         tree,
         simulation.step,
-        weld_root=experiment.weld_root,
-        lock=held_joints(Path(experiment.model), experiment.robot),
         changed=experiment.robot.joint,
         friction=simulation.friction,
     )

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 from testbed.errors import ExperimentError
-from testbed.experiment.experiment import Experiment, RecordingTables
-from testbed.experiment.experiment_tables import RobotTable
+from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
-from testbed.robot.load import load_tree, mimic_joints
+from testbed.robot.load import mimic_joints
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
 
@@ -30,45 +30,10 @@ def evaluate(
         robot_of(experiment),
         recording,
         name=experiment.name,
-        settings=experiment.identification.settings,
-        zeros=experiment.identification.zeros,
+        settings=experiment.identification,
         experiment=experiment,
-        model=Path(experiment.model),
-        weld_root=experiment.weld_root,
-        lock=held_joints(Path(experiment.model), experiment.robot),
+        model=model_of(experiment),
         progress=progress,
-    )
-
-
-def evaluate_recording(
-    path: Path,
-    model: Path,
-    tables: RecordingTables | None = None,
-    *,
-    zeros: bool = False,
-    weld_root: bool = False,
-    accept_inertia: bool = False,
-) -> Run:
-    """Identify from a recording that no experiment made, by every method that it allows.
-
-    Args:
-        path: The recording.
-        model: The robot's model file.
-        tables: How the model file is read and the estimates are made; default as usual.
-        zeros: Take parameters that are zero in the model file as known, whatever the tables say.
-        weld_root: Weld a floating root to the bedplate.
-        accept_inertia: Take impossible inertias with a warning.
-    """
-    tables = tables or RecordingTables()
-    return assemble_run(
-        load_robot(model, tables.robot, weld_root=weld_root, accept_inertia=accept_inertia),
-        Recording.load(path),
-        name=path.stem,
-        settings=tables.identification.settings,
-        zeros=zeros or tables.identification.zeros,
-        model=model,
-        weld_root=weld_root,
-        lock=held_joints(model, tables.robot),
     )
 
 
@@ -81,40 +46,22 @@ def robot_of(experiment: Experiment) -> Tree:
     Raises:
         ExperimentError: A table names a joint that the robot has not.
     """
-    model = Path(experiment.model)
-    tree = load_robot(model, experiment.robot, weld_root=experiment.weld_root)
+    tree = model_of(experiment).tree()
     for table, entries in experiment.joint_tables.items():
         for name in entries:
             if name not in tree.names:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    return tree.with_gravity(experiment.gravity)
+    return tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
 
 
-def load_robot(
-    model: Path, table: RobotTable, *, weld_root: bool = False, accept_inertia: bool = False
-) -> Tree:
-    """A model file's robot, with what a table says of it.
+def model_of(experiment: Experiment) -> ModelFile:
+    """The model file of an experiment, and how it is read.
 
     Args:
-        model: The model file.
-        table: Joints that are held, and what the file does not say of others.
-        weld_root: Weld a floating root to the bedplate.
-        accept_inertia: Take impossible inertias with a warning.
+        experiment: Says so in `model`, `weld_root` and its table `robot`.
     """
-    lock = held_joints(model, table)
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia, lock=lock)
-    known = {name: t.model_dump(exclude_none=True) for name, t in table.joint.items()}
-    return tree.with_joints(known)
-
-
-def held_joints(model: Path, table: RobotTable) -> dict[str, float | None]:
-    """The joints that a table holds, and where; None: where the joint rests.
-
-    Args:
-        model: The model file.
-        table: Says which.
-    """
-    mimic = mimic_joints(model) if table.lock_mimic else ()
-    return dict.fromkeys(mimic) | table.lock
+    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
+    held = dict.fromkeys(mimic) | experiment.robot.lock
+    return ModelFile(Path(experiment.model), weld_root=experiment.weld_root, lock=held)

@@ -22,13 +22,13 @@ from testbed.experiment.experiment_tables import (
     METRICS,
     Bound,
     Finite,
-    IdentificationTable,
     MotionTable,
     RobotTable,
     SimulationTable,
     Table,
 )
 from testbed.experiment.toml_text import checked, complaints, override, read_toml
+from testbed.identification.settings import Settings
 from testbed.instruments.chain import Instrument
 
 
@@ -37,7 +37,7 @@ class RecordingTables(Table):
 
     robot: RobotTable = RobotTable()
     """How the model file is read."""
-    identification: IdentificationTable = IdentificationTable()
+    identification: Settings = Settings()
     """How the estimates are made."""
 
     @staticmethod
@@ -71,7 +71,7 @@ class ExperimentTables(Table):
     motion: MotionTable = MotionTable()
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
-    identification: IdentificationTable = IdentificationTable()
+    identification: Settings = Settings()
     expect: dict[str, Bound] = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
 

@@ -1,21 +1,19 @@
 """The tables of an experiment file: settings with units, defaults and bounds, each in one place.
 
-The instrument's table is `instruments.chain.Instrument`: the value that measures is the table.
+Two tables are the very values that act: `measurement` is `instruments.chain.Instrument`, and
+`identification` is `identification.settings.Settings`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-
-from testbed.identification.settings import Settings
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Cutoff = Positive | Literal["off"]
 Range = tuple[Finite, Finite]
 
 METRICS = (
@@ -66,6 +64,11 @@ class RobotTable(Table):
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
 
+    @property
+    def settings(self) -> dict[str, dict[str, object]]:
+        """What is said of joints, by joint and key."""
+        return {name: table.model_dump(exclude_none=True) for name, table in self.joint.items()}
+
 
 class MotionTable(Table):
     """Which motion: the best of a few random Fourier series within the limits."""
@@ -95,34 +98,6 @@ class SimulationTable(Table):
     """Of the joint controllers [rad/s]."""
     warm_up: NotNegative = 2.0
     """Time run before the recording starts [s]."""
-
-
-class IdentificationTable(Table):
-    """How the estimates are made."""
-
-    zeros: bool = False
-    """Parameters that are zero in the model file are known."""
-    position_cutoff: Cutoff = 40.0
-    """Low-pass on encoder positions [Hz], or "off"."""
-    cutoff: Cutoff = 5.0
-    """Parallel low-pass on regressor and measurement [Hz], or "off"."""
-    deadband: NotNegative = 0.02
-    """Joint rows at lower speeds are dropped [rad/s or m/s]."""
-    terms: tuple[Literal["coulomb", "viscous", "offset", "rotor"], ...] = ("coulomb", "viscous")
-    """What a joint's torque holds besides the robot's."""
-    weights: Literal["channels", "full"] = "channels"
-    """Noise: each channel's own, or all together."""
-
-    @property
-    def settings(self) -> Settings:
-        """As the identification takes them."""
-        return Settings(
-            position_cutoff=None if self.position_cutoff == "off" else self.position_cutoff,
-            cutoff=None if self.cutoff == "off" else self.cutoff,
-            deadband=self.deadband,
-            terms=self.terms,
-            weights=self.weights,
-        )
 
 
 class Bound(Table):

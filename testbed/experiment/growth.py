@@ -11,7 +11,8 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors
-from testbed.identification.identify import Method, identify
+from testbed.identification.estimate import Method
+from testbed.identification.identify import identify
 
 STAGES = 12
 """Estimates from more and more of a recording."""
@@ -58,7 +59,6 @@ def growth(run: Run, times: Sequence[float] | None = None) -> dict[Method, Growt
                     run.tree,
                     recording.part(0, samples),
                     method,
-                    zeros=run.zeros,
                     settings=run.settings,
                 )
             except (RecordingError, UnseenParameters):
@@ -81,8 +81,6 @@ def growing_errors(run: Run, method: Method, grown: Growth) -> Array:
         grown: How that estimate grew.
     """
     whole = run.estimates[method]
-    count, known = whole.count, run.truths
-    aim = np.array(
-        [known.get(name, value) for name, value in zip(whole.names, whole.values, strict=True)]
-    )
-    return relative_errors(grown.values[:, :count], aim[:count], whole.units[:count])
+    base, known = whole.base, run.truths
+    aim = [known.get(name, value) for name, value in zip(base.names, base.values, strict=True)]
+    return relative_errors(grown.values[:, : len(aim)], np.array(aim), base.units)

@@ -13,8 +13,8 @@ from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.experiment.run import Run
+from testbed.identification.estimate import Method
 from testbed.identification.filters import row_weights
-from testbed.identification.identify import Method
 from testbed.identification.predict import friction, motion_in, predictions
 from testbed.identification.settings import Settings
 from testbed.recordings.columns import AXES
@@ -106,7 +106,7 @@ class Predictions:
             speed: Joint velocities, (k, n) [rad/s or m/s].
         """
         internal = self.run.estimates.get("internal")
-        return None if internal is None else friction(self.run.tree, speed, internal)
+        return None if internal is None else friction(speed, internal)
 
 
 def predict(run: Run, recording: Recording | None = None) -> Predictions:

@@ -9,7 +9,7 @@ import numpy as np
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
 from testbed.experiment.versions import versions
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 
 
 def result(run: Run) -> dict[str, Any]:
@@ -44,7 +44,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "values": estimate.values.tolist(),
         "sigma": estimate.sigma.tolist(),
         "covariance": estimate.covariance.tolist(),
-        "count": estimate.count,
+        "count": len(estimate.base.names),
         "channels": list(estimate.channels),
         "residual": estimate.residual.tolist(),
         "relative_residual": estimate.relative_residual.tolist(),

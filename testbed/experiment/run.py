@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
-from testbed.identification.identify import METHODS, Estimate, Method, identify
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
-from testbed.robot.locks import Lock
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 
 
@@ -33,12 +33,9 @@ class Run:
         estimates: By method; only those that could be made.
         failures: Why a method has no estimate, by method.
         settings: How the recording's signals were treated.
-        zeros: Whether zeros of the model file were taken as known.
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that were held when the model file was read.
         warnings: What a careful reader should know, one line each.
     """
 
@@ -48,12 +45,9 @@ class Run:
     estimates: Mapping[Method, Estimate]
     failures: Mapping[Method, str] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
-    zeros: bool = False
     experiment: Experiment | None = None
     score: Score | None = None
-    model: Path | None = None
-    weld_root: bool = False
-    lock: Lock = field(default_factory=dict)
+    model: ModelFile | None = None
     warnings: tuple[str, ...] = ()
 
     @property
@@ -88,11 +82,8 @@ def assemble_run(
     *,
     name: str,
     settings: Settings | None = None,
-    zeros: bool = False,
     experiment: Experiment | None = None,
-    model: Path | None = None,
-    weld_root: bool = False,
-    lock: Lock | None = None,
+    model: ModelFile | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
@@ -104,31 +95,28 @@ def assemble_run(
         recording: What was measured; its gravity, where it says so, goes before the tree's.
         name: Of the run.
         settings: How the signals are treated; default `Settings()`.
-        zeros: Take barycentric parameters that are zero in the model file as known.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that were held when the model file was read.
         progress: Called with samples done and samples in all, method by method.
 
     Raises:
         RecordingError: The recording is of another robot.
     """
     recording = recording.ordered(tree)
-    tree = tree.with_gravity(recording.facts.get("gravity"))
+    tree = in_its_gravity(tree, recording)
     settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in METHODS:
         try:
             estimates[method] = identify(
-                tree, recording, method, zeros=zeros, settings=settings, progress=progress
+                tree, recording, method, settings=settings, progress=progress
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)
     judged = None
     if experiment is not None:
-        judged = score(tree, estimates, zeros, experiment.simulation.friction)
+        judged = score(tree, estimates, settings.zeros, experiment.simulation.friction)
     errors = {} if judged is None else judged.errors
     return Run(
         name=name,
@@ -137,11 +125,8 @@ def assemble_run(
         estimates=estimates,
         failures=failures,
         settings=settings,
-        zeros=zeros,
         experiment=experiment,
         score=judged,
         model=model,
-        weld_root=weld_root,
-        lock=lock or {},
         warnings=warnings_of(tree, recording, estimates, failures, errors),
     )

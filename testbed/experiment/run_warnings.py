@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from testbed.experiment.score import Errors
-from testbed.identification.identify import Estimate, Method
+from testbed.identification.estimate import Estimate, Method
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.identify import MODEL_OF, Estimate, Method
+from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.tree import Tree
@@ -61,7 +61,12 @@ class Score:
         }
 
 
-def score(tree: Tree, estimates: Mapping[Method, Estimate], zeros: bool, friction: bool) -> Score:
+def score(
+    tree: Tree,
+    estimates: Mapping[Method, Estimate],
+    zeros: bool | Sequence[str],
+    friction: bool,
+) -> Score:
     """Compare the estimates of one run with the truth.
 
     Relative rms errors are over delta_d, which both methods know: the external one's is
@@ -70,11 +75,11 @@ def score(tree: Tree, estimates: Mapping[Method, Estimate], zeros: bool, frictio
     Args:
         tree: The robot with its true inertias and friction, under the recording's gravity.
         estimates: By method.
-        zeros: Whether zeros of the model file were taken as known.
+        zeros: Which zeros were taken as known, as in `minimal_set`.
         friction: Whether the plant had the file's friction.
     """
     errors = {
-        method: _errors(estimate, _truth(tree, estimate, zeros, friction))
+        method: _errors(estimate, _truth(tree, estimate, friction))
         for method, estimate in estimates.items()
     }
     metrics: dict[str, float | None] = {}
@@ -84,7 +89,7 @@ def score(tree: Tree, estimates: Mapping[Method, Estimate], zeros: bool, frictio
         metrics["external_rms_relative_error"] = _rms(shared)
     if "internal" in errors:
         metrics |= _inertial("internal", errors, estimates)
-        count = estimates["internal"].count
+        count = estimates["internal"].minimal.count
         metrics["internal_rms_relative_error"] = _rms(errors["internal"].relative[:count])
         metrics["friction_max_relative_error"] = _largest(errors["internal"].relative[count:])
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
@@ -93,22 +98,18 @@ def score(tree: Tree, estimates: Mapping[Method, Estimate], zeros: bool, frictio
     return Score(errors, {name: value for name, value in metrics.items() if value is not None})
 
 
-def _truth(tree: Tree, estimate: Estimate, zeros: bool, friction: bool) -> Array:
+def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
     """True values in the order of an estimate's names."""
-    minimal = minimal_set(tree, MODEL_OF[estimate.method], zeros=zeros)
-    terms = {
-        f"{kind}/{joint.name}": getattr(joint, kind) if friction else 0.0
-        for kind in ("coulomb", "viscous")
-        for joint in tree.joints
-    }
-    inertial = minimal.values(barycentric(tree))
-    return np.concatenate([inertial, [terms[name] for name in estimate.names[estimate.count :]]])
+    theta = barycentric(tree)
+    if estimate.drives is None:
+        return estimate.minimal.values(theta)
+    return estimate.drives.values(theta, tree if friction else tree.without_friction())
 
 
-def _shared(tree: Tree, external: Estimate, zeros: bool) -> Array:
+def _shared(tree: Tree, external: Estimate, zeros: bool | Sequence[str]) -> Array:
     """Relative errors of delta_d by the plate's estimate."""
-    dynamic, reaction = (minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
-    values = selection(dynamic, reaction) @ external.values
+    dynamic = minimal_set(tree, "dynamic", zeros=zeros)
+    values = selection(dynamic, external.minimal) @ external.base.values
     return relative_errors(values, dynamic.values(barycentric(tree)), dynamic.units)
 
 
@@ -116,7 +117,7 @@ def _inertial(
     method: Method, errors: Mapping[Method, Errors], estimates: Mapping[Method, Estimate]
 ) -> dict[str, float | None]:
     """Metrics over one method's own minimal parameters."""
-    count = estimates[method].count
+    count = estimates[method].minimal.count
     return {
         f"{method}_max_relative_error": _largest(errors[method].relative[:count]),
         f"{method}_max_z": _largest(errors[method].z[:count]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.experiment.run import Run
-from testbed.identification.identify import METHODS
+from testbed.identification.estimate import METHODS
 
 _SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
 
@@ -23,9 +23,9 @@ def _found(run: Run) -> str:
     data = f"{length:.3g} s at {recording.rate:.4g} Hz"
     told = []
     for method, estimate in run.estimates.items():
-        terms = len(estimate.names) - estimate.count
-        more = f" and {terms} friction coefficients" if terms else ""
-        told.append(f"{_SOURCES[method]} tell {estimate.count} inertial parameters{more}")
+        terms, count = len(estimate.joint_terms), len(estimate.base.names)
+        more = f" and {terms} coefficients of the joints" if terms else ""
+        told.append(f"{_SOURCES[method]} tell {count} inertial parameters{more}")
     if not told:
         return f"From {data} of {run.tree.name} no estimate could be made."
     told[0] = told[0].replace("reaction tell", "reaction tells")

@@ -69,7 +69,7 @@ class Rows(NamedTuple):
     copy_to: Ints  # slot
     term_slot: Ints
     term_link: Ints
-    term_kind: Ints
+    term_law: Ints  # numbers of laws in LAWS
     start: Ints  # of a channel's slots
     width: Ints  # of a channel, measurement and padding included
     measured: Ints  # slot of a channel's measurement

@@ -15,41 +15,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
-from testbed.errors import UnknownName
 from testbed.parameters.exact_recursion import NEW, told
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
+from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_law, joint_terms
 from testbed.robot.tree import Tree
-
-Kind = Literal["coulomb", "viscous", "offset", "rotor"]
-KINDS: tuple[Kind, ...] = ("coulomb", "viscous", "offset", "rotor")
-"""A joint's own columns: sign(qd), qd, 1, qdd."""
-
-UNITS = {
-    "coulomb": ("N m", "N"),
-    "viscous": ("N m s/rad", "N s/m"),
-    "offset": ("N m", "N"),
-    "rotor": ("kg m^2", "kg"),
-}
-"""Of a term's coefficient, at a revolute and at a prismatic joint."""
-
-
-@dataclass(frozen=True)
-class JointTerm:
-    """One term of one joint.
-
-    Attributes:
-        kind: One of KINDS.
-        joint: Index of the joint.
-    """
-
-    kind: Kind
-    joint: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +36,7 @@ class DriveSet:
 
     Attributes:
         minimal: The dynamic set.
-        asked: All terms, kind by kind, each in tree order.
+        asked: All terms, law by law, each in tree order.
         terms: Those with a column of their own, in the same order.
         columns: What a unit of every asked term adds to the unknowns, (count, asked).
     """
@@ -97,8 +72,7 @@ class DriveSet:
     @property
     def units(self) -> tuple[str, ...]:
         """One an unknown."""
-        own = (UNITS[t.kind][not self._tree.joints[t.joint].revolute] for t in self.terms)
-        return (*self.minimal.units, *own)
+        return (*self.minimal.units, *(term.unit(self._tree) for term in self.terms))
 
     @cached_property
     def matrix(self) -> Array:
@@ -109,9 +83,21 @@ class DriveSet:
         matrix[:, n:] = self.columns
         return readonly(matrix, matrix.shape, "matrix")
 
+    def values(self, theta: ArrayLike, tree: Tree) -> Array:
+        """The unknowns, (count,).
+
+        Args:
+            theta: Barycentric parameters, (n, 10).
+            tree: Gives the coefficients of the terms.
+        """
+        terms = [float(term.law.coefficients(tree)[term.joint]) for term in self.asked]
+        found: Array = self.columns @ np.array(terms)
+        found[: self.minimal.count] += self.minimal.values(theta)
+        return found
+
     def name(self, term: JointTerm) -> str:
         """Name of a term: rotor/waist."""
-        return f"{term.kind}/{self._tree.names[term.joint]}"
+        return term.name(self._tree)
 
     def _absorbed(self, unknown: int) -> Iterator[tuple[JointTerm, float]]:
         """Terms without a column of their own that add to an unknown, with their factors."""
@@ -120,26 +106,24 @@ class DriveSet:
                 yield term, float(column[unknown])
 
 
-def with_joint_terms(tree: Tree, minimal: MinimalSet, kinds: Sequence[Kind]) -> DriveSet:
+def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -> DriveSet:
     """The minimal set of bodies and drives together, exact and before any data.
 
     Args:
         tree: The robot; only its geometry matters.
         minimal: Its dynamic set.
-        kinds: Of terms, each for every joint.
+        laws: Of the joints' own torque, by name or as values; each holds at every joint.
 
     Raises:
-        UnknownName: There is no such kind of term.
+        UnknownName: There is no such law.
         ValueError: The set is not the joint torques'.
     """
-    for kind in kinds:
-        if kind not in KINDS:
-            raise UnknownName("joint term", kind, KINDS)
     if minimal.model != "dynamic":
         raise ValueError(f"joint terms belong to the dynamic set, this is the {minimal.model} one")
-    asked = tuple(JointTerm(kind, j) for kind in dict.fromkeys(kinds) for j in range(tree.n))
-    lone = _lone(tree, minimal.gravity, "offset" in kinds)
-    terms = tuple(term for term in asked if term.kind != "rotor" or term.joint not in lone)
+    wanted = dict.fromkeys(joint_law(law) if isinstance(law, str) else law for law in laws)
+    asked = joint_terms(tree, wanted)
+    lone = _lone(tree, minimal.gravity, OFFSET in wanted)
+    terms = tuple(term for term in asked if term.law != ROTOR or term.joint not in lone)
     columns = np.zeros((minimal.count + len(terms), len(asked)))
     for k, term in enumerate(asked):
         if term in terms:
@@ -147,7 +131,7 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, kinds: Sequence[Kind]) -> 
         else:
             columns[minimal.axial.index(term.joint), k] = 1.0
             if lone[term.joint]:
-                row = minimal.count + terms.index(JointTerm("offset", term.joint))
+                row = minimal.count + terms.index(JointTerm(OFFSET, term.joint))
                 columns[row, k] = -lone[term.joint]
     return DriveSet(minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree)
 

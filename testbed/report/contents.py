@@ -7,7 +7,7 @@ from typing import Any
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
@@ -16,7 +16,7 @@ from testbed.report.portrait import portrait
 from testbed.report.sections import SHOWN, sections
 from testbed.report.tables import with_sigma
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.drawn_robot import DrawnRobot, draw
+from testbed.robot.visuals.appearance import Appearance, load_appearance
 
 GLYPHS = ("·", "+", "#")
 KINDS = ("never", "combined", "alone")
@@ -33,7 +33,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         run: What the report is about.
         unseen: Another recording, of a motion that no estimate has seen; None for none.
     """
-    robot = draw(run.tree, run.model, weld_root=run.weld_root, lock=run.lock)
+    look = load_appearance(run.tree, run.model)
     return {
         "title": run.name,
         "claim": "" if run.experiment is None else run.experiment.claim,
@@ -41,12 +41,12 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "verdict": verdict(run),
         "verdicts": _verdicts(run),
         "holds": run.as_expected,
-        "portrait": _portrait(run, robot),
+        "portrait": _portrait(run, look),
         "asked": asked(run),
         "methods": list(run.estimates),
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
-        "warnings": [*run.warnings, *robot.warnings],
+        "warnings": [*run.warnings, *look.warnings],
         "figures": [
             section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
             for section in sections(predict(run, unseen), unseen is not None)
@@ -70,7 +70,7 @@ def _verdicts(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _portrait(run: Run, robot: DrawnRobot) -> dict[str, str]:
+def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     """The robot as the recording begins, with the reaction at that moment."""
     recording = run.recording
     shown = recording.time <= recording.time[0] + SHOWN
@@ -81,7 +81,7 @@ def _portrait(run: Run, robot: DrawnRobot) -> dict[str, str]:
     if wrench is not None:
         caption += " Red and blue, the bedplate's force and moment on it at that moment."
     motion = recording.position[shown][::step]
-    return {"svg": portrait(robot, motion, wrench, name), "caption": caption}
+    return {"svg": portrait(look, motion, wrench, name), "caption": caption}
 
 
 def parameter_rows(run: Run) -> list[dict[str, Any]]:
@@ -92,7 +92,7 @@ def parameter_rows(run: Run) -> list[dict[str, Any]]:
     """
     internal = run.estimates.get("internal")
     units = {n: u for e in run.estimates.values() for n, u in zip(e.names, e.units, strict=True)}
-    first = () if internal is None else internal.names[: internal.count]
+    first = () if internal is None else internal.base.names
     external = run.estimates.get("external")
     second = () if external is None else external.names
     rows = []

@@ -22,7 +22,7 @@ def asked(run: Run) -> Facts:
         ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the bedplate frame"),
     ]
     if run.model is not None:
-        facts.append(("model file", run.model.name))
+        facts.append(("model file", run.model.path.name))
     facts += _of_recording(run) if run.experiment is None else _of_experiment(run.experiment)
     return [*facts, ("identification", _treatment(run))]
 
@@ -79,12 +79,14 @@ def _treatment(run: Run) -> str:
     """How the signals became equations."""
     settings = run.settings
     cutoffs = [
-        "off" if c is None else f"{c:g} Hz" for c in (settings.position_cutoff, settings.cutoff)
+        cutoff if isinstance(cutoff, str) else f"{cutoff:g} Hz"
+        for cutoff in (settings.position_cutoff, settings.cutoff)
     ]
+    zeros = {True: "those that are zero in the model file", False: "none"}
+    known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
-        f"{settings.deadband:g} rad/s or m/s dropped; parameters that are zero in the model file "
-        + ("known" if run.zeros else "not known")
+        f"{settings.deadband:g} rad/s or m/s dropped; parameters known to be zero: {known}"
     )
 
 

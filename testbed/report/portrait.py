@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
 from testbed.report.raster import paint, png
-from testbed.robot.visuals.drawn_robot import DrawnRobot
+from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.triangles import triangles
 
 SIZE = 640
@@ -27,21 +27,21 @@ ARROW = 0.4
 """Length of the force's and the moment's arrow, as part of the robot's reach."""
 
 
-def portrait(robot: DrawnRobot, motion: Array, wrench: Array | None, name: str) -> str:
+def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -> str:
     """The robot at the first of its postures, the paths of its ends, and the reaction on it.
 
     Args:
-        robot: What it looks like.
+        look: What it looks like.
         motion: Joint positions, (M, n) [rad or m].
         wrench: Of the bedplate on the robot at the first posture, (6,) [N, N m]; None for none.
         name: What the picture shows, for those who cannot see it.
     """
     camera = _camera()
-    placed = poses(robot.tree, motion)
-    solid, colours = _surfaces(robot, placed)
-    paths = [placed[j][1] + placed[j][0] @ point for j, point in robot.tips.items()]
-    arrows = [] if wrench is None else _arrows(robot, wrench)
-    frame = 0.25 * robot.reach * np.eye(3)
+    placed = poses(look.tree, motion)
+    solid, colours = _surfaces(look, placed)
+    paths = [placed[j][1] + placed[j][0] @ point for j, point in look.tips.items()]
+    arrows = [] if wrench is None else _arrows(look, wrench)
+    frame = 0.25 * look.reach * np.eye(3)
     every = np.concatenate([solid.reshape(-1, 3), *paths, *(ends for ends, *_ in arrows), frame])
     flat = every @ camera.T
     low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
@@ -88,10 +88,10 @@ def _camera() -> Array:
     return np.stack([right, np.cross(right, away), away])
 
 
-def _surfaces(robot: DrawnRobot, placed: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+def _surfaces(look: Appearance, placed: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     """All triangles at the first posture, (T, 3, 3) [m], and their shaded colours, (T, 3)."""
     found, colours = [], []
-    for shape in robot.shapes:
+    for shape in look.shapes:
         corners = triangles(shape)
         if shape.body >= 0:
             rotation, position = placed[shape.body]
@@ -106,7 +106,7 @@ def _surfaces(robot: DrawnRobot, placed: list[tuple[Array, Array]]) -> tuple[Arr
     return solid, np.concatenate(colours) * (0.5 + 0.5 * light)[:, None]
 
 
-def _arrows(robot: DrawnRobot, wrench: Array) -> list[tuple[Array, str, str]]:
+def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
     """Ends (2, 3) [m], colour and label of the force and the moment."""
     found = []
     for vector, colour, unit in (
@@ -115,8 +115,8 @@ def _arrows(robot: DrawnRobot, wrench: Array) -> list[tuple[Array, str, str]]:
     ):
         size = float(np.linalg.norm(vector))
         if size > 0:
-            tip = robot.corner + vector / size * ARROW * robot.reach
-            found.append((np.stack([robot.corner, tip]), colour, f"{size:.3g} {unit}"))
+            tip = look.corner + vector / size * ARROW * look.reach
+            found.append((np.stack([look.corner, tip]), colour, f"{size:.3g} {unit}"))
     return found
 
 

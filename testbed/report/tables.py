@@ -19,7 +19,7 @@ _NAME = 12
 """Columns that are left to a name, at least, when it gives way."""
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
 
 
 @dataclass(frozen=True)
@@ -103,13 +103,13 @@ def _table(
 def _units(estimates: Sequence[Estimate]) -> dict[str, str]:
     """Units by name, in the order of the rows: shared, the plate's, the torques'."""
     units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
-    order = [name for e in reversed(estimates) for name in e.names[: e.count]]
+    order = [name for e in reversed(estimates) for name in e.base.names]
     return {name: units[name] for name in dict.fromkeys((*order, *units))}
 
 
 def _sections(estimates: Sequence[Estimate]) -> set[str]:
     """Names after which a line is drawn."""
-    base = [e.names[: e.count] for e in estimates]
+    base = [e.base.names for e in estimates]
     shared = [name for name in base[-1] if name in base[0]]
     ends = {shared[-1]} if shared else set()
     every = list(_units(estimates))

@@ -18,7 +18,7 @@ from testbed.report.tables import quality_lines, result_tables
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
 
 
 class Progress:

@@ -1,17 +1,17 @@
-"""Joint terms: what a joint's torque holds besides the forces that move the bodies.
+"""Joint laws: what a joint's torque holds besides the forces that move the bodies.
 
-A term is a coefficient times a column; the column is a function of the joint's velocity and
-acceleration. Laws of friction, a rotor's inertia and an offset of the measured torque are
-such terms. This is the only place where they are written down: the kernel compiles these
-columns; simulation, prediction, units, scores and the command line read them here.
+A law is a column, a function of the joint's velocity and acceleration, to be multiplied by a
+coefficient: friction, a rotor's inertia, an offset of the measured torque. This is the only
+place where they are written down: the kernel compiles these columns; simulation, prediction,
+units, scores and the command line read them here.
 
-To add a law, write a `JointLaw` and put it into LAWS. A law that is tried out need not be
-there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+To add a law, write a `JointLaw` and put it into LAWS. A law that is only tried out need not
+be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,7 @@ from testbed.robot.tree import Joint, Tree
 
 @dataclass(frozen=True)
 class JointLaw:
-    """One kind of term of the joints' torques.
+    """One kind of term of the joints' torques; every joint has a coefficient of its own.
 
     Attributes:
         kind: Its name: the estimate calls the coefficients `kind/JOINT`.
@@ -99,19 +99,45 @@ ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
 """Inertia of the drive's rotor, reflected to the joint."""
 
 LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR)
-"""All kinds that have a name."""
+"""All that can be asked for by name."""
+
+
+@dataclass(frozen=True)
+class JointTerm:
+    """One law at one joint.
+
+    Attributes:
+        law: Which.
+        joint: Index of the joint.
+    """
+
+    law: JointLaw
+    joint: int
+
+    def name(self, tree: Tree) -> str:
+        """Name of the coefficient: rotor/waist."""
+        return f"{self.law.kind}/{tree.names[self.joint]}"
+
+    def unit(self, tree: Tree) -> str:
+        """Unit of the coefficient."""
+        return self.law.unit(tree.joints[self.joint])
+
+
+def joint_terms(tree: Tree, laws: Iterable[JointLaw]) -> tuple[JointTerm, ...]:
+    """Every law at every joint, law by law."""
+    return tuple(JointTerm(law, j) for law in laws for j in range(tree.n))
 
 
 def joint_law(kind: str) -> JointLaw:
-    """The term of that name.
+    """The law of that name.
 
     Raises:
         UnknownName: There is none.
     """
-    for term in LAWS:
-        if term.kind == kind:
-            return term
-    raise UnknownName("term of a joint's torque", kind, [term.kind for term in LAWS])
+    known = {law.kind: law for law in LAWS}
+    if kind not in known:
+        raise UnknownName("term of a joint's torque", kind, known)
+    return known[kind]
 
 
 def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
@@ -122,7 +148,7 @@ def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
         qd: Velocities, (..., n) [rad/s or m/s].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    laws = [term for term in LAWS if term.resists]
+    laws = [law for law in LAWS if law.resists]
     still = np.zeros_like(qd)
     return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
 
@@ -136,8 +162,8 @@ def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Arra
         qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
         smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
     """
-    terms = [term for term in LAWS if term.parameter is not None]
-    return _sum([term.coefficients(tree) * term.columns(qd, qdd, smooth) for term in terms])
+    laws = [law for law in LAWS if law.parameter is not None]
+    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
 
 
 def _sum(torques: list[Array]) -> Array:

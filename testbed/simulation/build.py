@@ -26,7 +26,7 @@ from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco
 from testbed.robot.formats.mjcf_spec import open_spec
 from testbed.robot.formats.urdf_xml import supported_xml
 from testbed.robot.load import model_format
-from testbed.robot.locks import Lock
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.simulation.plant import Plant, check_plant
 
@@ -35,23 +35,19 @@ _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of 
 
 
 def build_plant(
-    path: Path,
+    model: ModelFile,
     tree: Tree,
     step: float,
     *,
-    weld_root: bool = False,
-    lock: Lock | None = None,
     changed: Collection[str] = (),
     friction: bool = True,
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
 
     Args:
-        path: The model file, MJCF or URDF.
+        model: The model file, and how it is read.
         tree: The tree read from it; gives joint names, their order and gravity.
         step: Simulation step [s].
-        weld_root: Weld a floating root to the bedplate.
-        lock: Joints that are held, as when the tree was read.
         changed: Joints whose friction and rotor inertia are the tree's, not the file's.
         friction: Keep the joints' friction.
 
@@ -59,7 +55,7 @@ def build_plant(
         ModelError: MuJoCo refuses the model.
     """
     tree = tree if friction else tree.without_friction()
-    spec = _robot(path, weld_root, lock)
+    path, spec = model.path, _robot(model)
     prefix = ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
@@ -70,7 +66,8 @@ def build_plant(
     return plant
 
 
-def _robot(path: Path, weld_root: bool, lock: Lock | None) -> mujoco.MjSpec:
+def _robot(model: ModelFile) -> mujoco.MjSpec:
+    path, weld_root, lock = model.path, model.weld_root, model.lock
     if model_format(path) == "mjcf":
         spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     else:

@@ -11,10 +11,10 @@ from testbed.arrays import Array
 from testbed.errors import ViewerError
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Truth
-from testbed.robot.visuals.drawn_robot import DrawnRobot
+from testbed.robot.visuals.appearance import Appearance
 from testbed.viewer.blueprint import live_blueprint
 from testbed.viewer.colours import COLOURS, palette
-from testbed.viewer.robot_drawing import ARROW, clock, log_shapes, send_arrows, send_poses
+from testbed.viewer.robot_drawing import ARROW, clock, log_appearance, send_arrows, send_poses
 from testbed.viewer.scene import POSES, safe
 from testbed.viewer.show import LOOPBACK
 
@@ -27,12 +27,12 @@ PORT = 9876
 class Live:
     """Sends what happens to a viewer; to be called with every second of it."""
 
-    def __init__(self, name: str, robot: DrawnRobot, port: int = PORT) -> None:
+    def __init__(self, name: str, look: Appearance, port: int = PORT) -> None:
         """Connect to a viewer on this machine, and show the robot.
 
         Args:
             name: Of the run.
-            robot: What it looks like.
+            look: The robot and what it looks like.
             port: Of the viewer.
 
         Raises:
@@ -45,22 +45,22 @@ class Live:
                 f"no viewer listens at {LOOPBACK}:{port}; open one first with "
                 f"rerun --bind {LOOPBACK}"
             ) from None
-        self._robot = robot
+        self._look = look
         self._stream = rr.RecordingStream("testbed", send_properties=False)
         self._stream.connect_grpc(
             f"rerun+http://{LOOPBACK}:{port}/proxy",
-            default_blueprint=live_blueprint(name, robot.tree, robot.reach),
+            default_blueprint=live_blueprint(name, look.tree, look.reach),
         )
-        log_shapes(self._stream, robot, "/world")
-        names = robot.tree.names
+        log_appearance(self._stream, look, "/world")
+        names = look.tree.names
         lines = rr.SeriesLines(names=list(names), colors=palette(len(names)))
         self._stream.log("/position", lines, static=True)
         single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
         for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)):
             self._stream.log(path, single, static=True)
-        mass = max(sum(inertia.mass for inertia in robot.tree.inertias), 1e-3)
-        weight = mass * max(float(np.linalg.norm(robot.tree.gravity)), 1.0)
-        size = robot.reach
+        mass = max(sum(inertia.mass for inertia in look.tree.inertias), 1e-3)
+        weight = mass * max(float(np.linalg.norm(look.tree.gravity)), 1.0)
+        size = look.reach
         self._flush()
         self._scales = ARROW * size / np.array([1.5 * weight, 0.3 * weight * size])
 
@@ -78,17 +78,15 @@ class Live:
         rate = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9) if len(time) > 1 else POSES
         step = max(1, round(rate / POSES))
         q, wrench = truth.position[there], truth.wrench[there]
-        send_poses(self._stream, self._robot, time[::step], q[::step], "/world")
+        send_poses(self._stream, self._look, time[::step], q[::step], "/world")
         send_arrows(
-            self._stream, self._robot, time[::step], wrench[::step], self._scales, "/world/bedplate"
+            self._stream, self._look, time[::step], wrench[::step], self._scales, "/world/bedplate"
         )
         index = [clock(time)]
         self._stream.send_columns("/position", indexes=index, columns=rr.Scalars.columns(scalars=q))
         signals = {f"/wrench/{c}": wrench[:, k] for k, c in enumerate(AXES)}
         torque = truth.torque[there]
-        signals |= {
-            f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._robot.tree.names)
-        }
+        signals |= {f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._look.tree.names)}
         for path, values in signals.items():
             columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
             self._stream.send_columns(path, indexes=index, columns=columns)

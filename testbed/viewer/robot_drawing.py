@@ -9,7 +9,7 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
-from testbed.robot.visuals.drawn_robot import DrawnRobot
+from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.shapes import Shape
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.scene import Scene, means, pressure
@@ -27,25 +27,25 @@ def clock(time: Array) -> rr.TimeColumn:
 
 def log_robot(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     """Shapes on bodies, their poses, joint axes, the tips' paths."""
-    robot = scene.robot
-    log_shapes(stream, robot, at)
+    look = scene.appearance
+    log_appearance(stream, look, at)
     shown = scene.motion[scene.frames]
-    placed = send_poses(stream, robot, shown.t, shown.q, at)
-    for j, point in robot.tips.items():
+    placed = send_poses(stream, look, shown.t, shown.q, at)
+    for j, point in look.tips.items():
         rotation, position = placed[j]
         path = position + rotation @ point
-        line = rr.LineStrips3D([path], colors=[COLOURS["path"]], radii=[robot.reach / 720])
+        line = rr.LineStrips3D([path], colors=[COLOURS["path"]], radii=[look.reach / 720])
         stream.log(f"{at}/path/{j + 1}", line, static=True)
 
 
-def log_shapes(stream: rr.RecordingStream, robot: DrawnRobot, at: str) -> None:
+def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> None:
     """What does not move in the bodies' frames: shapes and joint axes."""
     stream.log(at, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    size = robot.reach / 12
-    for k, shape in enumerate(robot.shapes):
+    size = look.reach / 12
+    for k, shape in enumerate(look.shapes):
         home = f"{at}/robot/{shape.body + 1}" if shape.body >= 0 else f"{at}/bedplate"
         stream.log(f"{home}/shape{k}", _archetype(shape), static=True)
-    for j, joint in enumerate(robot.tree.joints):
+    for j, joint in enumerate(look.tree.joints):
         axis = joint.axis * size
         arrow = rr.Arrows3D(
             vectors=[2 * axis],
@@ -59,10 +59,10 @@ def log_shapes(stream: rr.RecordingStream, robot: DrawnRobot, at: str) -> None:
 
 
 def send_poses(
-    stream: rr.RecordingStream, robot: DrawnRobot, time: Array, q: Array, at: str
+    stream: rr.RecordingStream, look: Appearance, time: Array, q: Array, at: str
 ) -> list[tuple[Array, Array]]:
     """The bodies' poses over time, logged and returned."""
-    placed = poses(robot.tree, q)
+    placed = poses(look.tree, q)
     for j, (rotation, position) in enumerate(placed):
         turned = quaternions(rotation)
         columns = rr.Transform3D.columns(translation=position, quaternion=turned)
@@ -71,30 +71,25 @@ def send_poses(
 
 
 def send_arrows(
-    stream: rr.RecordingStream,
-    robot: DrawnRobot,
-    time: Array,
-    wrench: Array,
-    scales: Array,
-    at: str,
+    stream: rr.RecordingStream, look: Appearance, time: Array, wrench: Array, scales: Array, at: str
 ) -> None:
     """Force and moment over time, drawn beside the plate so that nothing hides them.
 
     Args:
         stream: Where to.
-        robot: The robot and its plate.
+        look: The robot and its plate.
         time: (M,) [s].
         wrench: (M, 6) [N, N m].
         scales: What a newton and a newton metre are drawn as, (2,) [m].
         at: The bedplate's place among the entities.
     """
-    radius = ARROW * robot.reach / 40
+    radius = ARROW * look.reach / 40
     for name, vectors, scale in zip(
         ("force", "moment"), (wrench[:, :3], wrench[:, 3:]), scales, strict=True
     ):
         columns = rr.Arrows3D.columns(
             vectors=vectors * scale,
-            origins=np.tile(robot.corner, (len(time), 1)),
+            origins=np.tile(look.corner, (len(time), 1)),
             colors=np.tile(np.array([COLOURS[name]], dtype=np.uint8), (len(time), 1)),
             radii=np.full(len(time), radius),
         )
@@ -105,19 +100,19 @@ def log_reaction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     """Force and moment beside the plate; centre of pressure and its trace, drawn on the plate."""
     if scene.wrench is None:
         return
-    robot, size = scene.robot, scene.frames.step
+    look, size = scene.appearance, scene.frames.step
     wrench, times = means(scene.wrench, size), scene.motion.t[::size]
-    length = ARROW * robot.reach
+    length = ARROW * look.reach
     largest = [
         max(float(np.linalg.norm(part, axis=1).max(initial=0.0)), 1e-9)
         for part in (wrench[:, :3], wrench[:, 3:])
     ]
-    send_arrows(stream, robot, times, wrench, length / np.array(largest), at)
+    send_arrows(stream, look, times, wrench, length / np.array(largest), at)
     points = pressure(wrench)
-    far = 3 * max(float(np.abs(robot.corner).max()), robot.reach / 3)
+    far = 3 * max(float(np.abs(look.corner).max()), look.reach / 3)
     there = (np.abs(points) < far).all(axis=1)  # false for what is not a number, too
     if there.any():
-        flat = np.column_stack([points[there], np.full(there.sum(), robot.deck + 0.002)])
+        flat = np.column_stack([points[there], np.full(there.sum(), look.deck + 0.002)])
         columns = rr.Points3D.columns(
             positions=flat,
             colors=np.tile(np.array([COLOURS["pressure"]], dtype=np.uint8), (len(flat), 1)),

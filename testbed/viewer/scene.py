@@ -17,9 +17,8 @@ from testbed.experiment.growth import Growth
 from testbed.experiment.predictions import Predictions, predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.identify import MODEL_OF, Method
-from testbed.parameters.minimal_set import minimal_set
-from testbed.robot.visuals.drawn_robot import DrawnRobot, draw
+from testbed.identification.estimate import Method
+from testbed.robot.visuals.appearance import Appearance, load_appearance
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
@@ -37,18 +36,23 @@ class Scene:
 
     Attributes:
         predictions: The run's recording beside what its estimates say of it.
-        robot: What the robot looks like.
+        appearance: What the robot looks like.
         growth: Estimates from more and more of the recording, by method.
     """
 
     predictions: Predictions
-    robot: DrawnRobot
+    appearance: Appearance
     growth: Mapping[Method, Growth] = field(default_factory=dict)
 
     @property
     def run(self) -> Run:
         """The run."""
         return self.predictions.run
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful reader should know, of the run and of what cannot be shown."""
+        return (*self.run.warnings, *self.appearance.warnings)
 
     @property
     def motion(self) -> Motion:
@@ -78,7 +82,7 @@ class Scene:
         """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
         placed = poses(self.run.tree, self.motion.q[self.frames])
         far = [position for _, position in placed]
-        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.robot.tips.items()]
+        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.appearance.tips.items()]
         return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
 
     @cached_property
@@ -109,10 +113,8 @@ class Scene:
 
     def bodies(self, method: Method) -> dict[int, list[int]]:
         """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
-        run = self.run
-        minimal = minimal_set(run.tree, MODEL_OF[method], zeros=run.zeros)
         found: dict[int, list[int]] = {}
-        for k, body in enumerate(minimal.bodies):
+        for k, body in enumerate(self.run.estimates[method].minimal.bodies):
             found.setdefault(body, []).append(k)
         return dict(sorted(found.items()))
 
@@ -124,10 +126,9 @@ class Scene:
         lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
-        warnings = (*run.warnings, *self.robot.warnings)
-        if warnings:
+        if self.warnings:
             lines.append("## Warnings")
-            lines.append("\n".join(f"- {plain(line)}" for line in warnings))
+            lines.append("\n".join(f"- {plain(line)}" for line in self.warnings))
         return "\n\n".join(lines)
 
     def friction_axes(self, j: int) -> tuple[float, float]:
@@ -144,8 +145,8 @@ def scene_of(run: Run, growth: Mapping[Method, Growth] | None = None) -> Scene:
         run: The run.
         growth: Its estimates from more and more of the recording; default none.
     """
-    robot = draw(run.tree, run.model, weld_root=run.weld_root, lock=run.lock)
-    return Scene(predict(run), robot, growth or {})
+    appearance = load_appearance(run.tree, run.model)
+    return Scene(predict(run), appearance, growth or {})
 
 
 def root(k: int, count: int) -> str:

@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.experiment.growth import growing_errors, growth
 from testbed.experiment.run import assemble_run
-from testbed.identification.identify import METHODS
+from testbed.identification.estimate import METHODS
 from testbed.identification.settings import Settings
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import experiment, noisy, robot, run_of
@@ -60,7 +60,7 @@ def test_growing_errors_end_at_the_scores() -> None:
     assert run.score is not None
     for method, grown in growth(run, [5.0]).items():
         errors = growing_errors(run, method, grown)
-        count = run.estimates[method].count
+        count = len(run.estimates[method].base.names)
         assert errors.shape == (2, count)
         np.testing.assert_allclose(errors[-1], run.score.errors[method].relative[:count])
 

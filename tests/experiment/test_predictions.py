@@ -13,8 +13,8 @@ from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.errors import RecordingError
 from testbed.experiment.predictions import Predictions, Signal, predict
 from testbed.experiment.run import assemble_run
+from testbed.identification.estimate import METHODS, SIGNAL_OF
 from testbed.identification.filters import row_weights
-from testbed.identification.identify import METHODS, SIGNAL_OF
 from testbed.identification.settings import Settings
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording

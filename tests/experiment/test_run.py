@@ -13,8 +13,7 @@ from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import assemble_run
 from testbed.experiment.run_warnings import close_pairs, systematic_errors
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.identify import METHODS, SIGNAL_OF, Method
-from testbed.identification.settings import Settings
+from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of
 
@@ -37,7 +36,7 @@ def test_one_signal_is_enough_for_one_method(name: str, method: Method) -> None:
 
 def test_one_method_that_fails_does_not_take_the_other_with_it() -> None:
     tree = robot("puma")
-    deaf = Settings(position_cutoff=None, cutoff=None, deadband=1e3)  # no joint row is left
+    deaf = replace(EXACT, deadband=1e3)  # no joint row is left
     run = assemble_run(tree, ideal(tree), name="made", settings=deaf)
     assert set(run.estimates) == {"external"}
     assert "0 samples determine only 0" in run.failures["internal"]
@@ -158,9 +157,9 @@ def test_the_summary_says_what_a_reader_asks_first() -> None:
     tree = robot("puma")
     run = run_of(tree, asked=experiment(expect=expect))
     text = " ".join(summary(run))
-    counts = [run.estimates[method].count for method in METHODS]
+    counts = [len(run.estimates[method].base.names) for method in METHODS]
     assert f"reaction tells {counts[0]} inertial parameters" in text
-    assert f"torques tell {counts[1]} inertial parameters and 6 friction coefficients" in text
+    assert f"torques tell {counts[1]} inertial parameters and 6 coefficients of the joints" in text
     for method in METHODS:
         share = run.metrics[f"{method}_rms_relative_error"]
         assert f"{method} {100 * share:.2g} %" in text

@@ -15,7 +15,7 @@ from testbed.experiment.experiment_tables import METRICS, Bound
 from testbed.experiment.results import result
 from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, score
-from testbed.identification.identify import METHODS, Method
+from testbed.identification.estimate import METHODS, Method
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of
 
@@ -133,7 +133,7 @@ def test_scales_are_of_one_unit_and_never_of_rounding() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_a_method_without_estimate_has_no_metrics(method: Method) -> None:
     run = judged("puma")
-    alone = score(run.tree, {method: run.estimates[method]}, run.zeros, True)
+    alone = score(run.tree, {method: run.estimates[method]}, False, True)
     other = next(m for m in METHODS if m != method)
     lost = {name for name in METRICS if name.startswith(f"{other}_")} | {"internal_to_external"}
     if method == "external":
@@ -145,7 +145,7 @@ def test_a_method_without_estimate_has_no_metrics(method: Method) -> None:
 
 def test_without_friction_in_the_plant_the_truth_is_none() -> None:
     run = judged("puma")
-    smooth = score(run.tree, run.estimates, run.zeros, False)
+    smooth = score(run.tree, run.estimates, False, False)
     assert {v for k, v in smooth.truths.items() if "/" in k} == {0.0}
     assert "friction_max_relative_error" not in smooth.metrics
 

@@ -10,6 +10,7 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant
 from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
@@ -36,7 +37,7 @@ def run(
     step: float,
     friction: bool = True,
 ) -> Rollout:
-    plant = build_plant(path, tree, step, friction=friction)
+    plant = build_plant(ModelFile(path), tree, step, friction=friction)
     tree = tree if friction else tree.without_friction()
     return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
 

@@ -52,12 +52,10 @@ def run_of(
     tree: tb.Tree,
     recording: Recording | None = None,
     asked: tb.Experiment | None = None,
-    *,
-    zeros: bool = False,
 ) -> Run:
     """What can be identified from a recording with sensed kinematics; judged if asked for."""
     recording = noisy(ideal(tree)) if recording is None else recording
-    return assemble_run(tree, recording, name="made", settings=EXACT, zeros=zeros, experiment=asked)
+    return assemble_run(tree, recording, name="made", settings=EXACT, experiment=asked)
 
 
 def judged_run(name: str) -> Run:

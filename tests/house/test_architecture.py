@@ -38,7 +38,8 @@ PLAN = {
     },
     "report": BASE
     | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
-    "viewer": BASE | {"robot", "dynamics", "recordings", "identification", "experiment"},
+    "viewer": BASE
+    | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
 }  # fmt: skip
 ANYWHERE = {"__init__", "__main__", "cli"}
 

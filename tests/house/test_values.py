@@ -58,7 +58,7 @@ EXAMPLES: dict[str, Any] = {
     "Shape": lambda: Shape(
         0, "mesh", some(3), some(3), some(3, 3), some(4), some(5, 3), some(6, 3)
     ),
-    "Settings": lambda: tb.Settings(weights=np.diag(rng.uniform(1, 2, 6))),
+    "Settings": lambda: tb.Settings(weights=np.diag(rng.uniform(1, 2, 6)).tolist()),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
         some(6),

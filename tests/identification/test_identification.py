@@ -11,8 +11,8 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
-from testbed.identification.identify import METHODS, Method
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
@@ -141,7 +141,9 @@ def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
 
 def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
     with pytest.raises(RecordingError, match="too few for a filter at 150 Hz"):
-        tb.identify(puma, ideal(puma), "external", settings=tb.Settings(None, 150.0))
+        tb.identify(
+            puma, ideal(puma), "external", settings=tb.Settings(position_cutoff="off", cutoff=150.0)
+        )
 
 
 def test_a_filter_that_would_bias_the_estimate_is_refused() -> None:
@@ -174,12 +176,21 @@ def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     assert mass == pytest.approx(20.0, rel=1e-3)
 
 
-def test_rotor_inertia_is_a_doubt_of_the_internal_estimate(
+def test_a_term_of_the_model_file_that_the_settings_leave_out_is_a_warning(
     puma: tb.Tree, puma_recording: Recording
 ) -> None:
+    """One line for all joints, and only the internal method feels it."""
     geared = replace(puma, joints=tuple(replace(j, rotor_inertia=1.0) for j in puma.joints))
-    warnings = tb.identify(geared, puma_recording, "internal", zeros=True).warnings
-    assert sum("rotor inertia" in warning for warning in warnings) == 3
+    with_rotor = tb.Settings(terms=("coulomb", "viscous", "rotor"))
+    cases: tuple[tuple[Method, tb.Settings, int], ...] = (
+        ("internal", tb.Settings(), 1),
+        ("internal", with_rotor, 0),
+        ("external", tb.Settings(), 0),
+    )
+    for method, settings, count in cases:
+        found = tb.identify(geared, puma_recording, method, zeros=True, settings=settings)
+        said = [w for w in found.warnings if "'rotor' of waist, shoulder, elbow" in w]
+        assert len(said) == count
 
 
 def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:

@@ -13,7 +13,8 @@ import pytest
 
 import testbed as tb
 from testbed.report.portrait import portrait
-from testbed.robot.visuals.drawn_robot import DrawnRobot, draw
+from testbed.robot.model_file import ModelFile
+from testbed.robot.visuals.appearance import Appearance, load_appearance
 from tests.helpers.paths import GOLDEN, ROOT
 
 ROBOTS = [ROOT / "models/puma562.xml", *sorted((GOLDEN / "robots").glob("*.urdf"))[::4]]
@@ -37,7 +38,7 @@ def test_every_robot_has_a_portrait_that_fits_its_frame(path: Path) -> None:
     tree = tb.load_tree(path)
     rng = np.random.default_rng(0)
     motion = rng.uniform(-0.5, 0.5, (40, tree.n))
-    svg = portrait(draw(tree, path), motion, WRENCH, tree.name)
+    svg = portrait(load_appearance(tree, ModelFile(path)), motion, WRENCH, tree.name)
     left, top, width, height = box(svg)
     root = parsed(svg)
     numbers = []
@@ -61,22 +62,22 @@ def test_every_robot_has_a_portrait_that_fits_its_frame(path: Path) -> None:
 
 
 def test_force_and_moment_say_how_large_they_are(puma: tb.Tree) -> None:
-    svg = portrait(draw(puma), np.zeros((1, 3)), WRENCH, "puma")
+    svg = portrait(load_appearance(puma), np.zeros((1, 3)), WRENCH, "puma")
     assert texts(svg)[-2:] == ["304 N", "13 N m"]
     assert "var(--force)" in svg
     assert "var(--moment)" in svg
 
 
 def test_without_a_plate_there_are_no_arrows(puma: tb.Tree) -> None:
-    svg = portrait(draw(puma), np.zeros((1, 3)), None, "puma")
+    svg = portrait(load_appearance(puma), np.zeros((1, 3)), None, "puma")
     assert texts(svg) == ["x", "y", "z"]
-    still = portrait(draw(puma), np.zeros((1, 3)), np.zeros(6), "puma")
+    still = portrait(load_appearance(puma), np.zeros((1, 3)), np.zeros(6), "puma")
     assert texts(still) == ["x", "y", "z"]
 
 
 def test_labels_of_arrows_are_within_the_picture(puma: tb.Tree) -> None:
     for sign in (-1, 1):
-        svg = portrait(draw(puma), np.zeros((1, 3)), sign * 1e5 * WRENCH, "puma")
+        svg = portrait(load_appearance(puma), np.zeros((1, 3)), sign * 1e5 * WRENCH, "puma")
         left, _, width, _ = box(svg)
         for text in parsed(svg).iter("{http://www.w3.org/2000/svg}text"):
             size = 11.0 * len(text.text or "")
@@ -88,12 +89,12 @@ def test_labels_of_arrows_are_within_the_picture(puma: tb.Tree) -> None:
 
 def test_the_same_bits_every_time(puma: tb.Tree) -> None:
     motion = np.linspace(0, 1, 30).reshape(10, 3)
-    first, second = (portrait(draw(puma), motion, WRENCH, "puma") for _ in range(2))
+    first, second = (portrait(load_appearance(puma), motion, WRENCH, "puma") for _ in range(2))
     assert first == second
 
 
 def test_a_name_cannot_become_markup(puma: tb.Tree) -> None:
-    svg = portrait(draw(puma), np.zeros((1, 3)), None, '"><script>')
+    svg = portrait(load_appearance(puma), np.zeros((1, 3)), None, '"><script>')
     assert "<script" not in svg
     assert parsed(svg).attrib["aria-label"] == '"><script>'
 
@@ -105,6 +106,6 @@ def test_the_picture_shows_the_robot_where_it_stands() -> None:
     tree = tb.load_tree(ROOT / "models/puma562.xml")
     grey = np.array([0.5, 0.5, 0.5, 1.0])
     made = Shape(-1, "box", np.full(3, 0.1), np.array([2.0, 0, 0]), np.eye(3), grey)
-    svg = portrait(DrawnRobot(tree, (made,)), np.zeros((1, 3)), None, "box")
+    svg = portrait(Appearance(tree, (made,)), np.zeros((1, 3)), None, "box")
     (x,) = re.findall(r'<line x1="([\d.-]+)"', svg)[:1]
     assert float(x) < 200  # the origin is to the left of a picture 640 wide

@@ -13,6 +13,7 @@ import testbed as tb
 from testbed.errors import MimicError, ModelError, UnknownName
 from testbed.robot.load import mimic_joints
 from testbed.robot.locks import parse_lock
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.robots import random_robot, random_states
@@ -49,7 +50,7 @@ def test_a_locked_joint_is_one_that_stands_still(seed: int, form: str, tmp_path:
     held = {str(name): float(rng.uniform(-3, 3)) for name in names}
     locked = tb.load_tree(path, lock=held)
     assert_held(full, locked, held, seed)
-    build_plant(path, locked, 1e-3, lock=held)  # checks itself against MuJoCo's plate
+    build_plant(ModelFile(path, lock=held), locked, 1e-3)  # checks itself against MuJoCo's plate
 
 
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 1.5707963, np.pi])
@@ -111,7 +112,7 @@ def test_joints_of_one_body_are_locked_each(held: dict[str, float], tmp_path: Pa
     path.write_text(STACKED)
     locked = tb.load_tree(path, lock=held)
     assert_held(tb.load_tree(path), locked, held)
-    build_plant(path, locked, 1e-3, lock=held)
+    build_plant(ModelFile(path, lock=held), locked, 1e-3)
 
 
 @pytest.mark.parametrize(
@@ -190,7 +191,7 @@ def test_a_locked_master_takes_its_followers_along(tmp_path: Path) -> None:
     locked = tb.load_tree(PANDA, lock=held)
     assert_held(full, locked, held | {"panda_finger_joint2": 0.03})
     assert locked.warnings == ()
-    build_plant(PANDA, locked, 1e-3, lock=held)
+    build_plant(ModelFile(PANDA, lock=held), locked, 1e-3)
 
 
 def test_followers_alone_stand_where_their_masters_zeros_take_them(tmp_path: Path) -> None:
@@ -255,7 +256,7 @@ def test_an_equality_between_joints_is_a_follower(master: str, tmp_path: Path) -
     locked = tb.load_tree(path, lock=held)
     assert_held(tb.load_tree(free), locked, held | {"e": follower})
     assert mimic_joints(path) == ("e",)
-    build_plant(path, locked, 1e-3, lock=held)
+    build_plant(ModelFile(path, lock=held), locked, 1e-3)
 
 
 def test_an_equality_without_a_second_joint_holds_the_first(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant
 from testbed.simulation.rollout import Sampling
@@ -20,7 +21,7 @@ WITNESS = 1e-12
 
 @pytest.fixture(scope="module")
 def puma_plant(puma: tb.Tree) -> Plant:
-    return build_plant(PUMA, puma, 1e-4)
+    return build_plant(ModelFile(PUMA), puma, 1e-4)
 
 
 def states(rng: np.random.Generator, count: int) -> Array:
@@ -44,7 +45,7 @@ def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_plant: Pl
 
 def test_friction_does_not_leak_into_the_reaction(puma: tb.Tree, puma_plant: Plant) -> None:
     """At the same (q, qd, qdd), with and without friction, the wrench is the same."""
-    smooth = build_plant(PUMA, puma, 1e-4, friction=False)
+    smooth = build_plant(ModelFile(PUMA), puma, 1e-4, friction=False)
     for q, qd, effort in states(np.random.default_rng(1), 200):
         qdd, friction, wrench = sensed(puma_plant, q, qd, effort)
         same, none, other = sensed(smooth, q, qd, effort - friction)
@@ -84,7 +85,7 @@ def test_a_turned_and_displaced_sensor_reads_the_same_wrench(
         'name="bedplate_sensor"', 'name="bedplate_sensor" pos=".1 -.2 .05" euler=".4 .5 .6"'
     )
     path.write_text(text)
-    elsewhere = build_plant(path, puma, 1e-4)
+    elsewhere = build_plant(ModelFile(path), puma, 1e-4)
     for q, qd, effort in states(np.random.default_rng(2), 20):
         _, _, here = sensed(puma_plant, q, qd, effort)
         _, _, there = sensed(elsewhere, q, qd, effort)

@@ -11,6 +11,7 @@ import pytest
 import testbed as tb
 from testbed.errors import ModelError
 from testbed.robot.inertia import NOTHING
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant, check_plant
 from tests.helpers.plants import PUMA
@@ -19,7 +20,7 @@ from tests.helpers.robots import random_robot
 
 @pytest.fixture(scope="module")
 def plant(puma: tb.Tree) -> Plant:
-    return build_plant(PUMA, puma, 1e-3)
+    return build_plant(ModelFile(PUMA), puma, 1e-3)
 
 
 def changed(tree: tb.Tree, k: int, **changes: object) -> tb.Tree:
@@ -100,7 +101,7 @@ def test_the_tare_is_the_pedestals_weight(seed: int, form: str, tmp_path: Path) 
     path = tmp_path / f"r.{form}"
     path.write_text(robot.urdf() if form == "urdf" else robot.mjcf())
     tree = tb.load_tree(path)
-    found = build_plant(path, tree, 1e-3).tare
+    found = build_plant(ModelFile(path), tree, 1e-3).tare
     np.testing.assert_allclose(found, tb.pedestal_wrench(tree), atol=1e-10)
     assert not np.allclose(found, 0)
     assert tree.pedestal is not NOTHING

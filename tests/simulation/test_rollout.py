@@ -10,6 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.recordings.recording import Truth
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
 from tests.helpers.paths import ROOT
@@ -101,7 +102,7 @@ def test_a_sample_of_several_steps_lies_between_its_ends(puma: tb.Tree, averaged
 def test_what_is_watched_is_what_is_recorded_and_what_went_before(puma: tb.Tree) -> None:
     seen: list[tuple[Array, Truth]] = []
     done: list[tuple[int, int]] = []
-    plant = build_plant(PUMA, puma, 1e-3)
+    plant = build_plant(ModelFile(PUMA), puma, 1e-3)
     rollout = simulate_motion(
         plant,
         puma,
@@ -157,6 +158,6 @@ def test_motors_too_weak_to_follow_lose_the_reference(puma: tb.Tree) -> None:
 def test_a_run_that_blows_up_says_when(puma: tb.Tree) -> None:
     """A loop far faster than the samples it is closed over."""
     strong = weaker(puma, np.inf)
-    plant = build_plant(PUMA, puma, 1e-3)
+    plant = build_plant(ModelFile(PUMA), puma, 1e-3)
     with pytest.raises(SimulationDiverged, match=r"unstable near t = 1\.00 s; use a smaller step"):
         simulate_motion(plant, strong, waving(3), 1.0, 1e5, Sampling(500.0, 2, False, 0.0))

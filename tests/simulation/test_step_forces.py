@@ -10,6 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.rollout import Rollout, Sampling, StepForces, simulate_motion
 from tests.helpers.paths import ROOT
@@ -37,7 +38,7 @@ def run(
 ) -> Rollout:
     tree, path, motion = robot
     rubbing = tree.with_joints({name: {"viscous": viscous} for name in tree.names})
-    plant = build_plant(path, rubbing, STEP, changed=tree.names)
+    plant = build_plant(ModelFile(path), rubbing, STEP, changed=tree.names)
     return simulate_motion(plant, tree, motion, 0.6, 60.0, sampling, forces=forces)
 
 

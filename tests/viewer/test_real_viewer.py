@@ -29,7 +29,7 @@ def test_the_viewer_has_nothing_to_complain_about(rrd: Path, tmp_path: Path) -> 
 @pytest.mark.slow
 def test_a_run_is_shown_while_it_happens(scene: Scene, tmp_path: Path) -> None:
     with headless_viewer(tmp_path) as (viewer, port):
-        live = Live(scene.run.name, scene.robot, port)
+        live = Live(scene.run.name, scene.appearance, port)
         recording = scene.run.recording
         assert recording.truth is not None
         for first in (0, 1000):
@@ -42,4 +42,4 @@ def test_a_run_is_shown_while_it_happens(scene: Scene, tmp_path: Path) -> None:
 def test_a_live_view_needs_a_viewer(scene: Scene) -> None:
     port = free_port()
     with pytest.raises(ViewerError, match=f"no viewer listens at 127.0.0.1:{port}; open one"):
-        Live(scene.run.name, scene.robot, port)
+        Live(scene.run.name, scene.appearance, port)

@@ -11,8 +11,8 @@ import pytest
 from rerun.chunk import RrdReader
 
 from testbed.experiment.growth import growing_errors, growth
-from testbed.identification.identify import METHODS
-from testbed.robot.visuals.drawn_robot import bounds
+from testbed.identification.estimate import METHODS
+from testbed.robot.visuals.appearance import bounds
 from testbed.viewer.curves import tick
 from testbed.viewer.log import write_rrd
 from testbed.viewer.robot_drawing import ARROW
@@ -48,7 +48,7 @@ def test_the_arrows_are_the_measured_reaction(scene: Scene, rrd: Path) -> None:
     wrench = means(scene.wrench, round(scene.run.recording.rate / 50))
     for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
         found = columns(rrd, f"/world/bedplate/{name}", "Arrows3D:vectors").reshape(-1, 3)
-        scale = ARROW * scene.robot.reach / np.linalg.norm(vectors, axis=1).max()
+        scale = ARROW * scene.appearance.reach / np.linalg.norm(vectors, axis=1).max()
         np.testing.assert_allclose(found, vectors * scale, rtol=1e-5, atol=1e-6)
 
 
@@ -57,9 +57,9 @@ def test_the_arrows_stand_clear_of_the_plate(scene: Scene, rrd: Path) -> None:
     for name in ("force", "moment"):
         origins = columns(rrd, f"/world/bedplate/{name}", "Arrows3D:origins").reshape(-1, 3)
         np.testing.assert_allclose(
-            origins, np.tile(scene.robot.corner, (len(origins), 1)), rtol=1e-6
+            origins, np.tile(scene.appearance.corner, (len(origins), 1)), rtol=1e-6
         )
-        for shape in scene.robot.shapes:
+        for shape in scene.appearance.shapes:
             low, high = bounds(shape)
             if shape.body < 0:
                 assert (origins[:, 0] > high[0]).all()
@@ -110,7 +110,7 @@ def test_estimates_are_shown_by_their_errors_a_body_a_plot(scene: Scene, rrd: Pa
             np.testing.assert_array_equal(found, errors[there][:, members])
             assert words(rrd, path, "SeriesLines:names") == [names[k] for k in members]
             seen += members
-        assert sorted(seen) == list(range(run.estimates[method].count))
+        assert sorted(seen) == list(range(len(run.estimates[method].base.names)))
 
 
 def test_friction_is_drawn_to_scale_and_its_axes_say_which(scene: Scene, rrd: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from testbed.experiment.run import Run
-from testbed.identification.identify import METHODS
+from testbed.identification.estimate import METHODS
 from testbed.viewer.scene import Scene, means, plain, pressure, scene_of
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, noisy, robot, run_of
@@ -69,7 +69,7 @@ def test_every_parameter_belongs_to_its_body(name: str) -> None:
         estimate, n = run.estimates[method], run.tree.n
         for body, members in scene.bodies(method).items():
             for k in members:
-                touched = {int(c) // 10 for c in np.flatnonzero(estimate.matrix[k])}
+                touched = {int(c) // 10 for c in np.flatnonzero(estimate.base.matrix[k])}
                 if body >= 0:
                     assert body in touched
                 for other in touched - {body}:  # what is regrouped comes from further out
@@ -96,5 +96,5 @@ def test_notes_say_what_was_found_and_what_to_be_careful_about(scene: Scene, pum
 
 
 def test_what_cannot_be_shown_is_noted(scene: Scene) -> None:
-    robot_ = replace(scene.robot, warnings=("mesh 'arm.stl' is not there",))
-    assert r"mesh 'arm\.stl' is not there" in replace(scene, robot=robot_).notes
+    look = replace(scene.appearance, warnings=("mesh 'arm.stl' is not there",))
+    assert r"mesh 'arm\.stl' is not there" in replace(scene, appearance=look).notes

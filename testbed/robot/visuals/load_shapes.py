@@ -7,12 +7,12 @@ from pathlib import Path
 from testbed.robot.load import model_format
 from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import Appearance
+from testbed.robot.visuals.shapes import DrawnShapes
 
 
 def load_shapes(
     path: str | Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> Appearance:
+) -> DrawnShapes:
     """What the model file gives to be seen of the robot, and what of it cannot be shown.
 
     Args:

@@ -19,7 +19,7 @@ from testbed.robot.formats.mjcf_compile import (
 from testbed.robot.formats.mjcf_spec import open_spec
 from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import Appearance, Kind, Shape, in_body
+from testbed.robot.visuals.shapes import DrawnShapes, Kind, Shape, in_body
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -35,7 +35,7 @@ _SEEN_GROUPS = 3
 
 def read_shapes(
     path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> Appearance:
+) -> DrawnShapes:
     """What MuJoCo's own viewer shows, but for floors.
 
     Args:
@@ -54,7 +54,7 @@ def read_shapes(
     except ValueError:
         warnings = drop_unreadable_meshes(spec, path)
         model = compile_spec(spec, path)
-    return Appearance(tuple(_shapes(model, tree)), warnings)
+    return DrawnShapes(tuple(_shapes(model, tree)), warnings)
 
 
 def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:

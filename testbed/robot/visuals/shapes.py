@@ -52,7 +52,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Appearance:
+class DrawnShapes:
     """What there is to see of a robot.
 
     Attributes:

@@ -20,14 +20,14 @@ from testbed.robot.locks import Lock
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.mesh_files import find_mesh
-from testbed.robot.visuals.shapes import Appearance, Shape
+from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])
 
 
 def read_shapes(
     path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
-) -> Appearance:
+) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
     Args:
@@ -50,7 +50,7 @@ def read_shapes(
             model, seen = _built(root)
         except Exception as error:
             raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
-    return Appearance(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
+    return DrawnShapes(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
 
 
 def _shapes(

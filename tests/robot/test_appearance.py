@@ -12,7 +12,8 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.robot.visuals.drawn_robot import DrawnRobot, bounds, draw
+from testbed.robot.model_file import ModelFile
+from testbed.robot.visuals.appearance import Appearance, bounds, load_appearance
 from testbed.robot.visuals.load_shapes import load_shapes
 from testbed.robot.visuals.shapes import Kind, Shape, upright
 from testbed.robot.visuals.sticks import sticks
@@ -92,7 +93,7 @@ def test_bounds_are_those_of_the_surface(kind: Kind, seed: int) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_arrows_stand_clear_of_all_that_is_on_the_plate(kind: Kind, puma: tb.Tree) -> None:
     standing = tuple(shape(kind, seed) for seed in range(4))
-    robot = DrawnRobot(puma, standing)
+    robot = Appearance(puma, standing)
     for each in standing:
         low, high = bounds(each)
         assert ((robot.corner[:2] < low[:2]) | (robot.corner[:2] > high[:2])).any()
@@ -104,7 +105,7 @@ def test_arrows_stand_clear_of_all_that_is_on_the_plate(kind: Kind, puma: tb.Tre
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda p: p.stem)
 def test_every_robot_stands_on_a_plate_that_arrows_are_clear_of(path: Path) -> None:
     tree = tb.load_tree(path)
-    robot = draw(tree, path)
+    robot = load_appearance(tree, ModelFile(path))
     plates = [bounds(each) for each in robot.shapes if each.body < 0]
     assert any(low[2] < 0 <= high[2] + 1e-9 for low, high in plates)
     right = max(high[0] for _, high in plates)
@@ -117,8 +118,8 @@ def test_every_robot_stands_on_a_plate_that_arrows_are_clear_of(path: Path) -> N
 
 def test_a_plate_that_the_file_draws_is_not_doubled(puma: tb.Tree) -> None:
     drawn = load_shapes(ROOT / "models/puma562.xml", puma).shapes
-    assert len(draw(puma, ROOT / "models/puma562.xml").shapes) == len(drawn)
-    assert len(draw(puma).shapes) == len(list(sticks(puma))) + 1
+    assert len(load_appearance(puma, ModelFile(ROOT / "models/puma562.xml")).shapes) == len(drawn)
+    assert len(load_appearance(puma).shapes) == len(list(sticks(puma))) + 1
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -130,7 +131,10 @@ def test_lengths_grow_with_the_robot(seed: int) -> None:
         replace(each, first_moment=10 * each.first_moment, tensor=100 * each.tensor)
         for each in tree.inertias
     )
-    large, small = draw(replace(tree, joints=joints, inertias=inertias)), draw(tree)
+    large, small = (
+        load_appearance(replace(tree, joints=joints, inertias=inertias)),
+        load_appearance(tree),
+    )
     if small.reach > 0.1:
         assert large.reach == pytest.approx(10 * small.reach)
     assert set(small.tips) == {j for j in range(tree.n) if not tree.children(j)}
@@ -166,7 +170,7 @@ def test_a_broken_mesh_is_left_out_and_said(tmp_path: Path) -> None:
     text = text.replace(f'<link name="{name}">', f'<link name="{name}">{visual}{box}')
     (tmp_path / "r.urdf").write_text(text)
     tree = tb.load_tree(tmp_path / "r.urdf")
-    robot = draw(tree, tmp_path / "r.urdf")
+    robot = load_appearance(tree, ModelFile(tmp_path / "r.urdf"))
     assert [shape.kind for shape in robot.shapes if shape.body >= 0] == ["box"]
     assert len(robot.warnings) == 1
     assert "bad.stl" in robot.warnings[0]

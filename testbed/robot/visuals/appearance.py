@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.robot.locks import Lock
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import Appearance, Shape
+from testbed.robot.visuals.shapes import DrawnShapes, Shape
 from testbed.robot.visuals.sticks import sticks
 
 STEEL = (0.62, 0.64, 0.68, 1.0)
@@ -23,13 +22,13 @@ CLEAR = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnRobot:
-    """A robot and what it looks like.
+class Appearance:
+    """What a robot looks like.
 
     Attributes:
         tree: The robot.
         shapes: On its bodies and on the bedplate.
-        warnings: What of the model file cannot be shown, one line each.
+        warnings: What the model file gives to be seen but cannot be shown, a line each.
     """
 
     tree: Tree
@@ -89,31 +88,21 @@ def bounds(shape: Shape) -> tuple[Array, Array]:
     return shape.position - half, shape.position + half
 
 
-def draw(
-    tree: Tree,
-    model: Path | None = None,
-    *,
-    weld_root: bool = False,
-    lock: Lock | None = None,
-) -> DrawnRobot:
+def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     """What a robot looks like: as its model file draws it, else as sticks.
 
     Args:
         tree: The robot.
-        model: Its model file, MJCF or URDF; None if it came from no file.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that are held, as when the tree was read.
+        model: Its model file; None if it came from no file.
 
     Raises:
         ModelError: The file cannot be read.
     """
-    seen = (
-        Appearance(())
-        if model is None
-        else load_shapes(model, tree, weld_root=weld_root, lock=lock)
-    )
-    shapes = seen.shapes or tuple(sticks(tree))
-    return DrawnRobot(tree, _with_plate(tree, shapes), seen.warnings)
+    drawn = DrawnShapes(())
+    if model is not None:
+        drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    shapes = drawn.shapes or tuple(sticks(tree))
+    return Appearance(tree, _with_plate(tree, shapes), drawn.warnings)
 
 
 def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
