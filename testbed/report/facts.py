@@ -84,7 +84,7 @@ def _treatment(run: Run) -> str:
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
         f"{settings.deadband:g} rad/s or m/s dropped; parameters that are zero in the model file "
-        + ("known" if run.zeros else "not known")
+        + ("known" if run.settings.zeros else "not known")
     )
 
 

@@ -15,6 +15,8 @@ import testbed as tb
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits
 from testbed.robot.visuals.shapes import Shape
+from tests.helpers.ideal import EXACT, ideal
+from tests.helpers.robots import random_robot
 
 
 def dataclasses_of_the_project() -> list[type[Any]]:
@@ -48,8 +50,7 @@ def some(*shape: int) -> np.ndarray:
     return rng.normal(size=shape)
 
 
-NOTHING: Any = None  # where arrays alone matter
-
+ROBOT = random_robot(np.random.default_rng(5), 2).tree()
 EXAMPLES: dict[str, Any] = {
     "Motion": lambda: tb.Motion(some(4), some(4, 2), some(4, 2), some(4, 2)),
     "Fourier": lambda: Fourier(0.1, some(2), some(2, 3), some(2, 3)),
@@ -60,10 +61,7 @@ EXAMPLES: dict[str, Any] = {
     "Shape": lambda: Shape(
         0, "mesh", some(3), some(3), some(3, 3), some(4), some(5, 3), some(6, 3)
     ),
-    "Estimate": lambda: tb.Estimate(
-        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
-        some(1), some(1), (5,), 1.0, NOTHING, (), NOTHING, None, ("a",),
-    ),
+    "Estimate": lambda: tb.identify(ROBOT, ideal(ROBOT, duration=4.0), "internal", settings=EXACT),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
         some(6),
