@@ -15,8 +15,6 @@ import testbed as tb
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits
 from testbed.robot.visuals.shapes import Shape
-from tests.helpers.ideal import EXACT, ideal
-from tests.helpers.robots import random_robot
 
 
 def dataclasses_of_the_project() -> list[type[Any]]:
@@ -50,7 +48,8 @@ def some(*shape: int) -> np.ndarray:
     return rng.normal(size=shape)
 
 
-ROBOT = random_robot(np.random.default_rng(5), 2).tree()
+NOTHING: Any = None  # where arrays alone matter
+
 EXAMPLES: dict[str, Any] = {
     "Motion": lambda: tb.Motion(some(4), some(4, 2), some(4, 2), some(4, 2)),
     "Fourier": lambda: Fourier(0.1, some(2), some(2, 3), some(2, 3)),
@@ -61,7 +60,10 @@ EXAMPLES: dict[str, Any] = {
     "Shape": lambda: Shape(
         0, "mesh", some(3), some(3), some(3, 3), some(4), some(5, 3), some(6, 3)
     ),
-    "Estimate": lambda: tb.identify(ROBOT, ideal(ROBOT, duration=4.0), "internal", settings=EXACT),
+    "Estimate": lambda: tb.Estimate(
+        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
+        some(1), some(1), (5,), 1.0, NOTHING, (), NOTHING, None, ("a",),
+    ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
         some(6),
