@@ -161,6 +161,9 @@ def equations(
         Path | None,
         typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
     ] = None,
+    max_terms: Annotated[
+        int | None, typer.Option(min=1, help="Refuse what takes more terms; default 150000.")
+    ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
@@ -173,6 +176,7 @@ def equations(
     """
     from testbed.files import fingerprint, replacing
     from testbed.symbolic.angles import right_angles
+    from testbed.symbolic.budget import MAX_TERMS
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
@@ -181,7 +185,7 @@ def equations(
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
-    known = _known(zeros, zero)
+    known, most = _known(zeros, zero), max_terms or MAX_TERMS
     if out is not None and out.resolve() == model.resolve():
         raise typer.BadParameter(f"--out {out} is the model file itself")
     if against is not None:
@@ -189,10 +193,10 @@ def equations(
             raise typer.BadParameter(
                 "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
             )
-        _compare(tree, against, form, gravity, known)
+        _compare(tree, against, form, gravity, known, most)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
-    listing = derived(tree, names, form.value, gravity, known, numbers)
+    listing = derived(tree, names, form.value, gravity, known, numbers, most)
     text = write_equations(
         listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
     )
@@ -218,13 +222,16 @@ def _compare(
     form: _Form,
     gravity: tuple[float, float, float] | None,
     zeros: bool | list[str],
+    max_terms: int,
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
+    from testbed.files import read_text
     from testbed.symbolic.compare import compare_equations
     from testbed.symbolic.languages.paper import line
+    from testbed.symbolic.parse import TERM_LENGTH
 
-    text = path.read_text(encoding="utf-8", errors="replace")
-    found = compare_equations(tree, text, form.value, gravity, zeros)
+    text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
+    found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")

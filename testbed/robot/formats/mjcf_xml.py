@@ -22,6 +22,7 @@ MOST_CELLS = 10**7
 """Of a height field: rows times columns."""
 DEEPEST_FILES = 8
 """Files that may hold each other in a row."""
+_BODIES = ("body", "composite", "flexcomp")
 _COPIED = ("replicate", "composite", "flexcomp")
 """Elements whose attribute `count` says how many copies are made."""
 
@@ -93,7 +94,7 @@ class _Files:
         unnamed = max(models.values(), key=lambda size: size.elements, default=_Size())
         made = _Size()
         for element, copies in _copies(root):
-            made += _Size(1, element.tag == "body" or element.tag in _COPIED) * copies
+            made += _Size(1, element.tag in _BODIES) * copies
             if element.tag == "attach":
                 made += models.get(element.get("model", ""), unnamed) * copies
             elif element.tag in ("include", "model"):
