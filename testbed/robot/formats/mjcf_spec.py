@@ -30,7 +30,7 @@ def open_spec(
         lock: Joints to be held, which are taken out, their bodies posed.
 
     Returns:
-        The model, and what was accepted although it is doubtful, a line each.
+        The model, and a line for each thing that was accepted with a warning.
 
     Raises:
         ModelError: The file is not MJCF, or holds what is not supported; FreeRootError for a
