@@ -67,7 +67,7 @@ def follower_names(path: Path) -> tuple[str, ...]:
 def _parsed(path: Path) -> mujoco.MjSpec:
     """The file as MuJoCo's parser takes it, everything named."""
     check_files(path)
-    if path.suffix.lower() != ".xml":
+    if path.suffix != ".xml":
         raise ModelError(f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it")
     with no_mujoco_warnings():
         try:
