@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app
+from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app, note
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
@@ -59,7 +59,7 @@ def view(
     write_rrd(scenes, path)
     out = terminal.console()
     for scene in scenes:
-        terminal.print_warnings(out, scene.run.warnings)
+        terminal.print_warnings(out, scene.warnings)
     out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
@@ -87,6 +87,7 @@ def report(
 
     Example: testbed report runs/table6-286a25ef
     """
+    from testbed.errors import TestbedError
     from testbed.experiment.unseen import unseen
     from testbed.report import terminal
     from testbed.report.html import write_report
@@ -101,7 +102,11 @@ def report(
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
     done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
-        other = unseen(done, progress)
+        try:
+            other = unseen(done, progress)
+        except TestbedError as error:
+            other = None
+            note([f"predictions are checked on the identified motion only: {error}"])
     beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True

@@ -7,6 +7,10 @@ from testbed.identification.estimate import Estimate
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
 
+SMALL = 0.01
+"""Sigma, as a share of the largest value of the same unit, below which it is small all the same:
+a parameter that is zero is then known to be."""
+
 ILL_CONDITIONED = 1e3
 """Condition of the scaled equations above which the estimate is reported as doubtful."""
 
@@ -20,10 +24,18 @@ def quality_warnings(estimate: Estimate) -> list[str]:
             "errors of the instrument grow by up to that factor"
         )
     base = estimate.base
+    largest = {
+        unit: max(
+            abs(value) for value, its in zip(base.values, base.units, strict=True) if its == unit
+        )
+        for unit in set(base.units)
+    }
     loose = [
         f"{name} ({value:.3g} +- {sigma:.2g})"
-        for name, value, sigma in zip(base.names, base.values, base.sigma, strict=True)
-        if sigma > SIGNIFICANT * abs(value)
+        for name, unit, value, sigma in zip(
+            base.names, base.units, base.values, base.sigma, strict=True
+        )
+        if sigma > SIGNIFICANT * abs(value) and sigma > SMALL * largest[unit]
     ]
     if loose:
         listed = ", ".join(loose)

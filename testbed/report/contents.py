@@ -16,7 +16,7 @@ from testbed.report.portrait import portrait
 from testbed.report.sections import SHOWN, sections
 from testbed.report.tables import with_sigma
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.appearance import load_appearance
+from testbed.robot.visuals.appearance import Appearance, load_appearance
 
 GLYPHS = ("·", "+", "#")
 KINDS = ("never", "combined", "alone")
@@ -33,6 +33,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         run: What the report is about.
         unseen: Another recording, of a motion that no estimate has seen; None for none.
     """
+    look = load_appearance(run.tree, run.model)
     return {
         "title": run.name,
         "claim": "" if run.experiment is None else run.experiment.claim,
@@ -40,12 +41,12 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "verdict": verdict(run),
         "verdicts": _verdicts(run),
         "holds": run.as_expected,
-        "portrait": _portrait(run),
+        "portrait": _portrait(run, look),
         "asked": asked(run),
         "methods": list(run.estimates),
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
-        "warnings": list(run.warnings),
+        "warnings": [*run.warnings, *look.warnings],
         "figures": [
             section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
             for section in sections(predict(run, unseen), unseen is not None)
@@ -69,9 +70,8 @@ def _verdicts(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _portrait(run: Run) -> dict[str, str]:
+def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     """The robot as the recording begins, with the reaction at that moment."""
-    look = load_appearance(run.tree, run.model)
     recording = run.recording
     shown = recording.time <= recording.time[0] + SHOWN
     step = max(1, int(shown.sum()) // 500)

@@ -79,12 +79,14 @@ def _treatment(run: Run) -> str:
     """How the signals became equations."""
     settings = run.settings
     cutoffs = [
-        "off" if c is None else f"{c:g} Hz" for c in (settings.position_cutoff, settings.cutoff)
+        cutoff if isinstance(cutoff, str) else f"{cutoff:g} Hz"
+        for cutoff in (settings.position_cutoff, settings.cutoff)
     ]
+    zeros = {True: "those that are zero in the model file", False: "none"}
+    known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
-        f"{settings.deadband:g} rad/s or m/s dropped; parameters that are zero in the model file "
-        + ("known" if run.zeros else "not known")
+        f"{settings.deadband:g} rad/s or m/s dropped; parameters known to be zero: {known}"
     )
 
 

@@ -35,8 +35,8 @@ _VARIABLES = {
 }
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "testbed",
     "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
     "text.color": INK,
     "text.parse_math": False,  # a joint's name may hold what looks like mathematics
@@ -91,7 +91,7 @@ class Panel:
     @property
     def svg(self) -> str:
         """The plot as an element of a page."""
-        with rc_context(_STYLE):
+        with rc_context(_STYLE | {"svg.hashsalt": f"{self.title} {self.x_label}"}):
             figure = Figure(figsize=(WIDTH, HEIGHT))
             axis = figure.subplots()
             figure.subplots_adjust(**_MARGINS)
@@ -156,6 +156,11 @@ def _svg(figure: Figure, name: str) -> str:
     for colour, variable in _VARIABLES.items():
         svg = svg.replace(colour, variable)
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
+    svg = re.sub(
+        r' id="((?:figure|axes|patch|line2d|text|xtick|ytick|matplotlib)[^"]*)"',
+        r' class="\1"',
+        svg,
+    )
     title = f'role="img" aria-label="{escape(name)}">'
     return svg.replace(">", f" {title}", 1)
 

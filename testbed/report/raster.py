@@ -47,7 +47,10 @@ def _covered(corners: Array, wide: int, tall: int) -> tuple[Numbers, Numbers, Nu
     centre = row + 0.5
     left, right = np.full(len(row), np.inf), np.full(len(row), -np.inf)
     for k in range(3):
-        (x0, y0), (x1, y1) = (corners[triangle, j, :2].T for j in (k, (k + 1) % 3))
+        ends = corners[:, [k, (k + 1) % 3], :2]
+        upward = ends[:, 0, 1] > ends[:, 1, 1]
+        ends[upward] = ends[upward, ::-1]  # neighbours share an edge to the last bit
+        (x0, y0), (x1, y1) = (ends[triangle, j].T for j in range(2))
         crossed = (y0 <= centre) != (y1 <= centre)
         rise = np.where(crossed, y1 - y0, 1.0)
         cut = x0 + (centre - y0) / rise * (x1 - x0)

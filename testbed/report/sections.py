@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions, Signal
+from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, Method
 from testbed.report.figures import Panel, thinned
@@ -137,9 +137,9 @@ def _spectra(found: Predictions) -> dict[str, Any]:
 def _friction(found: Predictions) -> dict[str, Any]:
     rest, run = found.unexplained_torque, found.run
     assert rest is not None  # the caller has looked
-    panels, rows = [], []
+    panels = []
     for j, joint in enumerate(run.tree.joints):
-        units = ("rad/s", "N m", "N m s/rad") if joint.revolute else ("m/s", "N", "N s/m")
+        units = ("rad/s", "N m") if joint.revolute else ("m/s", "N")
         speed = found.motion.qd[:, j]
         curves = {"unexplained": thinned(speed, rest[:, j], 2000)}
         grid = np.zeros((201, run.tree.n))
@@ -155,7 +155,6 @@ def _friction(found: Predictions) -> dict[str, Any]:
                 points=("unexplained",),
             )
         )
-        rows.append([joint.name, ", ".join(units[1:]), *_friction_cells(found, joint.name)])
     return {
         "id": "friction",
         "title": "Friction",
@@ -164,20 +163,23 @@ def _friction(found: Predictions) -> dict[str, Any]:
         "wrongly. The line is the friction that the internal estimate found.",
         "legend": {"unexplained": "unexplained torque", "internal": "friction, internal"},
         "panels": panels,
-        "caption": "Points are samples, the line is dry and viscous friction as estimated.",
-        "heads": [
-            "joint",
-            "units",
-            *(f"{a}, {b}" for b in ("found", "true") for a in ("dry", "viscous")),
-        ],
-        "rows": rows,
+        "caption": "Points are samples; the line is what the internal estimate's terms make of a "
+        "steady velocity.",
+        "heads": ["joint", "term", "unit", "found", "true"],
+        "rows": _term_rows(run),
     }
 
 
-def _friction_cells(found: Predictions, joint: str) -> Sequence[str]:
-    """Dry and viscous coefficients, found and true."""
-    internal = found.run.estimates.get("internal")
-    values = {} if internal is None else dict(zip(internal.names, internal.values, strict=True))
-    both = [known.get(f"{kind}/{joint}") for known in (values, found.run.truths)
-            for kind in ("coulomb", "viscous")]  # fmt: skip
-    return ["" if value is None else f"{value:.4g}" for value in both]
+def _term_rows(run: Run) -> list[list[str]]:
+    """What the internal estimate found of each joint's own torque, joint by joint."""
+    internal = run.estimates.get("internal")
+    terms = () if internal is None else internal.joint_terms
+    rows = []
+    for joint in run.tree.names:
+        for term in terms:
+            if term.joint == joint:
+                truth = run.truths.get(term.name)
+                found = f"{term.value:.4g} +- {term.sigma:.2g}"
+                true = "" if truth is None else f"{truth:.4g}"
+                rows.append([joint, term.kind, term.unit, found, true])
+    return rows

@@ -17,8 +17,7 @@ from testbed.experiment.growth import Growth
 from testbed.experiment.predictions import Predictions, predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.estimate import MODEL_OF, Method
-from testbed.parameters.minimal_set import minimal_set
+from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 
 PRESSED = 0.05
@@ -49,6 +48,11 @@ class Scene:
     def run(self) -> Run:
         """The run."""
         return self.predictions.run
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful reader should know, of the run and of what cannot be shown."""
+        return (*self.run.warnings, *self.appearance.warnings)
 
     @property
     def motion(self) -> Motion:
@@ -109,10 +113,8 @@ class Scene:
 
     def bodies(self, method: Method) -> dict[int, list[int]]:
         """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
-        run = self.run
-        minimal = minimal_set(run.tree, MODEL_OF[method], zeros=run.settings.zeros)
         found: dict[int, list[int]] = {}
-        for k, body in enumerate(minimal.bodies):
+        for k, body in enumerate(self.run.estimates[method].minimal.bodies):
             found.setdefault(body, []).append(k)
         return dict(sorted(found.items()))
 
@@ -124,9 +126,9 @@ class Scene:
         lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
-        if run.warnings:
+        if self.warnings:
             lines.append("## Warnings")
-            lines.append("\n".join(f"- {plain(line)}" for line in run.warnings))
+            lines.append("\n".join(f"- {plain(line)}" for line in self.warnings))
         return "\n\n".join(lines)
 
     def friction_axes(self, j: int) -> tuple[float, float]:

@@ -97,7 +97,7 @@ def no_mujoco_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StatedInertia:
     """An inertia as the file states it: the compiler's principal axes cost digits."""
 
