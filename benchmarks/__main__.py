@@ -93,6 +93,25 @@ def equations(rounds: Annotated[int, typer.Option(help="Turns that each rival ha
     _print(speed(rounds))
 
 
+@app.command()
+def mutation(
+    mutants: Annotated[int, typer.Option(help="How many to draw.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of the draw.")] = 0,
+    room: Annotated[str | None, typer.Option(help="Only this room's.")] = None,
+    own: Annotated[bool, typer.Option(help="Meet the tests of their own room only.")] = False,
+    jobs: Annotated[int, typer.Option(help="Copies of the project that work at once.")] = 2,
+    minutes: Annotated[float | None, typer.Option(help="Stop then; the next call goes on.")] = None,
+    show: Annotated[bool, typer.Option("--list", help="Draw them and show them.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+) -> None:
+    """How many small wrong changes of the project the tests see; exit code 1 below the goal."""
+    from benchmarks.mutation.campaign import Plan
+    from benchmarks.mutation.table import run
+
+    plan = Plan(mutants, seed, room, own, jobs, minutes)
+    raise typer.Exit(run(plan, show=show, as_json=as_json))
+
+
 @app.command(name="all")
 def everything() -> None:
     """All of them."""

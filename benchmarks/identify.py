@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,11 @@ import numpy as np
 import testbed as tb
 from benchmarks.regressor import Case, stack
 from benchmarks.timing import forget_peak, least, peak_rss
-from testbed.identification.identify import Method
+from testbed.identification.estimate import Method
 from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording
 
-EXACT = tb.Settings(None, None, deadband=0.0, terms=())
+EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=())
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
 """How many times the samples of a case make a long recording."""
 
@@ -32,6 +33,7 @@ class Endless:
         self.recording, self.samples = recording, samples
         self.names, self.tare, self.facts = recording.names, recording.tare, recording.facts
         self.rate, self.senses_kinematics = 1000.0, True
+        self.signals = recording.signals
 
     def part(self, first: int, last: int) -> Recording:
         """The recording over and over."""
@@ -43,8 +45,8 @@ class Endless:
             r.names,
             np.arange(first, last) / self.rate,
             r.position[k],
-            r.torque[k],
-            r.wrench[k],
+            r.measured("torque")[k],
+            r.measured("wrench")[k],
             r.velocity[k],
             r.acceleration[k],
             tare=self.tare,
@@ -60,8 +62,8 @@ def long(case: Case) -> Recording:
         r.names,
         np.arange(times * r.samples) / 1000,
         np.tile(r.position, (times, 1)),
-        np.tile(r.torque, (times, 1)),
-        np.tile(r.wrench, (times, 1)),
+        np.tile(r.measured("torque"), (times, 1)),
+        np.tile(r.measured("wrench"), (times, 1)),
         np.tile(r.velocity, (times, 1)),
         np.tile(r.acceleration, (times, 1)),
         tare=np.zeros(6),
@@ -115,7 +117,7 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
     """A Parquet recording larger than memory should need, encoders only, default settings."""
     import time
 
-    from testbed.recordings.formats.parquet import write_parts
+    from testbed.recordings.stored import write_parts
 
     bytes_per_sample = 8 * (1 + 2 * case.tree.n + 6)
     samples = int(gigabytes * 1e9 / bytes_per_sample)
@@ -140,4 +142,4 @@ def stored(case: Case, gigabytes: float) -> dict[str, Any]:
 
 
 def _encoders(part: Recording) -> Recording:
-    return Recording(part.names, part.time, part.position, part.torque, part.wrench, tare=part.tare)
+    return replace(part, velocity=None, acceleration=None, truth=None, facts={})

@@ -7,27 +7,29 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.timing import least
-from testbed.cli.pictures import of_run
 from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.growth import growth
 from testbed.experiment.run_folder import read_run, write_run
-from testbed.experiment.story import subject_of
+from testbed.experiment.unseen import unseen
 from testbed.report.html import write_report
 from testbed.viewer.log import write_rrd
+from testbed.viewer.scene import scene_of
 
 
 def pictures(rounds: int = 3) -> dict[str, Any]:
     """Seconds of one core, and sizes, for table6."""
     experiment = Experiment.load("experiments/table6.toml")
     with tempfile.TemporaryDirectory() as folder:
-        run, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
-        write_run(carry_out(experiment), run)
-        story, outcome = of_run(run), read_run(run)
+        place, rrd, page = (Path(folder) / name for name in ("run", "run.rrd", "run.html"))
+        write_run(carry_out(experiment), place)
+        run = read_run(place)
+        scene = scene_of(run, growth(run))
         seconds = least(
             {
-                "rrd": lambda: write_rrd([story], rrd),
-                "story and rrd": lambda: write_rrd([of_run(run)], rrd),
-                "report": lambda: write_report(subject_of(outcome), page),
+                "rrd": lambda: write_rrd([scene], rrd),
+                "scene and rrd": lambda: write_rrd([scene_of(run, growth(run))], rrd),
+                "report": lambda: write_report(run, page, unseen(run)),
             },
             rounds,
             wall=True,

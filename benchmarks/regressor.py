@@ -45,7 +45,7 @@ class Case:
         assert r.velocity is not None
         assert r.acceleration is not None
         unit = np.array([[1.0], [0.0], [0.0]])
-        measured = r.torque if found.model == "dynamic" else r.wrench
+        measured = r.measured("torque") if found.model == "dynamic" else r.measured("wrench")
         return Signals(
             r.position, r.velocity, r.acceleration, measured, unit, np.ones(1), 0.0, 0, 1, r.samples
         )

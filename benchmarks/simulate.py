@@ -11,6 +11,7 @@ import numpy as np
 import testbed as tb
 from benchmarks.timing import least, peak_rss
 from testbed.excitation.fourier import Fourier
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.rollout import Sampling, simulate_motion
 
@@ -21,7 +22,7 @@ STEP, RATE, DURATION = 5e-4, 1000.0, 2.0
 def simulate(rounds: int = 5) -> dict[str, Any]:
     """A recording run against `mj_step` alone, per simulation step."""
     tree = tb.load_tree(MODEL)
-    plant = build_plant(MODEL, tree, STEP)
+    plant = build_plant(ModelFile(MODEL), tree, STEP)
     motion = Fourier(0.5, np.zeros(tree.n), np.full((tree.n, 2), 0.2), np.full((tree.n, 2), 0.1))
     steps = round(1 / (RATE * STEP))
     sampling = Sampling(RATE, steps, averaged=True, warm_up=0.0)

@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from testbed.experiment.carry_out import carry_out as carry_out
     from testbed.experiment.carry_out import simulate as simulate
     from testbed.experiment.experiment import Experiment as Experiment
-    from testbed.identification.identify import Estimate as Estimate
+    from testbed.identification.estimate import Estimate as Estimate
     from testbed.identification.identify import identify as identify
-    from testbed.identification.normal_equations import Products as Products
+    from testbed.identification.normal_equations import NormalEquations as NormalEquations
     from testbed.identification.settings import Settings as Settings
-    from testbed.identification.solve import fit as fit
+    from testbed.identification.solvers import fit as fit
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
-    from testbed.recordings.formats.parquet import StoredRecording as StoredRecording
     from testbed.recordings.recording import Recording as Recording
+    from testbed.recordings.stored import StoredRecording as StoredRecording
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
     from testbed.robot.tree import Joint as Joint
@@ -53,11 +53,12 @@ _HOMES = {
     ),
     "testbed.dynamics.motion": ("Motion",),
     "testbed.errors": ("TestbedError",),
-    "testbed.identification.identify": ("Estimate", "identify"),
+    "testbed.identification.estimate": ("Estimate",),
+    "testbed.identification.identify": ("identify",),
     "testbed.identification.settings": ("Settings",),
-    "testbed.identification.normal_equations": ("Products",),
-    "testbed.identification.solve": ("fit",),
-    "testbed.recordings.formats.parquet": ("StoredRecording",),
+    "testbed.identification.normal_equations": ("NormalEquations",),
+    "testbed.identification.solvers": ("fit",),
+    "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),

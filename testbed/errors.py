@@ -6,7 +6,7 @@ attributes. The command line prints the message as one line and exits with code 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 
 LONGEST_MESSAGE = 500
@@ -84,6 +84,23 @@ class FreeRootError(ModelError):
         )
 
 
+class MimicError(ModelError):
+    """Joints that follow others, which a tree cannot express; `masters` by follower."""
+
+    def __init__(self, source: str, masters: Mapping[str, str], hold: Sequence[str]) -> None:
+        self.masters = dict(masters)
+        names = list(dict.fromkeys(hold))
+        first, master = next(iter(masters.items()))
+        more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
+        options = " ".join(f"--lock {name}" for name in names[:4]) + " ..." * (len(names) > 4)
+        super().__init__(
+            f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
+            f"{options} holds followed and followers; --lock-mimic holds followers only, where "
+            "their masters' zeros take them (in an experiment lock and lock_mimic under [robot]; "
+            f"in Python lock={{'{names[0]}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
+        )
+
+
 class UnknownName(TestbedError):
     """A name that is not one of those known; `name` and `known` are kept."""
 
@@ -100,7 +117,7 @@ class RecordingError(TestbedError):
     """A recording that is damaged, incomplete, or of another robot."""
 
 
-class SettingsError(TestbedError):
+class SettingsError(TestbedError, ValueError):
     """A treatment of the signals that would spoil them."""
 
 

@@ -12,6 +12,8 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import testbed as tb
+from testbed.experiment.evaluate import evaluate
+from testbed.experiment.run import Run
 from tests.helpers.paths import GOLDEN, ROOT
 
 
@@ -30,3 +32,11 @@ def puma_recording() -> tb.Recording:
     """Ten seconds of the PUMA through the instrument of table6."""
     settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
     return tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
+
+
+@pytest.fixture(scope="session")
+def puma_run(puma_recording: tb.Recording) -> Run:
+    """What those ten seconds tell."""
+    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
+    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
+    return evaluate(experiment, puma_recording)

@@ -1,5 +1,5 @@
 """`python -m testbed.cli` is `testbed`."""
 
-from testbed.cli import main
+from testbed.cli.main import main
 
 main()

@@ -4,11 +4,24 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Gravity, Json, Set, Weld, Zeros, app
+from testbed.cli.options import (
+    Accept,
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    RecordingSet,
+    Set,
+    Weld,
+    Zeros,
+    app,
+    note,
+)
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -23,23 +36,14 @@ class _Method(StrEnum):
     both = "both"
 
 
-class _Term(StrEnum):
-    coulomb = "coulomb"
-    viscous = "viscous"
-    offset = "offset"
-    rotor = "rotor"
-
-
-class _Weights(StrEnum):
-    channels = "channels"
-    full = "full"
-
-
 @app.command()
 def run(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
     settings: Set = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace a run of another experiment.")
+    ] = False,
     live: Annotated[
         bool, typer.Option("--live", help="Show it in an open viewer: rerun --bind 127.0.0.1")
     ] = False,
@@ -49,24 +53,37 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.experiment.carry_out import carry_out
+    from testbed.errors import RecordingError
+    from testbed.experiment.carry_out import simulate as simulated
+    from testbed.experiment.evaluate import evaluate
     from testbed.experiment.experiment import Experiment
-    from testbed.experiment.run_folder import check_folder, result, run_folder, write_run
+    from testbed.experiment.results import result
+    from testbed.experiment.run_folder import (
+        check_folder,
+        default_folder,
+        write_recorded,
+        write_result,
+    )
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
-    if out is not None:
-        check_folder(out)
+    folder = out or default_folder(experiment)
+    check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
     with terminal.Progress("simulating") as progress:
-        outcome = carry_out(experiment, progress, watch)
-    folder = out or run_folder(experiment)
-    write_run(outcome, folder)
+        recording = simulated(experiment, progress, watch)
+    write_recorded(experiment, recording, folder)
+    with terminal.Progress("identifying") as progress:
+        done = evaluate(experiment, recording, progress)
+    write_result(done, folder)
     if as_json:
-        terminal.print_json(result(outcome) | {"folder": str(folder)})
-    else:
-        terminal.print_outcome(outcome, folder)
-    raise typer.Exit(0 if outcome.as_expected else 1)
+        terminal.print_json(result(done) | {"folder": str(folder)})
+    elif done.estimates:
+        terminal.print_run(done, folder)
+    if not done.estimates:
+        reasons = "; ".join(f"{method}: {said}" for method, said in done.failures.items())
+        raise RecordingError(f"the recording is kept in '{folder}', but no estimate: {reasons}")
+    raise typer.Exit(0 if done.as_expected else 1)
 
 
 @app.command()
@@ -94,53 +111,45 @@ def simulate(
 def identify(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
     model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    settings: RecordingSet = None,
     method: Annotated[_Method, typer.Option(help="Which estimates to make.")] = _Method.both,
     zeros: Zeros = False,
     gravity: Gravity = None,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
-    position_cutoff: Annotated[str, typer.Option(help="Low-pass on encoders [Hz], or off.")] = "40",
-    cutoff: Annotated[str, typer.Option(help="Parallel low-pass [Hz], or off.")] = "5",
-    deadband: Annotated[float, typer.Option(help="Slower joint rows are dropped.")] = 0.02,
-    term: Annotated[
-        list[_Term] | None,
-        typer.Option(help="In a joint's torque besides the robot; again for more."),
-    ] = None,
-    weights: Annotated[_Weights, typer.Option(help="Noise: each channel's, or all together.")] = (
-        _Weights.channels
-    ),
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     threads: Annotated[int | None, typer.Option(min=1, help="Default one a processor.")] = None,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
 
-    The recording may be larger than memory.
+    The recording may be larger than memory. A method whose signal it lacks is left out.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
-    from testbed.experiment.run_folder import estimate_as_json
+    from testbed.experiment.results import estimate_as_json
+    from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
-    from testbed.identification.settings import Settings
-    from testbed.kernel.layout import TERMS
+    from testbed.recordings.source import open_source
     from testbed.report import terminal
-    from testbed.robot.load import load_tree
 
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    terms = tuple(TERMS[list(_Term).index(t)] for t in term or (_Term.coulomb, _Term.viscous))
-    treatment = Settings(_hertz(position_cutoff), _hertz(cutoff), deadband, terms, weights.value)
-    names: tuple[Literal["external", "internal"], ...] = ("external", "internal")
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    table, tree = reading.tables().identification, reading.tree(model)
+    source = open_source(recording)
+    wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
+    there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
+    warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
+    warnings = [said for m, said in zip(wanted, warnings, strict=True) if m not in there]
     estimates = []
-    for name in names:
-        if method not in (name, _Method.both):
-            continue
+    for name in there or wanted:  # the first says what is missing
         with terminal.Progress(f"identifying, {name}") as progress:
             estimate = identified(
                 tree,
-                recording,
+                source,
                 name,
-                zeros=zeros,
                 gravity=gravity,
-                settings=treatment,
+                settings=table,
                 threads=threads,
                 progress=progress,
             )
@@ -148,7 +157,7 @@ def identify(
     if as_json:
         terminal.print_json({e.method: estimate_as_json(e) for e in estimates})
     else:
-        terminal.print_estimates(estimates, tree.warnings)
+        terminal.print_estimates(estimates, [*tree.warnings, *warnings])
 
 
 @app.command()
@@ -171,23 +180,10 @@ def _unwatched(time: Array, truth: Truth) -> None:
 
 def _watcher(experiment: Experiment) -> Watch:
     """A view of the run in an open viewer."""
-    from testbed.experiment.carry_out import robot_of
-    from testbed.robot.visuals.load_shapes import load_shapes
-    from testbed.viewer.live import Live, nothing_yet
-    from testbed.viewer.story import tell
+    from testbed.experiment.evaluate import model_of, robot_of
+    from testbed.robot.visuals.appearance import load_appearance
+    from testbed.viewer.live import Live
 
-    tree = robot_of(experiment)
-    shapes = load_shapes(experiment.model, tree, weld_root=experiment.weld_root)
-    return Live(tell(experiment.name, tree, nothing_yet(tree.names), shapes))
-
-
-def _hertz(text: str) -> float | None:
-    """A cutoff as typed: a number, or off."""
-    from testbed.errors import SettingsError
-
-    if text == "off":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise SettingsError(f"a cutoff is a frequency [Hz] or off, found '{text}'") from None
+    look = load_appearance(robot_of(experiment), model_of(experiment))
+    note(look.warnings)
+    return Live(experiment.name, look)

@@ -3,15 +3,29 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import Accept, Gravity, Json, Model, Weld, Zero, Zeros, app
+from testbed.cli.options import (
+    Accept,
+    Gravity,
+    Json,
+    Lock,
+    LockMimic,
+    Model,
+    Weld,
+    Zero,
+    Zeros,
+    app,
+)
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
+    from testbed.report.minimal_tables import Findings
     from testbed.robot.tree import Tree
 
 
@@ -57,7 +71,20 @@ def minimal(
         bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
     ] = False,
     as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
+    terms: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TERM",
+            help="A term of the joints' own torques, as rotor or offset; again for more.",
+        ),
+    ] = None,
+    matrices: Annotated[
+        bool | None,
+        typer.Option("--matrices/--no-matrices", help="With --json: the sets as matrices, too."),
+    ] = None,
     weld_root: Weld = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
@@ -65,32 +92,47 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.dynamics.witnesses import verify
+    from testbed.dynamics.witnesses import verify, verify_drives
     from testbed.parameters.identifiability import identifiability
+    from testbed.parameters.joint_terms import with_joint_terms
     from testbed.parameters.minimal_set import minimal_set
     from testbed.report import terminal
-    from testbed.report.minimal import as_document, print_sets
-    from testbed.robot.load import load_tree
+    from testbed.report.minimal_tables import Findings, print_latex, print_sets
 
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
-    agreements = []
-    if check:  # known zeros are struck out afterwards: the rules are verified without them
-        general = minimal_set(tree, "reaction", gravity, tared=tared)
-        agreements = [
-            verify(tree, each) for each in (minimal_set(tree, "dynamic", gravity), general)
-        ]
+    drives = with_joint_terms(tree, dynamic, terms) if terms else None
     seen = identifiability(tree, gravity, known) if show_map or as_json else ()
+    found = Findings(tree, dynamic, reaction, drives, seen)
+    if check:
+        drives_agree = None if drives is None else verify_drives(tree, drives)
+        both = [verify(tree, each) for each in (dynamic, reaction)]
+        found = replace(found, agreements=both, drives_agree=drives_agree)
+    lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
     if as_json:
-        terminal.print_json(as_document(tree, dynamic, reaction, seen, agreements))
+        _print_minimal_json(found, matrices)
+    elif as_latex:
+        print_latex(terminal.console(), found, lengths)
     else:
-        console = terminal.console()
-        terminal.print_warnings(console, tree.warnings)
-        lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
-        print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
-    raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
+        terminal.print_warnings(terminal.console(), tree.warnings)
+        print_sets(terminal.console(), found, lengths)
+    raise typer.Exit(0 if found.hold else 1)
+
+
+def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
+    """For programs; large matrices only if asked for, and otherwise with a word about it."""
+    from testbed.report import terminal
+    from testbed.report.minimal_document import BYTES, MANY, as_document, matrix_numbers
+
+    numbers = matrix_numbers(found)
+    if matrices is None and numbers > MANY:
+        size = numbers * BYTES / 1e6
+        typer.echo(
+            f"the matrices, about {size:.0f} MB, are left out: add --matrices for them", err=True
+        )
+    terminal.print_json(as_document(found, numbers <= MANY if matrices is None else matrices))
 
 
 @app.command()
@@ -123,6 +165,8 @@ def equations(
         int | None, typer.Option(min=1, help="Refuse what takes more terms; default 150000.")
     ] = None,
     weld_root: Weld = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
     accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
@@ -131,14 +175,13 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.files import fingerprint, replacing
-    from testbed.robot.load import load_tree
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.budget import MAX_TERMS
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
 
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
+    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")

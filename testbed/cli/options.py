@@ -2,25 +2,90 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
+
+class Vector(NamedTuple):
+    """Three numbers with commas between them, as 0,0,-9.81."""
+
+    x: float
+    y: float
+    z: float
+
+    def __repr__(self) -> str:
+        return f"{self.x:g} {self.y:g} {self.z:g}"
+
+    @staticmethod
+    def parse(word: str) -> Vector:
+        """The numbers of a word."""
+        try:
+            x, y, z = map(float, word.split(","))
+        except ValueError:
+            raise typer.BadParameter(f"'{word}' is no vector; write it as 0,0,-9.81") from None
+        return Vector(x, y, z)
+
+
+def joined_vectors(words: list[str]) -> list[str]:
+    """The command line's words, with `--gravity 0 0 -9.81` written as `--gravity 0,0,-9.81`."""
+    found = list(words)
+    for k, word in enumerate(words):
+        if word == "--gravity" and len(words) > k + 3 and "," not in words[k + 1]:
+            found[k + 1 : k + 4] = [",".join(words[k + 1 : k + 4])]
+    return found
+
+
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     help="A virtual force plate under a robot: minimal dynamic parameters from joint torques "
     "and from the bedplate's reaction.",
 )
+
+
+def _version(wanted: bool) -> None:
+    """Print the version and stop."""
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"testbed {version('testbed')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    del version  # its callback has done it
+
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as motion.duration=20."),
 ]
+RecordingSet = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="As identification.cutoff=8, robot.lock.j=0."),
+]
 Weld = Annotated[bool, typer.Option("--weld-root", help="Weld a floating root to the bedplate.")]
+Lock = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--lock",
+        metavar="JOINT[=q]",
+        help="Hold a joint at q [rad or m], or where it rests; again for more.",
+    ),
+]
+LockMimic = Annotated[
+    bool, typer.Option("--lock-mimic", help="Hold all joints that follow others.")
+]
 Accept = Annotated[
     bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
 ]
@@ -32,7 +97,17 @@ Zero = Annotated[
     typer.Option("--zero", metavar="NAME", help="A parameter known to be zero, as mb1x."),
 ]
 Gravity = Annotated[
-    tuple[float, float, float] | None,
-    typer.Option(help="Gravity vector [m/s^2]; default the recording's or the model file's."),
+    Vector | None,
+    typer.Option(
+        metavar="X,Y,Z",
+        parser=Vector.parse,
+        help="Gravity vector [m/s^2]; default the recording's or the model file's.",
+    ),
 ]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
+
+
+def note(lines: Iterable[str]) -> None:
+    """Say on standard error what a person should know, a line each."""
+    for line in lines:
+        typer.echo(f"note: {line}", err=True)

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Weld, Zeros, app
+from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app, note
+from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
-    from testbed.identification.predict import Growth
-    from testbed.viewer.story import Story
-
-METHODS: tuple[Literal["external"], Literal["internal"]] = ("external", "internal")
-STAGES = 12
-"""Estimates from more and more of a recording."""
+    from testbed.experiment.run import Run
 
 
 @app.command()
@@ -36,35 +30,37 @@ def view(
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
     ] = False,
     port: Annotated[int, typer.Option(help="Of the page, with --serve.")] = 9090,
+    settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
     accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
 
     Example: testbed view runs/table6-286a25ef
     """
-    from testbed.errors import ViewerError
+    from testbed.experiment.growth import growth
     from testbed.report import terminal
     from testbed.viewer.log import write_rrd
+    from testbed.viewer.scene import scene_of
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
-    stories = []
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    scenes = []
     with terminal.Progress("looking") as progress:
-        for k, run in enumerate(runs):
+        for k, path in enumerate(runs):
             progress(k, len(runs))
-            if not run.exists():
-                raise ViewerError(f"there is no run folder or recording '{run}'")
-            if run.is_dir():
-                stories.append(of_run(run))
-            elif model is None:
-                raise ViewerError(f"'{run}' is no run folder; a recording needs --model")
-            else:
-                stories.append(_of_recording(run, model, zeros, weld_root, accept_inertia))
+            run = _run_at(path, model, reading)
+            scenes.append(scene_of(run, growth(run)))
     path = save or _beside(runs[0], ".rrd")
-    write_rrd(stories, path)
-    terminal.console().print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
+    write_rrd(scenes, path)
+    out = terminal.console()
+    for scene in scenes:
+        terminal.print_warnings(out, scene.warnings)
+    out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
     elif save is None:
@@ -73,15 +69,26 @@ def view(
 
 @app.command()
 def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    run: Annotated[
+        Path, typer.Argument(metavar="RUN", help="Run folder, or recording (with --model).")
+    ],
+    model: Annotated[
+        Path | None, typer.Option(help="MJCF or URDF file of the robot, for a recording.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="HTML file; default RUN.html.")] = None,
+    settings: RecordingSet = None,
+    zeros: Zeros = False,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
 
     Example: testbed report runs/table6-286a25ef
     """
-    from testbed.experiment.run_folder import read_run
-    from testbed.experiment.story import subject_of
+    from testbed.errors import TestbedError
+    from testbed.experiment.unseen import unseen
     from testbed.report import terminal
     from testbed.report.html import write_report
 
@@ -92,9 +99,15 @@ def report(
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
-        subject = subject_of(read_run(run), progress)
-    beside = write_report(subject, path)
+        try:
+            other = unseen(done, progress)
+        except TestbedError as error:
+            other = None
+            note([f"predictions are checked on the identified motion only: {error}"])
+    beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
     )
@@ -107,65 +120,24 @@ def _beside(run: Path, ending: str) -> Path:
     return (run.parent if run.name else whole.parent) / name
 
 
-def of_run(folder: Path) -> Story:
-    """A run folder's story, with its truth."""
-    import numpy as np
-
-    from testbed.experiment.carry_out import settings_of
+def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
+    """A run folder's run, or a recording's with what can be identified from it."""
+    from testbed.errors import ExperimentError
+    from testbed.experiment.run import assemble_run
     from testbed.experiment.run_folder import read_run
-    from testbed.identification.predict import growth
-    from testbed.robot.visuals.load_shapes import load_shapes
-    from testbed.viewer.story import tell
+    from testbed.recordings.recording import Recording
 
-    outcome = read_run(folder)
-    experiment = outcome.experiment
-    duration = outcome.recording.time[-1] - outcome.recording.time[0]
-    times = np.geomspace(duration / 30, duration, STAGES)
-    times[-1] = duration + 1.0  # all of it
-    zeros, treatment = experiment.identification.zeros, settings_of(experiment)
-    estimates = {"external": outcome.external, "internal": outcome.internal}
-    grown: dict[str, Growth] = {
-        method: growth(
-            outcome.tree, outcome.recording, method, times, zeros=zeros, settings=treatment
-        )
-        for method in METHODS
-    }
-    shapes = load_shapes(experiment.model, outcome.tree, weld_root=experiment.weld_root)
-    return tell(
-        experiment.name,
-        outcome.tree,
-        outcome.recording,
-        shapes,
-        estimates,
-        outcome.truths,
-        grown,
-        treatment,
+    if not path.exists():
+        raise ExperimentError(f"there is no run folder or recording '{path}'")
+    if path.is_dir():
+        return read_run(path)
+    if model is None:
+        raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
+    table = reading.tables().identification
+    return assemble_run(
+        reading.tree(model),
+        Recording.load(path),
+        name=path.stem,
+        settings=table,
+        model=reading.model_file(model),
     )
-
-
-def _of_recording(
-    path: Path, model: Path, zeros: bool, weld_root: bool, accept_inertia: bool
-) -> Story:
-    """A recording's story: estimates where the data suffice, no truth."""
-    import numpy as np
-
-    from testbed.errors import RecordingError, UnseenParameters
-    from testbed.identification.identify import identify
-    from testbed.recordings.recording import Recording, check_robot
-    from testbed.robot.load import load_tree
-    from testbed.robot.visuals.load_shapes import load_shapes
-    from testbed.viewer.story import tell
-
-    tree = load_tree(model, weld_root=weld_root, accept_inertia=accept_inertia)
-    recording = Recording.load(path)
-    check_robot(recording, tree)
-    gravity = recording.facts.get("gravity")
-    tree = tree if gravity is None else replace(tree, gravity=np.array(gravity))
-    estimates: dict[str, Estimate] = {}
-    for method in METHODS:
-        try:
-            estimates[method] = identify(tree, recording, method, zeros=zeros)
-        except (RecordingError, UnseenParameters) as error:
-            typer.echo(f"note: no {method} estimate: {error}", err=True)
-    shapes = load_shapes(model, tree, weld_root=weld_root)
-    return tell(path.stem, tree, recording, shapes, estimates)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from testbed.arrays import AnyArray, apply, skew
-from testbed.dynamics.algebra import Algebra, Link, Skeleton
+from testbed.arrays import AnyArray, Array, apply, skew
+from testbed.dynamics.algebra import NUMBERS, Algebra, Link, Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +57,24 @@ def kinematics(
         carrier = bedplate if joint.parent < 0 else moving[joint.parent]
         moving.append(_step(joint, j, carrier, q[..., j], qd[..., j], qdd[..., j], algebra))
     return tuple(moving)
+
+
+def poses(tree: Skeleton, q: Array) -> list[tuple[Array, Array]]:
+    """Rotation to the bedplate's axes (M, 3, 3) and position (M, 3) [m] of every body.
+
+    Args:
+        tree: The robot's geometry.
+        q: Joint positions, (M, n) [rad or m].
+    """
+    still = np.zeros_like(q)
+    moving = kinematics(tree, q, still, still, np.zeros(3), NUMBERS)
+    found: list[tuple[Array, Array]] = []
+    for joint, body in zip(tree.joints, moving, strict=True):
+        base = np.broadcast_to(np.eye(3), (len(q), 3, 3)), np.zeros((len(q), 3))
+        rotation, position = base if joint.parent < 0 else found[joint.parent]
+        there = position + rotation @ joint.offset + apply(rotation @ body.turn, body.z)
+        found.append((rotation @ body.turn, there))
+    return found
 
 
 def _step(

@@ -11,6 +11,7 @@ from testbed.arrays import Array, readonly
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.errors import InfeasibleMotion
+from testbed.robot.friction import drive_torque
 from testbed.robot.tree import Joint, Tree
 
 CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
@@ -80,23 +81,7 @@ def limits_of(
 
 def motor_efforts(tree: Tree, motion: Motion) -> Array:
     """What the motors must deliver, friction and rotor inertia included, (M, n) [N m or N]."""
-    rotor = np.array([joint.rotor_inertia for joint in tree.joints])
-    return joint_forces(tree, motion) + friction_torque(tree, motion.qd) + rotor * motion.qdd
-
-
-def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
-    """Coulomb and viscous friction at the joints, (..., n) [N m or N].
-
-    Args:
-        tree: Gives the coefficients.
-        qd: Velocities, (..., n) [rad/s or m/s].
-        smooth: Speed over which the sign is smoothed [rad/s or m/s].
-    """
-    coulomb = np.array([joint.coulomb for joint in tree.joints])
-    viscous = np.array([joint.viscous for joint in tree.joints])
-    sign = np.tanh(qd / smooth) if smooth else np.sign(qd)
-    friction: Array = coulomb * sign + viscous * qd
-    return friction
+    return joint_forces(tree, motion) + drive_torque(tree, motion.qd, motion.qdd)
 
 
 def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +11,19 @@ from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.experiment import Experiment, joint_tables
-from testbed.experiment.score import Comparison, compare
+from testbed.experiment.evaluate import evaluate, model_of, robot_of
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run
+from testbed.experiment.versions import versions
 from testbed.files import fingerprint
-from testbed.identification.identify import Estimate, identify
 from testbed.identification.passes import Progress
-from testbed.identification.settings import Settings
-from testbed.instruments.instrument import Instrument, measure
+from testbed.instruments.chain import Instrument, measure
 from testbed.parameters.minimal_set import minimal_set
-from testbed.recordings.recording import Recording, geometry
-from testbed.robot.load import load_tree
+from testbed.recordings.geometry import geometry
+from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
+from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
@@ -42,147 +38,43 @@ _QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What came of an experiment.
-
-    Attributes:
-        experiment: What was carried out.
-        tree: The robot.
-        recording: What the instrument measured.
-        external: Estimate from the plate.
-        internal: Estimate from the motor torques.
-        comparison: Both against the truth.
-        warnings: What a careful reader should know, one line each.
-    """
-
-    experiment: Experiment
-    tree: Tree
-    recording: Recording
-    external: Estimate
-    internal: Estimate
-    comparison: Comparison
-    warnings: tuple[str, ...]
-
-    @property
-    def truths(self) -> dict[str, float]:
-        """True values by parameter name."""
-        pairs = (self.external, self.comparison.external), (self.internal, self.comparison.internal)
-        return {
-            name: value
-            for estimate, errors in pairs
-            for name, value in zip(estimate.names, errors.truth.tolist(), strict=True)
-        }
-
-    @property
-    def verdicts(self) -> Mapping[str, bool]:
-        """For each metric in [expect], whether the claim holds."""
-        metrics = self.comparison.metrics
-        return {k: bound.holds(metrics[k]) for k, bound in self.experiment.expect.items()}
-
-    @property
-    def as_expected(self) -> bool:
-        """Whether every claim holds."""
-        return all(self.verdicts.values())
-
-
 def carry_out(
     experiment: Experiment,
     progress: Progress = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
-) -> Outcome:
-    """Simulate, identify by both methods, compare.
+) -> Run:
+    """Simulate, identify by both methods, compare with the truth.
 
     Args:
         experiment: What to do.
         progress: Called with samples done and samples in all.
         watch: Called with what happens while it is simulated, a second or so at a time.
     """
-    tree = robot_of(experiment)
-    return evaluate(experiment, tree, _simulated(experiment, tree, progress, watch))
+    return evaluate(experiment, simulate(experiment, progress, watch))
 
 
-def evaluate(experiment: Experiment, tree: Tree, recording: Recording) -> Outcome:
-    """Identify by both methods and compare with the truth.
-
-    Args:
-        experiment: What was carried out.
-        tree: The robot.
-        recording: What the instrument measured.
-    """
-    table, settings = experiment.identification, settings_of(experiment)
-    external = identify(tree, recording, "external", zeros=table.zeros, settings=settings)
-    internal = identify(tree, recording, "internal", zeros=table.zeros, settings=settings)
-    return Outcome(
-        experiment=experiment,
-        tree=tree,
-        recording=recording,
-        external=external,
-        internal=internal,
-        comparison=compare(tree, external, internal, table.zeros, experiment.simulation.friction),
-        warnings=tuple(dict.fromkeys((*tree.warnings, *external.warnings, *internal.warnings))),
-    )
-
-
-def settings_of(experiment: Experiment) -> Settings:
-    """How an experiment's signals are treated.
-
-    Args:
-        experiment: Says so in its table `identification`.
-    """
-    table = experiment.identification
-    return Settings(
-        position_cutoff=None if table.position_cutoff == "off" else table.position_cutoff,
-        cutoff=None if table.cutoff == "off" else table.cutoff,
-        deadband=table.deadband,
-    )
-
-
-def simulate(experiment: Experiment, progress: Progress = lambda done, total: None) -> Recording:
+def simulate(
+    experiment: Experiment,
+    progress: Progress = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
+) -> Recording:
     """Simulate an experiment's robot on its bedplate and measure it.
 
     Args:
         experiment: What to do.
         progress: Called with samples done and samples in all.
+        watch: Called with what happens while it is simulated, a second or so at a time.
+        forces: On the joints, besides motors and the model's friction, asked before every step.
     """
-    return _simulated(experiment, robot_of(experiment), progress)
-
-
-def robot_of(experiment: Experiment) -> Tree:
-    """The robot of an experiment, under its gravity.
-
-    Args:
-        experiment: Names the model file.
-
-    Raises:
-        ExperimentError: A table names a joint that the robot has not.
-    """
-    tree = load_tree(experiment.model, weld_root=experiment.weld_root)
-    for table, entries in joint_tables(experiment).items():
-        for name in entries:
-            if name not in tree.names:
-                raise ExperimentError(
-                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
-                )
-    gravity = experiment.gravity
-    return tree if gravity is None else replace(tree, gravity=np.array(gravity))
-
-
-def _simulated(
-    experiment: Experiment,
-    tree: Tree,
-    progress: Progress,
-    watch: Watch = lambda time, truth: None,
-) -> Recording:
-    sampling = _sampling(experiment)
-    table = experiment.measurement.model_dump(exclude={"rate", "averaged"})
-    instrument, simulation = Instrument(**table), experiment.simulation
+    tree, sampling = robot_of(experiment), _sampling(experiment)
+    instrument, simulation = experiment.measurement, experiment.simulation
     motion = _motion(experiment, tree, instrument)
     plant = build_plant(
-        Path(experiment.model),
+        model_of(experiment),
         tree,
         simulation.step,
-        weld_root=experiment.weld_root,
+        changed=experiment.robot.joint,
         friction=simulation.friction,
     )
     run = simulate_motion(
@@ -194,6 +86,7 @@ def _simulated(
         sampling,
         progress,
         watch,
+        forces,
     )
     facts = _facts(experiment, tree, run)
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, experiment.seed)
@@ -288,14 +181,3 @@ def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fouri
         np.random.default_rng(experiment.seed),
     )
     return motion
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python, testbed and the packages that make the numbers."""
-    found: dict[str, Any] = {"python": platform.python_version()}
-    for package in ("testbed", "mujoco", "numpy", "scipy", "pin"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found

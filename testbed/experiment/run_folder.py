@@ -1,8 +1,9 @@
 """A run folder: everything needed to repeat a run and to read its result.
 
 experiment.toml   the experiment, every default written out
+model/            the model file and what it refers to: a run folder needs nothing else
 recording.parquet what was measured (and, apart, what happened)
-result.json       estimates, truth, metrics, verdicts, versions
+result.json       estimates, truth, metrics, verdicts, versions; written after the others
 """
 
 from __future__ import annotations
@@ -10,61 +11,121 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 from testbed.errors import ExperimentError
-from testbed.experiment.carry_out import Outcome, evaluate, robot_of, versions
+from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.score import Errors
+from testbed.experiment.results import result
+from testbed.experiment.run import Run
 from testbed.files import fingerprint, replacing
-from testbed.identification.identify import Estimate
 from testbed.recordings.recording import Recording
+from testbed.robot.load import model_format
+from testbed.robot.model_files import copy_model
 
-FILES = ("experiment.toml", "recording.parquet", "result.json")
-"""What a run folder holds."""
+EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
+MODEL = "model"
+"""Folder of the model file and what it refers to."""
 
 
-def run_folder(experiment: Experiment) -> Path:
+def default_folder(experiment: Experiment) -> Path:
     """runs/NAME-HASH, the hash over the experiment and the model file's content."""
-    model = fingerprint(Path(experiment.model))
-    content = experiment.model_dump_json(exclude={"model"}) + model
-    return Path("runs") / f"{experiment.name}-{hashlib.sha256(content.encode()).hexdigest()[:8]}"
+    return Path("runs") / f"{experiment.name}-{_identity(experiment)[:8]}"
 
 
-def check_folder(folder: Path) -> None:
-    """Whether a run may be written there: a new place, or a run folder to be replaced.
+def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -> None:
+    """Whether a run may be written there: a new place, the same run again, or any by force.
+
+    Args:
+        folder: Where to.
+        experiment: Of the run.
+        force: Whether a run of another experiment may be replaced.
 
     Raises:
         ExperimentError: Something else is there.
     """
-    if folder.is_dir():
-        present = {p.name for p in folder.iterdir()}
-        others = sorted(present - set(FILES)) or sorted(present)
-        if present and present != set(FILES):
-            raise ExperimentError(
-                f"'{folder}' is no run folder: it holds {', '.join(others[:3])}"
-                f"{' ...' if len(others) > 3 else ''}; name another with --out"
-            )
-    elif folder.exists():
-        raise ExperimentError(f"'{folder}' is a file; name a folder with --out")
+    if not folder.is_dir():
+        if folder.exists():
+            raise ExperimentError(f"'{folder}' is a file; name a folder with --out")
+        return
+    present = {p.name for p in folder.iterdir()}
+    others = sorted(present - {EXPERIMENT, RECORDING, RESULT, MODEL})
+    if present and (others or EXPERIMENT not in present):
+        listed = ", ".join((others or sorted(present))[:3])
+        raise ExperimentError(
+            f"'{folder}' is no run folder: it holds {listed}"
+            f"{' ...' if len(others) > 3 else ''}; name another with --out"
+        )
+    if present and not force and not _is_of(folder, experiment):
+        raise ExperimentError(
+            f"'{folder}' holds a run of another experiment; --force replaces it, --out names "
+            "another folder"
+        )
 
 
-def write_run(outcome: Outcome, folder: Path) -> None:
-    """Write the run folder, whole or not at all; an older one is replaced.
+def write_run(run: Run, folder: Path) -> None:
+    """Write a run folder; an older one is replaced at once.
+
+    Args:
+        run: Of an experiment.
+        folder: Where to.
 
     Raises:
-        ExperimentError: Something that is no run is there.
+        ExperimentError: No experiment made the run.
     """
-    check_folder(folder)
+    if run.experiment is None:
+        raise ExperimentError(f"run '{run.name}' is of no experiment: it has no run folder")
+    write_recorded(run.experiment, run.recording, folder)
+    write_result(run, folder)
+
+
+def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -> None:
+    """Write a run folder without its result: what has been measured is safe from here on.
+
+    Args:
+        experiment: What was carried out.
+        recording: What was measured.
+        folder: Where to; an older run is replaced at once.
+    """
     with replacing(folder, folder=True) as fresh:
         fresh.mkdir()
-        (fresh / "experiment.toml").write_text(outcome.experiment.as_toml(), encoding="utf-8")
-        outcome.recording.save(fresh / "recording.parquet")
-        text = json.dumps(result(outcome), indent=1, sort_keys=True)
-        (fresh / "result.json").write_text(text + "\n", encoding="utf-8")
+        model = copy_model(Path(experiment.model), fresh / MODEL).relative_to(fresh)
+        here = experiment.model_copy(update={"model": model.as_posix()})
+        (fresh / EXPERIMENT).write_text(here.as_toml(), encoding="utf-8")
+        recording.save(fresh / RECORDING)
 
 
-def read_run(folder: Path) -> Outcome:
+def write_result(run: Run, folder: Path) -> None:
+    """Write the result into a run folder that has its recording.
+
+    Args:
+        run: What came of it.
+        folder: Its folder.
+    """
+    with replacing(folder / RESULT) as fresh:
+        text = json.dumps(result(run), indent=1, sort_keys=True)
+        fresh.write_text(text + "\n", encoding="utf-8")
+
+
+def _identity(experiment: Experiment) -> str:
+    """Hash of an experiment and its model file's content.
+
+    Raises:
+        ModelError: There is no such model file.
+    """
+    path = Path(experiment.model)
+    content = model_format(path) + fingerprint(path) + experiment.model_dump_json(exclude={"model"})
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def _is_of(folder: Path, experiment: Experiment) -> bool:
+    """Whether a run folder is of an experiment."""
+    try:
+        return _identity(Experiment.load(folder / EXPERIMENT)) == _identity(experiment)
+    except (OSError, ExperimentError):  # unreadable, or its model file is gone
+        return False
+
+
+def read_run(folder: Path) -> Run:
     """A run folder as it was when it was written: the estimates are made again.
 
     Args:
@@ -73,61 +134,14 @@ def read_run(folder: Path) -> Outcome:
     Raises:
         ExperimentError: It is no run folder, or the model file is not the run's.
     """
-    missing = [name for name in FILES if not (folder / name).is_file()]
+    missing = [name for name in (EXPERIMENT, RECORDING) if not (folder / name).is_file()]
     if missing:
         raise ExperimentError(f"'{folder}' is no run folder: it has no {', '.join(missing)}")
-    experiment = Experiment.load(folder / "experiment.toml")
-    recording = Recording.load(folder / "recording.parquet")
+    experiment = Experiment.load(folder / EXPERIMENT)
+    recording = Recording.load(folder / RECORDING)
     model = Path(experiment.model)
     if not model.is_file():
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
     if fingerprint(model) != recording.facts.get("model_sha256"):
-        raise ExperimentError(f"'{model}' has changed since the run was made; run it again")
-    return evaluate(experiment, robot_of(experiment), recording)
-
-
-def result(outcome: Outcome) -> dict[str, Any]:
-    """The outcome without its recording, as JSON takes it."""
-    comparison = outcome.comparison
-    return {
-        "name": outcome.experiment.name,
-        "claim": outcome.experiment.claim,
-        "external": estimate_as_json(outcome.external) | _errors(comparison.external),
-        "internal": estimate_as_json(outcome.internal) | _errors(comparison.internal),
-        "metrics": dict(comparison.metrics),
-        "expect": {
-            k: b.model_dump(exclude_none=True) for k, b in outcome.experiment.expect.items()
-        },
-        "verdicts": dict(outcome.verdicts),
-        "as_expected": outcome.as_expected,
-        "warnings": list(outcome.warnings),
-        "model_sha256": outcome.recording.facts["model_sha256"],
-        "versions": versions(),
-    }
-
-
-def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
-    """An estimate as JSON takes it."""
-    return {
-        "method": estimate.method,
-        "names": list(estimate.names),
-        "units": list(estimate.units),
-        "values": estimate.values.tolist(),
-        "sigma": estimate.sigma.tolist(),
-        "covariance": estimate.covariance.tolist(),
-        "count": estimate.count,
-        "channels": list(estimate.channels),
-        "residual": estimate.residual.tolist(),
-        "relative_residual": estimate.relative_residual.tolist(),
-        "samples": list(estimate.samples),
-        "condition": estimate.condition,
-        "warnings": list(estimate.warnings),
-    }
-
-
-def _errors(errors: Errors) -> dict[str, Any]:
-    return {
-        "truth": errors.truth.tolist(),
-        "relative_error": errors.relative.tolist(),
-        "z": errors.z.tolist(),
-    }
+        raise ExperimentError(f"'{model}' is not the model that was simulated; run it again")
+    return evaluate(experiment, recording)

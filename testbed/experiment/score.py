@@ -1,14 +1,14 @@
-"""Estimates against the truth in the model file."""
+"""The judge: estimates against the truth in the model file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.identify import Estimate
+from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.tree import Tree
@@ -16,90 +16,144 @@ from testbed.robot.tree import Tree
 SMALL = 0.01
 """Errors of parameters below this share of the largest of their unit are taken relative to it."""
 
+NOTHING = 1e-12
+"""A unit whose true values are all below this share of the largest of any unit has no scale."""
+
 
 @dataclass(frozen=True, eq=False)
 class Errors:
     """One estimate's errors.
 
     Attributes:
-        truth: (p,), in the order of the estimate's names.
-        relative: (estimate - truth) / |truth|, (p,).
+        names: Of the parameters, (p,), as the estimate has them.
+        truth: (p,).
+        relative: (estimate - truth) / abs(truth), or over 1 % of the largest true value of the
+            same unit if that is more, (p,); not a number where all of that unit are zero.
         z: (estimate - truth) / sigma, (p,).
     """
 
+    names: tuple[str, ...]
     truth: Array
     relative: Array
     z: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
-    """Both estimates against the truth.
+class Score:
+    """A run's estimates against the truth.
 
     Attributes:
-        external: Errors of delta_r.
-        internal: Errors of delta_d, Coulomb and viscous friction.
-        metrics: What `[expect]` can bound.
+        errors: By method: of delta_r, and of delta_d with friction.
+        metrics: What `[expect]` can bound, by name (docs/experiments.md). Those of a method
+            without estimate, and those for which the robot has no scale, are absent.
     """
 
-    external: Errors
-    internal: Errors
+    errors: Mapping[Method, Errors]
     metrics: Mapping[str, float]
 
+    @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name."""
+        return {
+            name: value
+            for errors in self.errors.values()
+            for name, value in zip(errors.names, errors.truth.tolist(), strict=True)
+        }
 
-def compare(
-    tree: Tree, external: Estimate, internal: Estimate, zeros: bool, friction: bool
-) -> Comparison:
-    """Compare two estimates of one run with the truth.
+
+def score(
+    tree: Tree,
+    estimates: Mapping[Method, Estimate],
+    zeros: bool | Sequence[str],
+    friction: bool,
+) -> Score:
+    """Compare the estimates of one run with the truth.
 
     Relative rms errors are over delta_d, which both methods know: the external one's is
     S delta_r.
 
     Args:
-        tree: The robot with its true inertias and friction.
-        external: Estimate from the plate.
-        internal: Estimate from the motor torques.
-        zeros: Whether zeros of the model file were taken as known.
+        tree: The robot with its true inertias and friction, under the recording's gravity.
+        estimates: By method.
+        zeros: Which zeros were taken as known, as in `minimal_set`.
         friction: Whether the plant had the file's friction.
     """
-    theta = barycentric(tree)
-    dynamic, reaction = (minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
-    s = selection(dynamic, reaction)
-    losses = [joint.coulomb for joint in tree.joints] + [joint.viscous for joint in tree.joints]
-    true_losses = np.array(losses) if friction else np.zeros(2 * tree.n)
-    outer = _errors(external, reaction.values(theta))
-    inner = _errors(internal, np.concatenate([dynamic.values(theta), true_losses]))
-    shared = _relative(s @ external.values, dynamic.values(theta), dynamic.units)
-    n = dynamic.count
-    rms = {"external": _rms(shared), "internal": _rms(inner.relative[:n])}
-    metrics = {
-        "external_rms_relative_error": rms["external"],
-        "external_max_relative_error": float(np.abs(outer.relative).max()),
-        "external_max_z": float(np.abs(outer.z).max()),
-        "internal_rms_relative_error": rms["internal"],
-        "internal_max_relative_error": float(np.abs(inner.relative[:n]).max()),
-        "internal_max_z": float(np.abs(inner.z[:n]).max()),
-        "internal_to_external": rms["internal"] / max(rms["external"], np.finfo(float).tiny),
-        "friction_max_relative_error": float(np.abs(inner.relative[n:]).max()),
+    errors = {
+        method: _errors(estimate, _truth(tree, estimate, friction))
+        for method, estimate in estimates.items()
     }
-    return Comparison(outer, inner, metrics)
+    metrics: dict[str, float | None] = {}
+    if "external" in errors:
+        metrics |= _inertial("external", errors, estimates)
+        shared = _shared(tree, estimates["external"], zeros)
+        metrics["external_rms_relative_error"] = _rms(shared)
+    if "internal" in errors:
+        metrics |= _inertial("internal", errors, estimates)
+        count = estimates["internal"].minimal.count
+        metrics["internal_rms_relative_error"] = _rms(errors["internal"].relative[:count])
+        metrics["friction_max_relative_error"] = _largest(errors["internal"].relative[count:])
+    ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
+    if ours is not None and theirs is not None:
+        metrics["internal_to_external"] = ours / max(theirs, np.finfo(float).tiny)
+    return Score(errors, {name: value for name, value in metrics.items() if value is not None})
+
+
+def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
+    """True values in the order of an estimate's names."""
+    theta = barycentric(tree)
+    if estimate.drives is None:
+        return estimate.minimal.values(theta)
+    return estimate.drives.values(theta, tree if friction else tree.without_friction())
+
+
+def _shared(tree: Tree, external: Estimate, zeros: bool | Sequence[str]) -> Array:
+    """Relative errors of delta_d by the plate's estimate."""
+    dynamic = minimal_set(tree, "dynamic", zeros=zeros)
+    values = selection(dynamic, external.minimal) @ external.base.values
+    return relative_errors(values, dynamic.values(barycentric(tree)), dynamic.units)
+
+
+def _inertial(
+    method: Method, errors: Mapping[Method, Errors], estimates: Mapping[Method, Estimate]
+) -> dict[str, float | None]:
+    """Metrics over one method's own minimal parameters."""
+    count = estimates[method].minimal.count
+    return {
+        f"{method}_max_relative_error": _largest(errors[method].relative[:count]),
+        f"{method}_max_z": _largest(errors[method].z[:count]),
+    }
 
 
 def _errors(estimate: Estimate, truth: Array) -> Errors:
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, np.finfo(float).tiny)
-    return Errors(truth, _relative(estimate.values, truth, estimate.units), error / sigma)
+    relative = relative_errors(estimate.values, truth, estimate.units)
+    return Errors(estimate.names, truth, relative, error / sigma)
 
 
-def _relative(values: Array, truth: Array, units: tuple[str, ...]) -> Array:
+def relative_errors(values: Array, truth: Array, units: tuple[str, ...]) -> Array:
+    """Errors over their scale, (..., p); not a number where a unit has none.
+
+    Args:
+        values: (..., p).
+        truth: (p,).
+        units: (p,).
+    """
     scale = np.abs(truth)
+    least = NOTHING * scale.max(initial=0.0)
     for unit in set(units):
         same = np.array([u == unit for u in units])
-        scale[same] = np.maximum(scale[same], SMALL * scale[same].max())
-    scale[scale == 0] = 1.0
+        largest = scale[same].max()
+        scale[same] = np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
     relative: Array = (values - truth) / scale
     return relative
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _rms(errors: Array) -> float | None:
+    there = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(there**2))) if there.size else None
+
+
+def _largest(errors: Array) -> float | None:
+    there = np.abs(errors[~np.isnan(errors)])
+    return float(there.max()) if there.size else None

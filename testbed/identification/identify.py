@@ -9,75 +9,33 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
+from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
-from testbed.identification.normal_equations import Products, gather
+from testbed.identification.diagnosis import quality_warnings
+from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
+from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
-from testbed.identification.solve import SQUARED, Fit, noise_weights, orthogonal, solved
+from testbed.identification.solvers import solve
+from testbed.identification.solvers.least_squares import Fit
+from testbed.identification.weights import noise_weights
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import Question, products_wanted
+from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.parameters.rules import Model
-from testbed.recordings.recording import AXES, Recording, check_robot
+from testbed.recordings.columns import AXES
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
+from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
-
-Method = Literal["external", "internal"]
-
-SIGNIFICANT = 0.3
-"""Relative sigma above which a parameter is reported as poorly determined."""
-
-ILL_CONDITIONED = 1e3
-"""Condition of the scaled equations above which the estimate is reported as doubtful."""
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """What one method found.
-
-    Attributes:
-        method: "external" (bedplate) or "internal" (joint torques).
-        names: Minimal parameters, delta_r or delta_d; then, for the internal method,
-            `coulomb/JOINT`, `viscous/JOINT` and what other terms the settings has.
-        units: One each.
-        values: (p,).
-        sigma: Standard deviations, (p,), correlation of residuals counted.
-        covariance: (p, p).
-        count: How many of the names are minimal parameters; they come first.
-        matrix: Those on the 10 n barycentric parameters, (count, 10 n).
-        channels: The measured channels.
-        residual: Rms of their residuals, (channels,) [N, N m].
-        relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
-        samples: Rows used of each, (channels,).
-        condition: Of the equations with unit columns and weights.
-        products: Of all rows: other weights and subsets of channels need no other pass.
-        warnings: What a careful reader should know, one line each.
-    """
-
-    method: Method
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: Array
-    sigma: Array
-    covariance: Array
-    count: int
-    matrix: Array
-    channels: tuple[str, ...]
-    residual: Array
-    relative_residual: Array
-    samples: tuple[int, ...]
-    condition: float
-    products: Products
-    warnings: tuple[str, ...]
 
 
 def identify(
@@ -85,7 +43,7 @@ def identify(
     recording: Recording | Source | str | Path | Iterable[Recording],
     method: Method = "external",
     *,
-    zeros: bool | Sequence[str] = False,
+    zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
     threads: int | None = None,
@@ -100,10 +58,9 @@ def identify(
         tree: The robot; its inertias are not used, except for `zeros`.
         recording: In memory, or a Parquet file's path, or parts in the order of time.
             Columns are matched by joint name; its truth is not read.
-        method: "external": six reaction rows a sample, no friction columns. "internal":
-            a row a joint, with columns for the settings's terms.
-        zeros: Take barycentric parameters that are zero in the model file, or are named
-            here, as known.
+        method: "external": six reaction rows a sample, no columns of the joints' own.
+            "internal": a row a joint, with columns for `settings.terms`.
+        zeros: In place of `settings.zeros`.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
         settings: How the signals are treated; default `Settings()`.
@@ -111,70 +68,109 @@ def identify(
         progress: Called with samples done and samples in all.
 
     Raises:
-        RecordingError: The recording is of another robot, too short, or holds what is no
-            measurement.
+        RecordingError: The recording is of another robot, too short, lacks what the method
+            needs, or holds what is no measurement.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
-    if method not in ("external", "internal"):
-        raise UnknownName("method", method, ("external", "internal"))
+    if method not in METHODS:
+        raise UnknownName("method", method, METHODS)
     source, settings = open_source(recording), settings or Settings()
+    if zeros is not None:
+        settings = replace(settings, zeros=zeros)
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
-    gravity = source.facts.get("gravity") if gravity is None else gravity
-    model: Model = "reaction" if method == "external" else "dynamic"
-    minimal = minimal_set(tree, model, gravity, zeros)
-    geometry = tree.without_inertias()
-    terms = settings.terms if method == "internal" else ()
-    rows = layout(geometry, minimal, terms, settings.joined)
+    _check_signal(source, method)
+    tree = in_its_gravity(tree, source, gravity)
+    minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
+    drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
+    plan, warnings = _plan(tree, source, settings, minimal, drives)
+    passes = Passes(plan, threads, progress)
+    names = minimal.names if drives is None else drives.names
+    channels = AXES if method == "external" else tree.names
+    with one_blas_thread():
+        sums = passes.sums(products_wanted(len(channels)))
+        equations = gather(plan.layout, names, channels, sums)
+        full = settings.joined and settings.covariance is None
+        weights = noise_weights(equations, settings.covariance, full)
+        found = _refined(plan, solve(equations, weights, passes.rows), passes)
+    if not np.isfinite(found.covariance).all():
+        raise RecordingError("the recording holds numbers too large to compute with")
+    return _estimate(method, tree, equations, found, minimal, drives, warnings)
+
+
+def _check_signal(source: Source, method: Method) -> None:
+    """Whether the recording has what the method needs.
+
+    Raises:
+        RecordingError: It has not.
+    """
+    if SIGNAL_OF[method] in source.signals:
+        return
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
+
+
+def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None) -> Tree:
+    """The robot under the gravity that was given, or else the recording's, or the model file's.
+
+    Args:
+        tree: The robot.
+        source: A recording; it may say its gravity.
+        gravity: (3,) [m/s^2], bedplate frame, or None.
+    """
+    given = source.facts.get("gravity") if gravity is None else gravity
+    return tree.with_gravity(given)
+
+
+def tare_of(tree: Tree, source: Source) -> Array:
+    """The static wrench to be taken off the plate's, (6,) [N, N m]: the pedestal's.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        source: A recording; it may say so.
+    """
+    return pedestal_wrench(tree) if source.tare is None else source.tare
+
+
+def _plan(
+    tree: Tree, source: Source, settings: Settings, minimal: MinimalSet, drives: DriveSet | None
+) -> tuple[Plan, list[str]]:
+    """How the source becomes rows, and warnings so far."""
+    terms = () if drives is None else drives.terms
+    rows = layout(tree.without_inertias(), minimal, terms, settings.joined)
     if settings.covariance is not None and len(settings.covariance) != rows.width:
+        method = "external" if drives is None else "internal"
         raise SettingsError(
             f"weights is a covariance of {len(settings.covariance)} channels, the {method} method "
             f"has {rows.width}"
         )
-    tare, warnings = _tare(source, geometry, gravity, method)
-    if method == "internal" and "rotor" not in terms:
-        warnings += _rotors(tree)
-    plan = make_plan(source, rows, tare, settings)
-    names = (*minimal.names, *(f"{term}/{joint}" for term in terms for joint in tree.names))
-    channels = AXES if method == "external" else tree.names
-    passes = Passes(plan, threads, progress)
-    with one_blas_thread():
-        products = gather(rows, names, channels, passes.sums(products_wanted(rows.width)))
-        found = _refined(plan, _solution(plan, products, settings, passes), passes)
-    if not np.isfinite(found.covariance).all():
-        raise RecordingError("the recording holds numbers too large to compute with")
-    units = (*minimal.units, *_units(tree, terms))
-    return _estimate(method, units, minimal, products, found, tuple(warnings))
-
-
-def _tare(
-    source: Source, geometry: Tree, gravity: ArrayLike | None, method: Method
-) -> tuple[Array, list[str]]:
-    """What is taken off the wrench, and warnings so far."""
-    warnings = list(source.facts.get("warnings", ()))
-    if source.tare is not None:
-        return source.tare, warnings
-    tare = pedestal_wrench(geometry, gravity)
-    if method == "external" and tare.any():
+    tare, warnings = tare_of(tree, source), list(source.facts.get("warnings", ()))
+    if drives is None and source.tare is None and tare.any():
         warnings.append(
             "the recording does not say what of the wrench is the pedestal's; the model's "
             f"pedestal is taken off (Fz {tare[2]:.4g} N)"
         )
-    return tare, warnings
+    if drives is not None:
+        warnings += _not_asked_for(tree, settings)
+    return make_plan(source, rows, tare, settings), warnings
 
 
-def _solution(plan: Plan, products: Products, settings: Settings, passes: Passes) -> Fit:
-    """By normal equations, or from orthonormal columns where products have lost too much."""
-    full = settings.joined and settings.covariance is None
-    weights = noise_weights(products, settings.covariance, full)
-    try:
-        found = solved(products, weights)
-    except UnseenParameters:  # to the products' precision; the rows may know better
-        return orthogonal(plan.layout, products, weights, passes.rows)
-    if np.isnan(found.values).any() or found.condition > SQUARED:
-        return orthogonal(plan.layout, products, weights, passes.rows)
-    return found
+def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
+    """Terms of the joints' torque that the model file states and the settings leave out."""
+    warnings = []
+    for law in LAWS:
+        given = law.coefficients(tree)
+        if given.any() and law not in settings.laws:
+            names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
+            warnings.append(
+                f"the model file states '{law.kind}' of {names}; joint torques contain it, and the "
+                f"internal estimate takes it for the robot's: add '{law.kind}' to terms"
+            )
+    return warnings
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,74 +196,39 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> _Refined:
         squares += sums.moments
         scores.add(sums.scores)
     values = fit.values
-    if fit.condition <= SQUARED:  # else the solution is better than the residuals know
+    if fit.correctable:
         values = values + fit.inverse @ (basis.T @ scores.total)
     covariance = sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
     return _Refined(fit, values, covariance, squares)
 
 
-def _units(tree: Tree, terms: Sequence[str]) -> list[str]:
-    """Units of the terms' coefficients, kind by kind."""
-    turning = {"coulomb": "N m", "viscous": "N m s/rad", "offset": "N m", "rotor": "kg m^2"}
-    sliding = {"coulomb": "N", "viscous": "N s/m", "offset": "N", "rotor": "kg"}
-    return [(turning if j.revolute else sliding)[term] for term in terms for j in tree.joints]
-
-
-def _rotors(tree: Tree) -> list[str]:
-    """Joints whose drive has inertia of its own, which joint torques contain."""
-    return [
-        f"joint '{joint.name}' has a rotor inertia of {joint.rotor_inertia:g} kg m^2 or kg at the "
-        "joint, which the internal estimate takes for the robot's"
-        for joint in tree.joints
-        if joint.rotor_inertia
-    ]
-
-
 def _estimate(
     method: Method,
-    units: tuple[str, ...],
-    minimal: MinimalSet,
-    products: Products,
+    tree: Tree,
+    equations: NormalEquations,
     found: _Refined,
-    warnings: tuple[str, ...],
+    minimal: MinimalSet,
+    drives: DriveSet | None,
+    warnings: Sequence[str],
 ) -> Estimate:
-    square = np.diagonal(products.square) if products.joined else products.square
-    used = np.maximum(products.used, 1.0)
-    sigma = np.sqrt(np.diagonal(found.covariance))
+    square = equations.squares
     estimate = Estimate(
         method=method,
-        names=products.unknowns,
-        units=units,
+        names=equations.unknowns,
+        units=minimal.units if drives is None else drives.units,
         values=found.values,
-        sigma=sigma,
+        sigma=np.sqrt(np.diagonal(found.covariance)),
         covariance=found.covariance,
-        count=minimal.count,
-        matrix=minimal.matrix,
-        channels=products.channels,
-        residual=np.sqrt(found.squares / used),
+        gravity=tree.gravity,
+        channels=equations.channels,
+        residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
-        samples=tuple(int(n) for n in products.used),
+        samples=tuple(int(n) for n in equations.used),
         condition=found.fit.condition,
-        products=products,
-        warnings=warnings,
+        normal_equations=equations,
+        warnings=tuple(warnings),
+        minimal=minimal,
+        drives=drives,
+        joints=tree.names,
     )
-    return replace(estimate, warnings=(*warnings, *_warnings(estimate)))
-
-
-def _warnings(estimate: Estimate) -> list[str]:
-    warnings = []
-    if estimate.condition > ILL_CONDITIONED:
-        warnings.append(
-            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
-            "errors of the instrument grow by up to that factor"
-        )
-    every = zip(estimate.names, estimate.values, estimate.sigma, strict=True)
-    loose = [
-        f"{name} ({value:.3g} +- {sigma:.2g})"
-        for name, value, sigma in list(every)[: estimate.count]
-        if sigma > SIGNIFICANT * abs(value)
-    ]
-    if loose:
-        listed = ", ".join(loose)
-        warnings.append(f"the {estimate.method} estimate leaves poorly determined: {listed}")
-    return warnings
+    return replace(estimate, warnings=(*warnings, *quality_warnings(estimate)))

@@ -17,15 +17,15 @@ from testbed.kernel.records import Sums
 
 
 @dataclass(frozen=True, eq=False)
-class Products:
+class NormalEquations:
     """Sums over rows, for channels c and d; X are columns, y measurements.
 
     Attributes:
         unknowns: Names, (p,).
         channels: Names, (C,).
         used: Rows of each channel that count, (C,).
-        normal: X_c' X_d, (C, C, p, p); or, where products across channels were not
-            taken, X_c' X_c, (C, p, p).
+        normal: X_c' X_d, (C, C, p, p); or, where sums across channels were not taken,
+            X_c' X_c, (C, p, p).
         right: X_c' y_d, (C, C, p); or X_c' y_c, (C, p).
         square: y_c' y_d, (C, C); or y_c' y_c, (C,).
     """
@@ -39,14 +39,19 @@ class Products:
 
     @property
     def joined(self) -> bool:
-        """Whether products across channels are there."""
+        """Whether sums across channels are there."""
         return self.square.ndim == 2
+
+    @property
+    def squares(self) -> Array:
+        """Sum of the squares of each channel's measurements, (C,)."""
+        return np.diagonal(self.square) if self.joined else self.square
 
     def matrix(self, weights: Array) -> Array:
         """X' W X, (p, p).
 
         Args:
-            weights: W, (C, C); diagonal unless the products are joined.
+            weights: W, (C, C); diagonal unless the equations are joined.
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdij->ij", weights, self.normal))
@@ -56,7 +61,7 @@ class Products:
         """X' W y, (p,).
 
         Args:
-            weights: W, (C, C); diagonal unless the products are joined.
+            weights: W, (C, C); diagonal unless the equations are joined.
         """
         if self.joined:
             return np.asarray(np.einsum("cd,cdi->i", weights, self.right))
@@ -77,8 +82,8 @@ class Products:
 
 def gather(
     layout: Layout, unknowns: tuple[str, ...], channels: tuple[str, ...], found: Iterable[Sums]
-) -> Products:
-    """Products of all rows from those of windows, in their order.
+) -> NormalEquations:
+    """Those of all rows from sums over windows, in their order.
 
     Args:
         layout: The rows.
@@ -111,4 +116,4 @@ def gather(
     parts = [[cut(c, d) for d in (size if joined else (c,))] for c in size]
     arrays = [np.array([[part[k] for part in line] for line in parts]) for k in range(3)]
     normal, right, square = arrays if joined else [array[:, 0] for array in arrays]
-    return Products(unknowns, channels, used, normal, right, square)
+    return NormalEquations(unknowns, channels, used, normal, right, square)

@@ -15,13 +15,15 @@ from functools import cache, partial
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
+import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from testbed.arrays import Array
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
 from testbed.kernel.records import Question, Signals, Sums
-from testbed.recordings.recording import LARGEST, Recording, check_times, check_values
+from testbed.recordings.checks import LARGEST, check_times, check_values
+from testbed.recordings.recording import Recording
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
@@ -31,13 +33,16 @@ Answer = TypeVar("Answer")
 SMALL = 2.0
 """Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
 
+PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
+"""Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
+
 KEPT = 64e6
 """Bytes of rows that are kept from the first pass to the next, in small jobs."""
 
 
 def is_small(plan: Plan) -> bool:
     """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
-    seconds = 12e-6 + 0.06e-6 * plan.layout.theta.size / 10  # a sample, measured
+    seconds = PER_SAMPLE + PER_NUMBER * plan.layout.theta.size
     return plan.source.samples * seconds < SMALL
 
 
@@ -64,7 +69,7 @@ class Passes:
             progress: Called with samples done and samples in all, of two passes.
         """
         self.plan = plan
-        self.compiled = not is_small(plan)
+        self.compiled = plan.layout.compiles and not is_small(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.checked = False
@@ -78,10 +83,21 @@ class Passes:
         check, self.checked = not self.checked, True
         return self._pass(lambda part, window: self._sums(part, window, question, check))
 
-    def rows(self) -> Iterator[Array]:
-        """All rows, a block at a time, (slots, rows)."""
+    def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
+        """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        layout = self.plan.layout
+        lead = layout.basis @ combined
         for blocks in self._pass(self._rows):
-            yield from blocks
+            for block in blocks:
+                columns = np.empty((layout.width, block.shape[1], lead.shape[1]))
+                for c, own in enumerate(layout.channels):
+                    at = layout.rows.start[c]
+                    columns[c] = block[at : at + len(own)].T @ lead[own]
+                yield columns, block[layout.rows.measured]
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
         with ThreadPoolExecutor(self.threads) as pool:
@@ -109,10 +125,10 @@ class Passes:
 
     def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
         if check:
-            check_times(part, "the recording", 1 / self.plan.source.rate, window.first)
+            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
         found = self._answer(self.plan.signals(part, window), window, question)
         if check and not found.squares[0] < LARGEST**2:  # what is no number is not
-            check_values(part, "the recording", window.first)
+            check_values(part.columns(), "the recording", window.first)
         return found
 
     def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:

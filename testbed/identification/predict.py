@@ -1,4 +1,4 @@
-"""What an estimate says the instruments should have read; and how it grew with the data.
+"""What an estimate says the instruments should have read.
 
 A prediction takes the motion as the identification does: sensed, or encoder positions
 through the filter on positions.
@@ -6,36 +6,21 @@ through the filter on positions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear, pedestal_wrench
+from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
-from testbed.errors import RecordingError, UnseenParameters
+from testbed.errors import RecordingError
+from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.filters import motion_taps
-from testbed.identification.identify import Estimate, Method, identify
+from testbed.identification.identify import in_its_gravity, tare_of
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-
-
-@dataclass(frozen=True, eq=False)
-class Growth:
-    """Estimates from the first seconds of a recording, and from more and more of it.
-
-    Attributes:
-        time: Until when, (k,) [s].
-        values: (k, p); not a number where the data did not suffice.
-        sigma: (k, p).
-    """
-
-    time: Array
-    values: Array
-    sigma: Array
 
 
 def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[Motion, slice]:
@@ -48,11 +33,11 @@ def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[M
     Returns:
         The motion, and the slice of samples that it covers: filters take both ends.
     """
-    if recording.velocity is not None and recording.acceleration is not None:
+    if recording.velocity is not None and recording.acceleration is not None:  # both
         whole = slice(0, recording.samples)
         rates = recording.velocity, recording.acceleration
         return Motion(recording.time, recording.position, *rates), whole
-    taps = motion_taps(recording.rate, (settings or Settings()).position_cutoff)
+    taps = motion_taps(recording.rate, (settings or Settings()).position_low_pass)
     reach = taps.shape[1] // 2
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:
@@ -64,131 +49,83 @@ def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[M
     return Motion(recording.time[inner], *signals), inner
 
 
-def parameters_of(estimate: Estimate, n: int, others: Array | None = None) -> Array:
+def parameters_of(estimate: Estimate, others: Array | None = None) -> Array:
     """Barycentric parameters that an estimate's minimal ones allow, (n, 10).
 
     Of all that do, the smallest, or those nearest to `others`: forces are the same.
 
     Args:
-        estimate: Its first `count` values are minimal parameters.
-        n: Number of joints.
+        estimate: Of either method.
         others: What to keep of the parameters that the estimate cannot tell, (n, 10).
     """
-    start = np.zeros(10 * n) if others is None else others.ravel()
-    gap = estimate.values[: estimate.count] - estimate.matrix @ start
-    theta: Array = start + np.linalg.lstsq(estimate.matrix, gap, rcond=None)[0]
-    return theta.reshape(n, 10)
-
-
-def predicted_wrench(
-    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
-) -> Array:
-    """Wrench of the bedplate on the moving bodies, (M, 6) [N, N m].
-
-    Args:
-        tree: The robot; only its geometry matters.
-        motion: M samples.
-        theta: Barycentric parameters, (n, 10).
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
-    """
-    return linear(tree, motion, theta[..., None], gravity)[1][..., 0]
-
-
-def predicted_torque(
-    tree: Tree,
-    motion: Motion,
-    theta: Array,
-    estimate: Estimate | None = None,
-    gravity: ArrayLike | None = None,
-) -> Array:
-    """Motor torques, (M, n) [N m or N], friction included where an estimate tells it.
-
-    Args:
-        tree: The robot; only its geometry matters.
-        motion: M samples.
-        theta: Barycentric parameters, (n, 10).
-        estimate: Of the internal method, for friction; None for none.
-        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
-    """
-    torque = linear(tree, motion, theta[..., None], gravity)[0][..., 0]
-    return torque if estimate is None else torque + friction(tree, motion.qd, estimate)
+    base = estimate.base
+    start = np.zeros(base.matrix.shape[1]) if others is None else others.ravel()
+    gap = base.values - base.matrix @ start
+    theta: Array = start + np.linalg.lstsq(base.matrix, gap, rcond=None)[0]
+    return theta.reshape(-1, 10)
 
 
 def predictions(
-    tree: Tree, recording: Recording, motion: Motion, estimates: Mapping[str, Estimate]
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """The plate's wrench, pedestal included, and motor torques, by method.
+    tree: Tree,
+    recording: Recording,
+    motion: Motion,
+    estimates: Mapping[Method, Estimate],
+    gravity: ArrayLike | None = None,
+) -> tuple[dict[Method, Array], dict[Method, Array]]:
+    """What plate and drives should have shown along a motion, by method.
 
     By the internal estimate the wrench is the external one's with those parameters put in that
-    joint torques tell, and there is none without it; by the external one torques lack friction.
+    joint torques tell, and there is none without it; by the external one torques lack what the
+    joints add of their own.
 
     Args:
-        tree: The robot.
-        recording: Says how much of the wrench is the pedestal's.
+        tree: The robot; its masses do not matter.
+        recording: Says its gravity, and how much of the wrench is the pedestal's.
         motion: The motion it shows.
-        estimates: By method, "external" first.
+        estimates: By method, "external" and "internal", in any order.
+        gravity: As for `identify`.
+
+    Returns:
+        Wrenches, pedestal included, (M, 6) [N, N m]; and motor torques, (M, n) [N m or N].
     """
-    tare = recording.tare if recording.tare is not None else pedestal_wrench(tree)
-    wrench, torque = {}, {}
-    whole = None
-    for method, estimate in estimates.items():
-        theta = parameters_of(estimate, tree.n, whole)
+    tree = in_its_gravity(tree, recording, gravity)
+    tare = tare_of(tree, recording)
+    wrench: dict[Method, Array] = {}
+    torque: dict[Method, Array] = {}
+    whole: Array | None = None
+    for method in METHODS:
+        if method not in estimates:
+            continue
+        theta = parameters_of(estimates[method], whole)
         if method == "external":
             whole = theta
-        rubs = estimate if method == "internal" else None
-        torque[method] = predicted_torque(tree, motion, theta, rubs)
+        joints, plate = linear(tree, motion, theta[..., None])
+        torque[method] = joints[..., 0] + own_torque(motion, estimates[method])
         if whole is not None:
-            wrench[method] = predicted_wrench(tree, motion, theta) + tare
+            wrench[method] = plate[..., 0] + tare
     return wrench, torque
 
 
-def friction(tree: Tree, speed: Array, estimate: Estimate) -> Array:
-    """Friction torque that an estimate tells, (M, n) [N m or N].
+def own_torque(motion: Motion, estimate: Estimate) -> Array:
+    """What an estimate's joint terms add to the torques, (M, n) [N m or N].
 
     Args:
-        tree: Gives joint names.
-        speed: Joint velocities, (M, n) [rad/s or m/s].
+        motion: M samples, joints in the order of `estimate.joints`.
+        estimate: Of either method; the external one knows none.
+    """
+    found = np.zeros_like(motion.qd)
+    for term in estimate.joint_terms:
+        j = estimate.joints.index(term.joint)
+        found[:, j] += term.value * term.law.columns(motion.qd[:, j], motion.qdd[:, j])
+    return found
+
+
+def friction(speed: Array, estimate: Estimate) -> Array:
+    """What an estimate's joint terms add to the torques at steady speed, (M, n) [N m or N].
+
+    Args:
+        speed: Joint velocities, (M, n) [rad/s or m/s], in the order of `estimate.joints`.
         estimate: Of the internal method.
     """
-    found = dict(zip(estimate.names, estimate.values, strict=True))
-    dry, wet = (
-        np.array([found.get(f"{kind}/{name}", 0.0) for name in tree.names])
-        for kind in ("coulomb", "viscous")
-    )
-    return np.asarray(dry * np.sign(speed) + wet * speed)
-
-
-def growth(
-    tree: Tree,
-    recording: Recording,
-    method: Method,
-    times: ArrayLike,
-    *,
-    zeros: bool | Sequence[str] = False,
-    settings: Settings | None = None,
-) -> Growth:
-    """Estimates from more and more of a recording.
-
-    Args:
-        tree: The robot, as for `identify`.
-        recording: In memory.
-        method: "external" or "internal".
-        times: From the beginning until when [s].
-        zeros: As for `identify`.
-        settings: As for `identify`.
-    """
-    until = np.asarray(times, dtype=np.float64)
-    last = np.searchsorted(recording.time, recording.time[0] + until, "right")
-    whole = identify(tree, recording, method, zeros=zeros, settings=settings)
-    values, sigma = np.full((2, len(until), len(whole.names)), np.nan)
-    for k, samples in enumerate(last):
-        if samples >= recording.samples:
-            values[k], sigma[k] = whole.values, whole.sigma
-            continue
-        try:
-            part = recording.part(0, int(samples))
-            found = identify(tree, part, method, zeros=zeros, settings=settings)
-        except (RecordingError, UnseenParameters):
-            continue
-        values[k], sigma[k] = found.values, found.sigma
-    return Growth(np.minimum(until, recording.time[-1]), values, sigma)
+    steady = Motion(np.arange(len(speed), dtype=float), speed, speed, np.zeros_like(speed))
+    return own_torque(steady, estimate)

@@ -1,80 +1,163 @@
-"""How signals are treated on their way to equations."""
+"""How a recording becomes equations: the one place of defaults."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from numbers import Real
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
-from testbed.kernel.layout import TERMS, Term
+from testbed.robot.friction import JointLaw, joint_law
+
+Cutoff = float | Literal["off"]
+"""A frequency [Hz], or "off"."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a recording becomes equations.
+    """How a recording becomes equations, and what is known before.
 
-    Attributes:
-        position_cutoff: Low-pass on encoder positions before they are differentiated,
-            at least twice `cutoff` [Hz]; None for none.
-        cutoff: Parallel low-pass on regressor and measurement [Hz]; None for none.
-        deadband: Joint rows at lower speeds are dropped: dry friction there has no sign
-            [rad/s or m/s].
-        terms: What a joint's torque holds besides the robot's: "coulomb", "viscous",
-            "offset" and "rotor", a rotor's inertia.
-        weights: "channels": every channel by its own noise; "full": by the covariance of
-            all channels' residuals; or that covariance, (6, 6) for the plate, if known
-            [N^2, N^2 m, N^2 m^2].
+    Plain values only: an experiment file's table [identification] holds the same keys.
     """
 
-    position_cutoff: float | None = 40.0
-    cutoff: float | None = 5.0
+    zeros: bool | Sequence[str] = False
+    """Barycentric parameters that are known to be zero: true for all that are zero in the
+    model file, or their names, such as "mb1x" or "K2xy"."""
+
+    position_cutoff: Cutoff | None = 40.0
+    """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
+    twice `cutoff`: what it takes from the motion would bias the estimate."""
+
+    cutoff: Cutoff | None = 5.0
+    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off"."""
+
     deadband: float = 0.02
-    terms: tuple[Term, ...] = ("coulomb", "viscous")
-    weights: Literal["channels", "full"] | ArrayLike = "channels"
+    """Rows of joints that are slower do not count: dry friction there has no sign
+    [rad/s or m/s]."""
+
+    terms: Sequence[str | JointLaw] = ("coulomb", "viscous")
+    """What a joint's torque holds besides the forces that move the bodies: "coulomb",
+    "viscous", "offset", "rotor" (testbed/robot/friction.py)."""
+
+    weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
+    """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
+    of all channels' residuals; or that covariance, if it is known, row by row: 6 x 6 for the
+    plate [N^2, N^2 m, N^2 m^2]."""
+
+    __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
-        for name in ("position_cutoff", "cutoff"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, int | float) and 0 < value < np.inf):
-                raise SettingsError(f"{name} is a positive frequency [Hz] or None, found {value}")
-        if not 0 <= self.deadband < np.inf:
-            raise SettingsError(f"deadband is a speed, found {self.deadband}")
-        slow, fast = self.cutoff, self.position_cutoff
+        checked: dict[str, Any] = {
+            "zeros": _zeros(self.zeros),
+            "position_cutoff": _cutoff("position_cutoff", self.position_cutoff),
+            "cutoff": _cutoff("cutoff", self.cutoff),
+            "deadband": _speed("deadband", self.deadband),
+            "terms": _terms(self.terms),
+            "weights": _weights(self.weights),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        slow, fast = self.row_low_pass, self.position_low_pass
         if slow is not None and fast is not None and fast < 2 * slow:
             raise SettingsError(
                 f"position_cutoff = {fast:g} Hz is less than twice cutoff = {slow:g} Hz: what it "
                 "takes from the motion would bias the estimate"
             )
-        for term in self.terms:
-            if term not in TERMS:
-                raise UnknownName("term of a joint's torque", term, TERMS)
-        if len(set(self.terms)) < len(self.terms):
-            raise SettingsError(f"terms names something twice: {', '.join(self.terms)}")
-        if isinstance(self.weights, str):
-            if self.weights not in ("channels", "full"):
-                raise UnknownName("weights", self.weights, ("channels", "full", "a covariance"))
-        else:
-            object.__setattr__(self, "weights", _covariance(self.weights))
+
+    @property
+    def position_low_pass(self) -> float | None:
+        """Cutoff of the low-pass on positions [Hz]; None for none."""
+        return _hertz(self.position_cutoff)
+
+    @property
+    def row_low_pass(self) -> float | None:
+        """Cutoff of the low-pass on rows [Hz]; None for none."""
+        return _hertz(self.cutoff)
+
+    @property
+    def laws(self) -> tuple[JointLaw, ...]:
+        """The terms as laws of the joints' torque."""
+        return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms)
 
     @property
     def joined(self) -> bool:
         """Whether noise of different channels is taken as correlated."""
-        return not (isinstance(self.weights, str) and self.weights == "channels")
+        return self.weights != "channels"
 
     @property
     def covariance(self) -> Array | None:
         """The covariance that was given, if one was."""
-        return None if isinstance(self.weights, str) else np.asarray(self.weights)
+        return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
 
 
-def _covariance(given: ArrayLike) -> Array:
-    size = np.shape(given)[0] if np.ndim(given) == 2 else 0
-    matrix = readonly(given, (size, size) if size else (None, None), "weights")
+def _hertz(cutoff: Cutoff | None) -> float | None:
+    return None if cutoff is None or isinstance(cutoff, str) else cutoff
+
+
+def _number(value: object) -> float | None:
+    """A finite number, or None for what is none."""
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if real else math.nan  # type: ignore[arg-type]
+    return number if math.isfinite(number) else None
+
+
+def _zeros(given: object) -> bool | tuple[str, ...]:
+    if isinstance(given, bool):
+        return given
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise SettingsError(f"zeros is true, false or a list of parameters' names, found {given!r}")
+    return tuple(names)
+
+
+def _cutoff(name: str, given: object) -> Cutoff:
+    if given is None or given == "off":
+        return "off"
+    number = _number(given)
+    if number is None or number <= 0:
+        raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')
+    return number
+
+
+def _speed(name: str, given: object) -> float:
+    number = _number(given)
+    if number is None or number < 0:
+        raise SettingsError(f"{name} is a speed [rad/s or m/s], found {given!r}")
+    return number
+
+
+def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
+    if isinstance(given, str) or not isinstance(given, Sequence):
+        raise SettingsError(f"terms is a list of names, found {given!r}")
+    kinds = []
+    for term in given:
+        if not isinstance(term, str | JointLaw):
+            raise SettingsError(f"terms is a list of names, found {term!r} in it")
+        kinds.append((joint_law(term) if isinstance(term, str) else term).kind)
+    if len(set(kinds)) < len(kinds):
+        raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
+    return tuple(given)
+
+
+def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
+    if isinstance(given, str):
+        if given not in ("channels", "full"):
+            raise UnknownName("weights", given, ("channels", "full", "a covariance"))
+        return given
+    try:
+        matrix = np.array(given, dtype=float)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
+    if not square or not np.isfinite(matrix).all():
+        raise SettingsError("weights is no covariance: it is not a square matrix of numbers")
     symmetric = np.allclose(matrix, matrix.T, rtol=1e-9, atol=0)
-    if not symmetric or np.linalg.eigvalsh(matrix).min(initial=1.0) <= 0:
+    if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
         raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
-    return matrix
+    return tuple(tuple(float(x) for x in row) for row in matrix)

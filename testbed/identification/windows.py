@@ -100,7 +100,7 @@ class Plan:
             position=part.position,
             velocity=part.velocity if sensed and part.velocity is not None else nothing,
             acceleration=part.acceleration if sensed and part.acceleration is not None else nothing,
-            measured=part.torque if dynamic else part.wrench - self.tare,
+            measured=part.measured("torque") if dynamic else part.measured("wrench") - self.tare,
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
@@ -123,17 +123,17 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         RecordingError: The recording is too short, or sampled too slowly.
     """
     rate, sensed = source.rate, source.senses_kinematics
-    cutoffs = [c for c in (settings.cutoff, None if sensed else settings.position_cutoff) if c]
-    fast = [cutoff for cutoff in cutoffs if cutoff >= rate / 2]
+    slow, position = settings.row_low_pass, None if sensed else settings.position_low_pass
+    fast = [cutoff for cutoff in (slow, position) if cutoff is not None and cutoff >= rate / 2]
     if fast:
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
         )
     unit = np.array([[1.0], [0.0], [0.0]])
-    taps = unit if sensed else motion_taps(rate, settings.position_cutoff)
-    weights = row_weights(rate, settings.cutoff)
+    taps = unit if sensed else motion_taps(rate, position)
+    weights = row_weights(rate, slow)
     reach = taps.shape[1] // 2 + len(weights) // 2
-    step = 1 if settings.cutoff is None else int(rate / (ROWS_PER_CUTOFF * settings.cutoff)) or 1
+    step = 1 if slow is None else int(rate / (ROWS_PER_CUTOFF * slow)) or 1
     rows = len(range(reach, source.samples - reach, step))
     if rows < 2:
         raise RecordingError(

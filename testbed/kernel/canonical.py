@@ -23,7 +23,7 @@ STRAIGHT = 1e-14
 """Sine of a lean that is none."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Link:
     """One step outward: an offset, a turn about x, then the joint along or about z.
 
@@ -97,7 +97,7 @@ def canonical(tree: Tree) -> Canonical:
 
 def _upright(axis: Array) -> Array:
     """A frame with its z along a unit vector."""
-    x = across(axis)[0]
+    x = across(axis).axes[0]
     return np.column_stack([x, np.cross(axis, x), axis])
 
 

@@ -9,19 +9,8 @@ import numpy as np
 
 from testbed.arrays import AnyArray
 from testbed.kernel.canonical import Canonical, Link
-from testbed.kernel.records import (
-    CACHE,
-    KS,
-    NB,
-    PUSHED,
-    SEEDS,
-    SLIDING,
-    TURNING,
-    USUAL,
-    Bools,
-    Ints,
-    Rows,
-)
+from testbed.kernel.constants import CACHE, KS, NB, PUSHED, SEEDS, SLIDING, TURNING, USUAL
+from testbed.kernel.records import Bools, Ints, Rows
 
 
 class Pair(NamedTuple):
@@ -66,7 +55,7 @@ class Draft:
     def __init__(self, frames: Canonical, places: list[list[tuple[int, int]]]) -> None:
         self.links, self.places = frames.links, places
         self.pairs: list[list[Pair]] = [[] for _ in self.links]
-        self.terms: list[tuple[int, int, int]] = []  # slot, link, kind
+        self.terms: list[tuple[int, int, int]] = []  # slot, link, law
         self.starts: list[int] = []
         self.measured: list[int] = []
         self.owners: list[int] = []
@@ -85,8 +74,8 @@ class Draft:
                 pairs.append((k, self.slots, [e + (e == 9 and inner) for e, _ in here]))
                 columns += [column for _, column in here]
                 self.slots += len(here)
-        for kind, column in terms:
-            self.terms.append((self.slots, link, kind))
+        for law, column in terms:
+            self.terms.append((self.slots, link, law))
             columns.append(column)
             self.slots += 1
         self.measured.append(self.slots)
@@ -155,7 +144,7 @@ class Draft:
             copy_to=ints([slot for each in copies for _, slot in each]),
             term_slot=ints([slot for slot, _, _ in self.terms]),
             term_link=ints([link for _, link, _ in self.terms]),
-            term_kind=ints([kind for _, _, kind in self.terms]),
+            term_law=ints([law for _, _, law in self.terms]),
             start=ints(self.starts),
             width=ints(self.widths),
             measured=ints(self.measured),

@@ -18,6 +18,8 @@ from llvmlite import binding
 from numba import njit
 from numba.core import config
 
+from testbed.robot import friction
+
 settings: Any = config  # whose names Numba makes while it loads
 
 _FEATURES = settings.CPU_FEATURES or binding.get_host_cpu_features().flatten()
@@ -34,7 +36,7 @@ def cache_folder() -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA") or "~/.cache"
     base = Path(home).expanduser() / "testbed"
     digest = hashlib.sha256(f"{numba.__version__} {llvmlite.__version__}".encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in (*sorted(Path(__file__).parent.glob("*.py")), Path(friction.__file__)):
         digest.update(source.read_bytes())
     folder = base / f"kernel-{digest.hexdigest()[:16]}"
     try:

@@ -10,25 +10,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.kernel.canonical import Canonical, canonical
 from testbed.kernel.channels import Draft, Shelf, bools, ints
-from testbed.kernel.records import ORDER, SEEDS, SLIDING, TURNING, Ints, Robot, Rows
+from testbed.kernel.constants import ORDER, SEEDS, SLIDING, TURNING
+from testbed.kernel.records import Ints, Robot, Rows
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Model
+from testbed.robot.friction import LAWS, JointTerm
 from testbed.robot.tree import Tree
-
-Term = Literal["coulomb", "viscous", "offset", "rotor"]
-TERMS: tuple[Term, ...] = ("coulomb", "viscous", "offset", "rotor")
-"""A joint's own columns: sign(qd), qd, 1, qdd."""
 
 TINY = 1e-13
 """Coefficients that are zero but for rounding."""
+
+UNKNOWN = -1
+"""Number of a law that is not in LAWS: the NumPy engine alone makes its columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +39,19 @@ class Layout:
         tree: The robot; only its geometry matters.
         gravity: (3,) [m/s^2], bedplate frame.
         model: "dynamic" for a channel a joint, "reaction" for the bedplate's six.
-        terms: Own columns of every joint.
+        terms: The joints' own columns.
         robot: For the kernel.
         rows: For the kernel.
         theta: Barycentric parameters of every body column, (n, 10, P').
         basis: (P, unknowns): columns @ basis is the regressor of the minimal parameters,
-            then of the terms, kind by kind.
+            then of the terms.
         channels: Columns of every channel, in the order of its slots.
     """
 
     tree: Tree
     gravity: Array
     model: Model
-    terms: tuple[Term, ...]
+    terms: tuple[JointTerm, ...]
     robot: Robot
     rows: Rows
     theta: Array
@@ -63,22 +63,27 @@ class Layout:
         """Number of measured channels."""
         return len(self.channels)
 
+    @property
+    def compiles(self) -> bool:
+        """Whether the compiled kernel knows all columns: those of laws in LAWS."""
+        return all(term.law in LAWS for term in self.terms)
+
 
 def layout(
-    tree: Tree, minimal: MinimalSet, terms: Sequence[Term] = (), joined: bool = False
+    tree: Tree, minimal: MinimalSet, terms: Sequence[JointTerm] = (), joined: bool = False
 ) -> Layout:
     """Lay out the rows of a minimal set.
 
     Args:
         tree: The robot; only its geometry matters.
         minimal: delta_d or delta_r.
-        terms: Own columns of every joint, for a dynamic set.
+        terms: The joints' own columns, for a dynamic set.
         joined: Whether products across channels are wanted.
     """
     frames = canonical(tree)
     turns = frames.to_canonical()
     picked, lead = _columns(turns, minimal)
-    own = len(terms) * tree.n
+    own = len(terms)
     basis = np.zeros((len(picked) + own, minimal.count + own))
     basis[: len(picked), : minimal.count] = lead
     basis[len(picked) :, minimal.count :] = np.eye(own)
@@ -89,7 +94,11 @@ def layout(
     draft = Draft(frames, [sorted(each) for each in places])
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):
-            extra = [(TERMS.index(t), len(picked) + k * tree.n + j) for k, t in enumerate(terms)]
+            extra = [
+                (LAWS.index(term.law) if term.law in LAWS else UNKNOWN, len(picked) + k)
+                for k, term in enumerate(terms)
+                if term.joint == j
+            ]
             draft.channel(link, frames.links[link].slides, extra)
     else:
         for axis in range(6):

@@ -112,18 +112,14 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     """Rows at consecutive samples, (slots, samples)."""
     joints, base = linear(layout.tree, motion, layout.theta, layout.gravity)
     phi = joints if layout.model == "dynamic" else base  # (samples, channels, columns)
-    own = {
-        "coulomb": np.sign(motion.qd),
-        "viscous": motion.qd,
-        "offset": np.ones_like(motion.qd),
-        "rotor": motion.qdd,
-    }
+    own = {term.law: term.law.columns(motion.qd, motion.qdd) for term in layout.terms}
     y = np.zeros((layout.rows.slots, motion.samples))
     for c, columns in enumerate(layout.channels):
         at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
         y[at : at + len(bodies)] = phi[:, c, bodies].T
-        for k, name in enumerate(layout.terms):
-            y[at + len(bodies) + k] = own[name][:, c]
+        for k, column in enumerate(columns[len(bodies) :]):
+            term = layout.terms[column - phi.shape[2]]
+            y[at + len(bodies) + k] = own[term.law][:, term.joint]
         y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
     return y
 

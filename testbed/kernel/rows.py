@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from testbed.kernel.compiler import part, plain, summing
-from testbed.kernel.records import NB, B, D
+from testbed.kernel.compiler import inline, part, plain, summing
+from testbed.kernel.constants import NB, B, D
 from testbed.kernel.screws import (
     BODY,
     SCREW,
@@ -20,6 +20,7 @@ from testbed.kernel.screws import (
     slide_here,
     turn_here,
 )
+from testbed.robot.friction import LAWS
 
 
 @summing
@@ -128,11 +129,28 @@ def fill_link(i, robot, rows, work, Y, at):
 
 
 @part
-def term(kind, qd, qdd, Y):
-    """A column of one joint's own: dry friction, viscous friction, offset, rotor."""
-    for k in range(NB):
-        sign = 1.0 if qd[k] > 0.0 else (-1.0 if qd[k] < 0.0 else 0.0)
-        Y[k] = sign if kind == 0 else qd[k] if kind == 1 else 1.0 if kind == 2 else qdd[k]
+def no_term(number, qd, qdd, Y):
+    """The column of no law."""
+
+
+def terms_with(number, column, others):
+    """The column of a joint's own law by the law's number: of one law more than `others`."""
+    column = inline(column)
+
+    @part
+    def term(law, qd, qdd, Y):
+        if law == number:
+            for k in range(NB):
+                Y[k] = column(qd[k], qdd[k])
+        else:
+            others(law, qd, qdd, Y)
+
+    return term
+
+
+term = no_term
+for number, law in enumerate(LAWS):
+    term = terms_with(number, law.column, term)
 
 
 @part
@@ -141,7 +159,7 @@ def fill_own(rows, signals, first, count, work, Y, at):
     for t in range(len(rows.term_slot)):
         U = work.U[rows.term_link[t] * 3 * B : (rows.term_link[t] + 1) * 3 * B]
         y = rows.term_slot[t] * D + at
-        term(rows.term_kind[t], U[B : 2 * B], U[2 * B :], Y[y : y + NB])
+        term(rows.term_law[t], U[B : 2 * B], U[2 * B :], Y[y : y + NB])
     for c in range(len(rows.measured)):
         y = rows.measured[c] * D + at
         load(signals.measured, first, count, c, Y[y : y + NB])

@@ -3,10 +3,13 @@
 Works on composite bodies (a body and all it carries, stiff), with the ten numbers
 (m, h, I) about the body frame's origin, and asks from the bedplate outwards:
 
-V_j   which twists frame j can be given by the joints ahead and by gravity;
+V_j   which twists frame j can be given by the joints ahead, by its own and by gravity;
 Z_j   which functionals of composite j are seen: v . I_j S_j for every v in V_j, and what
       changes, as joint j moves, of any functional seen of the carrying composite;
 K_j   all functionals of composite j that enter any measurement.
+
+Of V_j two members are kept apart, the joint's own acceleration and gravity as it is at
+q = 0: what only these tell of a body, its drive's rotor or offset may hide.
 
 The joint torques see the Z_j P_j; the bedplate sees them with V_j the whole space, and
 K_0 P_0, its own static wrench.
@@ -16,8 +19,11 @@ Source    derived for this project (docs/minimal-sets.md)
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, skew
 from testbed.parameters.barycentric import STANDARD, TENSOR, UPPER, to_standard
@@ -32,8 +38,33 @@ NEW = 1e-8
 _INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Functionals of composite j, at q = 0, that a measurement tells; rows on (m, h, I).
+
+    Attributes:
+        aside: Told whatever joint j's own acceleration and its weight at q = 0, (k, 10).
+        inertia: S_j . I_j S_j, the factor of qdd_j in row j, (10,).
+        weight: -g . I_j S_j with gravity g as it is at q = 0: the constant in row j, (10,).
+    """
+
+    aside: Array
+    inertia: Array
+    weight: Array
+
+    @property
+    def whole(self) -> Array:
+        """All of them, orthonormal, (k, 10)."""
+        return _span(np.vstack([self.aside, self.inertia, self.weight]))
+
+
 def recursive_space(
-    tree: Tree, model: Model, gravity: ArrayLike | None = None, *, tared: bool = False
+    tree: Tree,
+    model: Model,
+    gravity: ArrayLike | None = None,
+    *,
+    tared: bool = False,
+    known_zero: NDArray[np.bool_] | None = None,
 ) -> Space:
     """What a measurement can tell, by the exact recursion.
 
@@ -42,26 +73,45 @@ def recursive_space(
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         tared: The bedplate's static wrench in one posture has been taken off.
+        known_zero: Barycentric parameters known to be zero, (n, 10); default none.
     """
     g = tree.gravity_or(gravity)
-    whole = model == "reaction"
-    twists: list[Array] = [_span(np.concatenate([g, np.zeros(3)])[None])]  # index j + 1
-    known: list[Array] = [_static(g) if whole and not tared else np.zeros((0, 10))]
-    seen: list[Array] = []
+    static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
+    seen = [each.whole for each in told(tree, model, g, static)]
+    rows = _on_barycentric(tree, seen, static)
+    if known_zero is not None:
+        rows[:, known_zero.ravel()] = 0.0
+    return row_space(rows, NEW)
+
+
+def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[Told]:
+    """What is told of every composite body, from the bedplate outwards.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
+        gravity: (3,) [m/s^2], bedplate frame.
+        static: Functionals of all that stands on the bedplate that are told, (k, 10).
+    """
+    free: list[Array] = [np.eye(6) if model == "reaction" else np.zeros((0, 6))]  # index j + 1
+    rest: list[Array] = [-np.concatenate([gravity, np.zeros(3)])]
+    known: list[Array] = [static]
     for joint in tree.joints:
-        screw = _screw(joint)
-        carried = np.eye(6) if whole else twists[joint.parent + 1] @ _twist_into(joint).T
-        twists.append(np.eye(6) if whole else _closed(np.vstack([carried, screw]), _ad(screw).T))
-        rate = _rate(joint)
-        pulled = known[joint.parent + 1] @ _composite_into(joint)
-        closure = _closed(pulled, rate)
-        seen.append(_span(np.vstack([twists[-1] @ _momentum(screw), closure @ rate])))
-        known.append(_span(np.vstack([closure, seen[-1]])))
-    return _on_barycentric(tree, seen, known[0] if whole else np.zeros((0, 10)))
+        screw, into, rate = _screw(joint), _twist_into(joint).T, _rate(joint)
+        turning, momentum = _ad(screw).T, _momentum(screw)
+        still = rest[joint.parent + 1] @ into
+        ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
+        closure = _closed(known[joint.parent + 1] @ _composite_into(joint), rate)
+        aside = _span(np.vstack([ahead @ momentum, closure @ rate]))
+        here = Told(aside, screw @ momentum, still @ momentum)
+        yield here
+        free.append(_span(np.vstack([ahead, screw])))
+        rest.append(still)
+        known.append(_span(np.vstack([closure, here.whole])))
 
 
-def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Space:
-    """Functionals of composites as functionals of the barycentric parameters."""
+def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Array:
+    """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
     n = tree.n
     composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
     to_ours = _standard_from_barycentric(tree)
@@ -71,7 +121,7 @@ def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Space:
         composite[tree.parents[j]] += _composite_into(tree.joints[j]) @ composite[j]
         rows.insert(0, seen[j] @ composite[j])
     rows.append(static @ composite[-1])
-    return row_space(np.vstack(rows), NEW)
+    return np.vstack(rows)
 
 
 def _standard_from_barycentric(tree: Tree) -> Array:

@@ -12,7 +12,9 @@ from typing import IO, Any, Protocol, runtime_checkable
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.recordings.recording import GROUPS, Recording, alike
+from testbed.recordings.columns import SIGNALS
+from testbed.recordings.parts import alike
+from testbed.recordings.recording import Recording
 
 
 @runtime_checkable
@@ -40,6 +42,10 @@ class Source(Protocol):
         """As `Recording.facts`."""
 
     @property
+    def signals(self) -> tuple[str, ...]:
+        """As `Recording.signals`."""
+
+    @property
     def senses_kinematics(self) -> bool:
         """Whether velocities and accelerations were sensed, both."""
 
@@ -48,7 +54,7 @@ class Source(Protocol):
 
 
 def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:
-    """Samples from memory, from a Parquet file that stays there, or from parts in turn.
+    """Samples from memory, from a file that stays where it is, or from parts in turn.
 
     Args:
         what: A recording, the path of one, or parts of one in the order of time.
@@ -57,10 +63,10 @@ def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> 
         RecordingError: The file is no recording, or the parts do not belong together.
     """
     if isinstance(what, str | Path):
-        from testbed.recordings.formats.parquet import StoredRecording
+        from testbed.recordings.stored import StoredRecording
 
         return StoredRecording(what)
-    if isinstance(what, Source):
+    if isinstance(what, Recording | Source):  # asked as a Source, it is asked for its rate
         return what
     return gathered(what)
 
@@ -79,7 +85,7 @@ def gathered(parts: Iterable[Recording]) -> Recording:
     with ExitStack() as open_files:
         files: dict[str, IO[bytes]] = {}
         for part in alike(parts):
-            for name in GROUPS:
+            for name in SIGNALS:
                 values = getattr(part, name)
                 if values is None:
                     continue

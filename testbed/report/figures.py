@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from testbed.arrays import Array
 
@@ -20,7 +24,7 @@ COLOURS = {
     "measured": "#010205",
     "external": "#010206",
     "internal": "#010207",
-    "truth": "#010208",
+    "unexplained": "#010205",
 }
 _VARIABLES = {
     INK: "var(--ink)",
@@ -28,19 +32,20 @@ _VARIABLES = {
     "#010205": "var(--measured)",
     "#010206": "var(--external)",
     "#010207": "var(--internal)",
-    "#010208": "var(--truth)",
 }
 _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
-    "svg.hashsalt": "testbed",
     "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
     "font.size": 9,
     "text.color": INK,
-    "text.parse_math": False,
+    "text.parse_math": False,  # a joint's name may hold what looks like mathematics
     "axes.labelcolor": INK,
     "axes.edgecolor": FAINT,
     "axes.titlesize": 9,
     "axes.titlecolor": INK,
+    "axes.titlepad": 3,
+    "axes.xmargin": 0.02,
     "xtick.color": INK,
     "ytick.color": INK,
     "grid.color": FAINT,
@@ -55,56 +60,90 @@ _STYLE: dict[Any, Any] = {
     "path.simplify": True,
     "path.simplify_threshold": 0.6,
 }
+WIDTH, HEIGHT = 4.1, 1.75
+"""Of a plot [inches]."""
+_MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.225, "top": 0.885}  # parts of it
+_WIDTHS = {"measured": 2.6}  # what hides behind the predictions
+
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Curves = Mapping[str, tuple[Array, Array]]  # x and y by what they are: measured, external, ...
 
 
-def panels(
-    titles: Sequence[str],
-    curves: Sequence[Curves],
-    x_label: str,
-    y_labels: Sequence[str],
-    *,
-    points: Sequence[str] = (),
-    log: bool = False,
-    columns: int = 2,
-    name: str,
-) -> str:
-    """Small plots of one kind, one a channel, as one SVG.
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One small plot.
 
-    Args:
-        titles: One a panel.
-        curves: One a panel.
-        x_label: Of all panels, with unit.
-        y_labels: One a panel, with unit.
-        points: Which curves are drawn as points.
+    Attributes:
+        title: What it shows, with unit.
+        curves: By what they are: "measured", "external", "internal" or "unexplained".
+        x_label: With unit.
         log: Both axes logarithmic.
-        columns: Panels in a row.
-        name: What the figure shows, for those who cannot see it.
+        points: Which curves are drawn as points.
     """
-    rows = -(-len(titles) // columns)
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(7.2, 1.9 * rows + 0.4), layout="constrained")
-        axes = figure.subplots(rows, columns, squeeze=False)
-        for k, axis in enumerate(axes.flat):
-            if k >= len(titles):
-                axis.set_visible(False)
-                continue
-            for label, (x, y) in curves[k].items():
-                if label in points:
-                    axis.plot(x, y, ".", color=COLOURS[label], markersize=2, label=label)
+
+    title: str
+    curves: Curves
+    x_label: str
+    log: bool = False
+    points: tuple[str, ...] = ()
+
+    @property
+    def svg(self) -> str:
+        """The plot as an element of a page."""
+        with rc_context(_STYLE | {"svg.hashsalt": f"{self.title} {self.x_label}"}):
+            figure = Figure(figsize=(WIDTH, HEIGHT))
+            axis = figure.subplots()
+            figure.subplots_adjust(**_MARGINS)
+            for label, (x, y) in self.curves.items():
+                style: dict[str, Any] = {"color": COLOURS[label]}
+                if label in self.points:
+                    style |= {"linestyle": "none", "marker": ".", "markersize": 2}
                 else:
-                    axis.plot(x, y, color=COLOURS[label], label=label)
-            axis.set_title(titles[k], loc="left")
-            axis.set_ylabel(y_labels[k])
-            if log:
-                axis.set_xscale("log")
-                axis.set_yscale("log")
-            if k >= len(titles) - columns:
-                axis.set_xlabel(x_label)
-        handles, labels = axes.flat[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
-        return _svg(figure, name)
+                    style |= {"linewidth": _WIDTHS.get(label, 1.1)}
+                axis.plot(x, y, **style)
+            axis.set_title(self.title, loc="left")
+            axis.set_xlabel(self.x_label, labelpad=1)
+            (_logarithmic if self.log else _linear)(axis)
+            return _svg(figure, self.title)
+
+
+def _linear(axis: Axes) -> None:
+    """Few round ticks."""
+    for scale, most in ((axis.xaxis, 6), (axis.yaxis, 4)):
+        scale.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+        scale.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
+
+
+def _logarithmic(axis: Axes) -> None:
+    """Both axes, with powers of ten for ticks; the vertical one from one of them to another."""
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    shown = [line.get_ydata() for line in axis.lines]
+    positive = np.concatenate([np.asarray(y)[np.asarray(y) > 0] for y in shown])
+    if positive.size:
+        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+        axis.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
+    for scale, most in ((axis.xaxis, 6), (axis.yaxis, 4)):
+        scale.set_major_locator(LogLocator(numticks=most))
+        scale.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
+        scale.set_minor_formatter(NullFormatter())
+
+
+def tick_label(value: float) -> str:
+    """A tick of an even axis: 0.02, -150, and 2·10⁻⁵ where zeros would be counted."""
+    number, _, power = f"{value:g}".partition("e")
+    if power:
+        number += f"·10{str(int(power)).translate(_SUPERSCRIPTS)}"
+    return number.replace("-", "−")
+
+
+def power_of_ten(value: float) -> str:
+    """A tick of a logarithmic axis: 0.01, 1, 100, and 10⁻⁵ where zeros would be counted."""
+    power = round(float(np.log10(value)))
+    if -3 <= power <= 3:
+        return f"{10.0**power:g}"
+    return f"10{str(power).translate(_SUPERSCRIPTS)}"
 
 
 def _svg(figure: Figure, name: str) -> str:
@@ -117,7 +156,12 @@ def _svg(figure: Figure, name: str) -> str:
     for colour, variable in _VARIABLES.items():
         svg = svg.replace(colour, variable)
     svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
-    title = f'role="img" aria-label="{name}">'
+    svg = re.sub(
+        r' id="((?:figure|axes|patch|line2d|text|xtick|ytick|matplotlib)[^"]*)"',
+        r' class="\1"',
+        svg,
+    )
+    title = f'role="img" aria-label="{escape(name)}">'
     return svg.replace(">", f" {title}", 1)
 
 
@@ -125,20 +169,3 @@ def thinned(x: Array, y: Array, most: int = 1500) -> tuple[Array, Array]:
     """At most so many points of a curve, evenly taken."""
     step = max(1, -(-len(x) // most))
     return x[::step], y[::step]
-
-
-def spectrum(signal: Array, rate: float, size: int = 2048) -> tuple[Array, Array]:
-    """Amplitude density of a signal over frequency [Hz], [unit/sqrt(Hz)]: Welch's means.
-
-    Args:
-        signal: (M,).
-        rate: Samples a second [Hz].
-        size: Samples of a segment; half of it overlaps, Hann's window.
-    """
-    size = min(size, len(signal))
-    window = np.hanning(size)
-    starts = range(0, len(signal) - size + 1, max(1, size // 2))
-    parts = np.array([signal[s : s + size] - signal[s : s + size].mean() for s in starts])
-    power = np.mean(np.abs(np.fft.rfft(parts * window)) ** 2, axis=0)
-    density: Array = np.sqrt(2 * power / (rate * np.sum(window**2)))
-    return np.asarray(np.fft.rfftfreq(size, 1 / rate)[1:], dtype=np.float64), density[1:]

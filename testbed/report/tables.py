@@ -1,78 +1,120 @@
-"""Results as tables for the terminal."""
+"""Results as tables for the terminal. No number is ever cut off: the table splits instead."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rich.box import HEAVY_HEAD, SIMPLE_HEAD
+from rich.console import Console
 from rich.table import Table
+
+from testbed.errors import printable
 
 _EXACT = 1e-7
 """Relative sigma below which decimals would hide how small it is."""
 
+_NAME = 12
+"""Columns that are left to a name, at least, when it gives way."""
+
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
+    from testbed.identification.estimate import Estimate
 
 
-def result_table(
-    external: Estimate,
-    internal: Estimate,
+@dataclass(frozen=True)
+class _Layout:
+    """How much a table shows, from wide to narrow."""
+
+    short: bool  # 1.0610(9) for 1.0610 +- 0.0009
+    units: bool
+    together: bool  # all methods in one table
+    folded: bool  # names are folded
+
+
+_LAYOUTS = (
+    _Layout(short=False, units=True, together=True, folded=False),
+    _Layout(short=True, units=False, together=True, folded=False),
+    _Layout(short=True, units=False, together=False, folded=False),
+    _Layout(short=True, units=False, together=False, folded=True),
+)
+
+
+def result_tables(
+    console: Console, estimates: Sequence[Estimate], truths: Mapping[str, float], title: str = ""
+) -> list[Table]:
+    """What every method found: value and sigma, and, where it is known, the truth beside it.
+
+    First the parameters that both methods know, then what only the plate tells, then what
+    only the torques tell. The widest layout that fits is taken.
+
+    Args:
+        console: Where the tables are to be printed.
+        estimates: Of one recording, one a method.
+        truths: True values by name; {} where they are not known.
+        title: Of the table.
+    """
+    free = console.options.update(max_width=10_000)
+    for layout in _LAYOUTS:
+        groups = [list(estimates)] if layout.together else [[e] for e in estimates]
+        width = console.width if layout.folded else None
+        tables = [_table(group, truths, title, layout, width) for group in groups]
+        if all(console.measure(table, options=free).maximum <= console.width for table in tables):
+            break
+    return tables
+
+
+def _table(
+    estimates: Sequence[Estimate],
     truths: Mapping[str, float],
     title: str,
-    narrow: bool = False,
+    layout: _Layout,
+    width: int | None,
 ) -> Table:
-    """Truth, both estimates and their errors in sigmas: Table 6, with the truth beside it.
-
-    First the parameters that both methods know, then what only the plate tells, then
-    friction, which only the torques tell.
-
-    Args:
-        external: Estimate from the plate.
-        internal: Estimate from the motor torques.
-        truths: True values by name.
-        title: Of the table.
-        narrow: Fit 80 columns: 1.0610(9) for 1.0610 +- 0.0009, and no units.
-    """
-    box = SIMPLE_HEAD if narrow else HEAVY_HEAD
-    table = Table(title=title, title_justify="left", header_style="bold", box=box)
-    table.add_column("parameter", no_wrap=True)
-    if not narrow:
-        table.add_column("unit", style="dim")
-    error = "z" if narrow else "error/sigma"
-    for column in ("truth", "external", error, "internal", error):
-        table.add_column(column, justify="right", no_wrap=True)
-    names = dict.fromkeys((*internal.names[: internal.count], *external.names, *internal.names))
-    sections = {internal.count - 1, len(names) - 1 - (len(internal.names) - internal.count)}
-    units = dict(zip(internal.names, internal.units, strict=True)) | dict(
-        zip(external.names, external.units, strict=True)
-    )
-    for k, name in enumerate(names):
-        cells = [
-            cell for e in (external, internal) for cell in _cells(e, name, truths[name], narrow)
+    rows = {
+        name: [
+            *([units] if layout.units else []),
+            *([_number(truths.get(name))] if truths else []),
+            *(cell for e in estimates for cell in _cells(e, name, truths, layout.short)),
         ]
-        heads = [name] if narrow else [name, units[name]]
-        table.add_row(*heads, f"{truths[name]:.6g}", *cells, end_section=k in sections)
-    return table
-
-
-def estimate_table(estimates: Sequence[Estimate], narrow: bool = False) -> Table:
-    """Estimates without truth: value and sigma by method.
-
-    Args:
-        estimates: Of one recording.
-        narrow: Fit 80 columns, as in `result_table`.
-    """
-    table = Table(header_style="bold", box=SIMPLE_HEAD if narrow else HEAVY_HEAD)
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("unit", style="dim")
+        for name, units in _units(estimates).items()
+    }
+    table = Table(
+        title=printable(title) or None,
+        title_justify="left",
+        header_style="bold",
+        box=SIMPLE_HEAD if layout.short else HEAVY_HEAD,
+    )
+    heads = ["unit"] * layout.units + ["truth"] * bool(truths)
     for estimate in estimates:
-        table.add_column(estimate.method, justify="right")
-    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
-    for name, unit in units.items():
-        cells = (with_sigma(estimate, name, short=narrow) for estimate in estimates)
-        table.add_row(name, unit, *cells)
+        heads += [estimate.method, *(["z" if layout.short else "error/sigma"] * bool(truths))]
+    taken = [max(len(h), *(len(r[k]) for r in rows.values())) for k, h in enumerate(heads)]
+    room = None if width is None else max(_NAME, width - sum(taken) - 3 * len(taken) - 4)
+    table.add_column("parameter", overflow="fold", max_width=room, no_wrap=room is None)
+    for head in heads:
+        style = "dim" if head == "unit" else ""
+        table.add_column(head, justify="left" if style else "right", no_wrap=True, style=style)
+    ends = _sections(estimates)
+    for name, cells in rows.items():
+        table.add_row(printable(name), *cells, end_section=name in ends)
     return table
+
+
+def _units(estimates: Sequence[Estimate]) -> dict[str, str]:
+    """Units by name, in the order of the rows: shared, the plate's, the torques'."""
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
+    order = [name for e in reversed(estimates) for name in e.base.names]
+    return {name: units[name] for name in dict.fromkeys((*order, *units))}
+
+
+def _sections(estimates: Sequence[Estimate]) -> set[str]:
+    """Names after which a line is drawn."""
+    base = [e.base.names for e in estimates]
+    shared = [name for name in base[-1] if name in base[0]]
+    ends = {shared[-1]} if shared else set()
+    every = list(_units(estimates))
+    last = max(every.index(name) for names in base for name in names)
+    return ends | {every[last]}
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
@@ -86,13 +128,23 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     return lines
 
 
-def _cells(estimate: Estimate, name: str, truth: float, narrow: bool) -> tuple[str, str]:
-    if name not in estimate.names:
-        return "-", ""
+def _cells(
+    estimate: Estimate, name: str, truths: Mapping[str, float], short: bool
+) -> tuple[str, ...]:
+    """Value with sigma, and, where truths are known, the error in sigmas."""
+    value = with_sigma(estimate, name, short=short)
+    if not truths:
+        return (value,)
+    if name not in estimate.names or name not in truths:
+        return value, ""
     k = estimate.names.index(name)
-    sigma = estimate.sigma[k]
-    z = (estimate.values[k] - truth) / sigma if sigma > 0 else 0.0
-    return with_sigma(estimate, name, short=narrow), f"{z:+.1f}"
+    sigma = float(estimate.sigma[k])
+    z = (float(estimate.values[k]) - truths[name]) / sigma if sigma > 0 else 0.0
+    return value, f"{z:+.1f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
 
 
 def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,18 +13,12 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from testbed.report.tables import (
-    estimate_table,
-    quality_lines,
-    result_table,
-)
+from testbed.errors import printable
+from testbed.report.tables import quality_lines, result_tables
 
 if TYPE_CHECKING:
-    from testbed.identification.identify import Estimate
-
-
-WIDE = 110
-"""Columns that the full table of results takes."""
+    from testbed.experiment.run import Run
+    from testbed.identification.estimate import Estimate
 
 
 class Progress:
@@ -48,9 +44,11 @@ class Progress:
 
 
 def console() -> Console:
-    """Standard output; 120 columns where it is no terminal."""
+    """Standard output; 120 columns where it is no terminal and nobody says otherwise."""
     plain = Console(markup=False, highlight=False)
-    return plain if plain.is_terminal else Console(markup=False, highlight=False, width=120)
+    if plain.is_terminal or "COLUMNS" in os.environ:
+        return plain
+    return Console(markup=False, highlight=False, width=120)
 
 
 def print_json(value: dict[str, Any]) -> None:
@@ -58,44 +56,58 @@ def print_json(value: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
-def print_estimates(estimates: list[Estimate], warnings: tuple[str, ...]) -> None:
+def print_estimates(estimates: list[Estimate], warnings: Sequence[str]) -> None:
     """Print what was found.
 
     Args:
         estimates: Of one recording.
-        warnings: About the robot.
+        warnings: About the robot and the recording.
     """
     out = console()
-    out.print(estimate_table(estimates, out.width < WIDE))
+    for table in result_tables(out, estimates, {}):
+        out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
-    print_warnings(out, (*warnings, *(d for e in estimates for d in e.warnings)))
+    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
 
 
-def print_outcome(outcome: Any, folder: Path) -> None:
+def print_run(run: Run, folder: Path) -> None:
     """Print what came of an experiment.
 
     Args:
-        outcome: `campaign.carry_out.Outcome`.
+        run: What came of it.
         folder: Where it is kept.
     """
     out = console()
-    external, internal, title = outcome.external, outcome.internal, outcome.experiment.name
-    out.print(result_table(external, internal, outcome.truths, title, out.width < WIDE))
-    for line in quality_lines((external, internal)):
+    estimates = list(run.estimates.values())
+    for table in result_tables(out, estimates, run.truths, run.name) if estimates else ():
+        out.print(table)
+    for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
-    print_warnings(out, outcome.warnings)
-    verdicts = outcome.verdicts
-    for name, value in outcome.comparison.metrics.items():
-        claim = ""
-        if name in verdicts:
-            wanted = outcome.experiment.expect[name].wanted
-            claim = f"  ({wanted}: {'holds' if verdicts[name] else 'FAILS'})"
-        out.print(f"{name:30s} {value:9.3g}{claim}")
+    print_warnings(out, run.warnings)
+    _print_metrics(out, run)
     out.print(f"run folder: {folder}", soft_wrap=True)
 
 
-def print_warnings(out: Console, warnings: tuple[str, ...]) -> None:
-    """Print notes, a line each."""
-    for warning in warnings:
-        out.print(f"note: {warning}", style="yellow", soft_wrap=True)
+def _print_metrics(out: Console, run: Run) -> None:
+    """Every metric, what was claimed of it, and the verdict."""
+    expect = {} if run.experiment is None else run.experiment.expect
+    for name in dict.fromkeys((*run.metrics, *expect)):
+        value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
+        claim = ""
+        if name in expect:
+            claim = f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
+        out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
+    if run.experiment is None or not expect:
+        return
+    held, count = sum(run.verdicts.values()), len(expect)
+    if run.experiment.claim:
+        out.print(f"claim: {printable(run.experiment.claim)}")
+    verdict = "the claim holds" if held == count else "THE CLAIM FAILS"
+    out.print(f"verdict: {verdict} ({held} of {count} bounds)")
+
+
+def print_warnings(out: Console, warnings: Iterable[str]) -> None:
+    """Print warnings, a line each, none twice."""
+    for warning in dict.fromkeys(warnings):
+        out.print(f"warning: {printable(warning)}", style="yellow", soft_wrap=True)

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly, skew
 
+HEAVIEST = 1e12
+"""Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
+
 TRIANGLE_TOLERANCE = 1e-9
 """Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
 
@@ -81,7 +84,7 @@ NOTHING = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
 """A body without matter."""
 
 
-def flaw(link: str, mass: float, central: ArrayLike) -> str | None:
+def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:
     """What keeps a link from being a rigid body, in one line; None if nothing does.
 
     A link without any matter (all ten parameters zero) is no flaw: files use such links

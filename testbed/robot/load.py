@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Literal
 
 from testbed.errors import ModelError
+from testbed.robot.locks import Lock
+from testbed.robot.model_xml import read_xml
 from testbed.robot.tree import Tree
 from testbed.robot.validation import check_tree
 
@@ -17,22 +18,24 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
     Raises:
         ModelError: The file is missing, not XML, or neither MJCF nor URDF.
     """
-    if not path.is_file():
-        raise ModelError(f"there is no model file '{path}'")
-    try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
-        raise ModelError(f"{path}: not well-formed XML ({error})") from None
+    root = read_xml(path)
     if root.tag == "mujoco":
         return "mjcf"
     if root.tag == "robot":
         return "urdf"
     raise ModelError(
-        f"{path}: the root element is <{root.tag}>; MJCF starts with <mujoco>, URDF with <robot>"
+        f"{path}: the root element is <{root.tag:.40}>; MJCF starts with <mujoco>, URDF with "
+        "<robot>"
     )
 
 
-def load_tree(path: str | Path, *, weld_root: bool = False, accept_inertia: bool = False) -> Tree:
+def load_tree(
+    path: str | Path,
+    *,
+    weld_root: bool = False,
+    accept_inertia: bool = False,
+    lock: Lock | None = None,
+) -> Tree:
     """Read a robot from MJCF or URDF.
 
     Joints are revolute or prismatic; fixed ones are merged. Meshes do not matter, unless
@@ -43,16 +46,42 @@ def load_tree(path: str | Path, *, weld_root: bool = False, accept_inertia: bool
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         accept_inertia: Take inertias that no rigid body can have as they are, and note
             them in the tree's `warnings`, instead of refusing them.
+        lock: Positions at which joints are held, by name [rad or m]: their bodies become part
+            of those that carry them. None is where the joint rests: at zero, in the middle of
+            a range without zero, or where the joint that it follows takes it. Joints that
+            follow a held one are held with it.
 
     Raises:
-        ModelError: The file cannot be read or holds what is not supported; a floating
-            root and impossible inertias are the subclasses FreeRootError, InertiaError.
+        ModelError: The file cannot be read or holds what is not supported; a floating root,
+            impossible inertias and joints that follow others are the subclasses
+            FreeRootError, InertiaError, MimicError.
+        UnknownName: A joint to be held is not in the file.
     """
     path = Path(path)
     if model_format(path) == "mjcf":
         from testbed.robot.formats.mjcf import read_mjcf as read
     else:
         from testbed.robot.formats.urdf import read_urdf as read
-    tree = read(path, weld_root=weld_root, accept_inertia=accept_inertia)
+    tree = read(path, weld_root=weld_root, accept_inertia=accept_inertia, lock=lock)
     check_tree(tree, path)
     return tree
+
+
+def mimic_joints(path: str | Path) -> tuple[str, ...]:
+    """The joints of a model file that follow others, and so are none of a tree.
+
+    `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` holds them where the zeros of
+    the joints that they follow take them.
+
+    Args:
+        path: The model file.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.formats.mjcf_spec import follower_names as names
+    else:
+        from testbed.robot.formats.urdf_xml import follower_names as names
+    return names(path)

@@ -8,9 +8,11 @@ Source    [FRS96] section 2: INBODY, T of eq. (1), l^ij of eq. (2)
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,6 +26,22 @@ Kind = Literal["revolute", "prismatic"]
 
 WEAKEST, STRONGEST = 1e-6, 1e4
 """Magnitudes of gravity that are not a mistake [m/s^2]."""
+
+FARTHEST = 1e6
+"""Lengths beyond this are a mistake [m]."""
+
+UNIT = 1e-6
+"""How far an axis's length may be from one: rounding in files."""
+
+SETTABLE = (
+    "position_range",
+    "max_velocity",
+    "max_effort",
+    "coulomb",
+    "viscous",
+    "rotor_inertia",
+)
+"""What may be known better than the model file knows it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +102,56 @@ class Joint:
         axis: Array = self.rotation @ self.axis
         return axis
 
+    def flaw(self) -> str | None:
+        """What no joint can have, in words that follow "has"; None if there is nothing."""
+        return next(self._flaws(), None)
+
+    def _flaws(self) -> Iterator[str]:
+        """The first of them is a flaw in any case; others may follow from it."""
+        placement = np.concatenate([self.offset, self.rotation.ravel(), self.axis])
+        if not np.isfinite(placement).all():
+            yield "a place or axis that is not a number"
+        if not (np.abs(self.offset) <= FARTHEST).all():
+            yield f"a place {np.abs(self.offset).max():.3g} m away; {FARTHEST:g} m is the limit"
+        if abs(np.linalg.norm(self.axis) - 1) > UNIT:
+            yield f"no direction: its axis is {self.axis.tolist()}"
+        low, high = self.position_range
+        if not low <= high:
+            yield f"a range that ends before it begins: {low:g} to {high:g}"
+        for what in ("coulomb", "viscous", "rotor_inertia"):
+            value = getattr(self, what)
+            if not 0 <= value < np.inf:
+                yield f"{what.replace('_', ' ')} {value:g}, which is finite and not negative"
+        for what in ("max_velocity", "max_effort"):
+            value = getattr(self, what)
+            if not value > 0:
+                yield f"{what.replace('_', ' ')} {value:g}, which must be positive"
+
+    def with_settings(self, settings: Mapping[str, object]) -> Joint:
+        """The same joint with some of SETTABLE replaced.
+
+        Args:
+            settings: Values by name: numbers, and two numbers for `position_range`.
+
+        Raises:
+            UnknownName: A name is not in SETTABLE.
+            ModelError: A value is none that a joint can have.
+        """
+        values: dict[str, Any] = {}
+        for name, value in settings.items():
+            if name not in SETTABLE:
+                raise UnknownName(f"setting of joint '{self.name}'", name, SETTABLE)
+            shape, form = ((2,), "two numbers") if name == "position_range" else ((), "a number")
+            numbers = _numbers(value, shape)
+            if numbers is None:
+                raise ModelError(f"joint '{self.name}': {name} is {form}, found {value!r:.60}")
+            values[name] = numbers if shape else float(numbers)
+        joint = replace(self, **values)
+        flaw = joint.flaw()
+        if flaw:
+            raise ModelError(f"joint '{self.name}' is given {flaw}")
+        return joint
+
 
 @dataclass(frozen=True, eq=False)
 class Tree:
@@ -143,18 +211,45 @@ class Tree:
         Raises:
             ModelError: It is not three finite numbers.
         """
-        if gravity is None:
-            gravity = self.gravity
-        vector = np.asarray(gravity, dtype=np.float64)
-        if vector.shape != (3,) or not np.isfinite(vector).all():
-            raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity}")
-        size = float(np.linalg.norm(vector / 1e3)) * 1e3
+        vector = _numbers(self.gravity if gravity is None else gravity, (3,))
+        if vector is None or not np.isfinite(vector).all():
+            raise ModelError(f"gravity is three finite numbers [m/s^2], found {gravity!s:.60}")
+        size = math.hypot(*vector)  # overflows and vanishes only where numbers do
         if vector.any() and not WEAKEST <= size <= STRONGEST:
             raise ModelError(
                 f"gravity of {size:.3g} m/s^2 is outside {WEAKEST:g} ... {STRONGEST:g}; "
                 "0 0 0 is weightlessness"
             )
         return readonly(vector, (3,), "gravity")
+
+    def with_gravity(self, gravity: ArrayLike | None) -> Tree:
+        """The same tree under another gravity.
+
+        Args:
+            gravity: (3,) [m/s^2], bedplate frame; None leaves the model file's.
+
+        Raises:
+            ModelError: It is not three finite numbers, or no gravity there is.
+        """
+        return replace(self, gravity=self.gravity_or(gravity))
+
+    def with_joints(self, settings: Mapping[str, Mapping[str, object]]) -> Tree:
+        """The same tree with limits, friction or rotor inertias that the model file lacks.
+
+        Args:
+            settings: By joint name, what is to be replaced: `position_range` (two numbers),
+                `max_velocity`, `max_effort`, `coulomb`, `viscous`, `rotor_inertia`; units as
+                in Joint.
+
+        Raises:
+            UnknownName: There is no such joint, or no such setting.
+            ModelError: A value is none that a joint can have.
+        """
+        joints = list(self.joints)
+        for name, values in settings.items():
+            k = self.index(name)
+            joints[k] = joints[k].with_settings(values)
+        return replace(self, joints=tuple(joints))
 
     def children(self, body: int) -> tuple[int, ...]:
         """Bodies carried directly by `body` (-1: by the bedplate)."""
@@ -169,7 +264,11 @@ class Tree:
 
     def chain(self, body: int) -> tuple[int, ...]:
         """The bodies from the bedplate's child up to and including `body`; () for -1."""
-        return () if body < 0 else (*self.chain(self.parents[body]), body)
+        links: list[int] = []
+        while body >= 0:
+            links.append(body)
+            body = self.parents[body]
+        return tuple(reversed(links))
 
     def index(self, name: str) -> int:
         """Position of the joint called `name`.
@@ -192,3 +291,18 @@ class Tree:
             replace(joint, rotor_inertia=0.0) for joint in self.without_friction().joints
         )
         return replace(self, inertias=(NOTHING,) * self.n, joints=joints)
+
+
+def _numbers(value: object, shape: tuple[int, ...]) -> Array | None:
+    """Numbers of a shape, as they come from files and callers; None if they are none.
+
+    NaN is no number here, infinity is one.
+    """
+    kinds = {type(part) for part in (value if isinstance(value, list | tuple) else ())}
+    if kinds & {bool, str, bytes} or isinstance(value, bool | str | bytes):
+        return None
+    try:
+        numbers = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):  # no number, ragged, or over 1e308
+        return None
+    return None if numbers.shape != shape or np.isnan(numbers).any() else numbers

@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import ModelError
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.inertia import HEAVIEST
+from testbed.robot.model_xml import check_name
+from testbed.robot.tree import Tree
 
-UNIT = 1e-6
-"""How far an axis's length may be from one: rounding in files."""
+MOST_JOINTS = 1_000
+"""Matrices of a robot grow with the square of its joints."""
 
 
 def check_tree(tree: Tree, path: Path) -> None:
@@ -25,35 +27,24 @@ def check_tree(tree: Tree, path: Path) -> None:
     """
     if tree.n == 0:
         raise ModelError(f"{path}: the robot has no joint that moves")
+    if tree.n > MOST_JOINTS:
+        raise ModelError(f"{path}: {tree.n} joints that move; {MOST_JOINTS} is the limit")
+    check_name(tree.name, "the robot's name", path)
+    for joint in tree.joints:
+        check_name(joint.name, "a joint's name", path)
+        check_name(joint.body, "a body's name", path)
     tree.gravity_or(tree.gravity)
     if len(set(tree.names)) < tree.n:
         raise ModelError(f"{path}: two joints have the same name")
     for joint in tree.joints:
-        fault = _fault(joint)
-        if fault:
-            raise ModelError(f"{path}: joint '{joint.name}' has {fault}")
+        flaw = joint.flaw()
+        if flaw:
+            raise ModelError(f"{path}: joint '{joint.name}' has {flaw}")
     owners = [*(f"body '{joint.body}'" for joint in tree.joints), "the pedestal"]
     for owner, inertia in zip(owners, (*tree.inertias, tree.pedestal), strict=True):
         ten = np.concatenate([[inertia.mass], inertia.first_moment, inertia.tensor.ravel()])
-        if not (np.abs(ten) < 1e12).all():  # NaN fails too
-            raise ModelError(f"{path}: {owner} has a mass, centre or inertia that is no number")
-
-
-def _fault(joint: Joint) -> str | None:
-    placement = np.concatenate([joint.offset, joint.rotation.ravel(), joint.axis])
-    if not np.isfinite(placement).all():
-        return "a place or axis that is not a number"
-    if abs(np.linalg.norm(joint.axis) - 1) > UNIT:
-        return f"no direction: its axis is {joint.axis.tolist()}"
-    low, high = joint.position_range
-    if not low <= high:
-        return f"a range that ends before it begins: {low:g} to {high:g}"
-    for what in ("coulomb", "viscous", "rotor_inertia"):
-        value = getattr(joint, what)
-        if not 0 <= value < np.inf:
-            return f"{what.replace('_', ' ')} {value:g}, which cannot be negative"
-    for what in ("max_velocity", "max_effort"):
-        value = getattr(joint, what)
-        if not value > 0:
-            return f"{what.replace('_', ' ')} {value:g}, which must be positive"
-    return None
+        if not (np.abs(ten) <= HEAVIEST).all():  # NaN fails too
+            raise ModelError(
+                f"{path}: {owner} has a mass, centre or inertia that is no number, or beyond "
+                f"{HEAVIEST:g}"
+            )

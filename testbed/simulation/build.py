@@ -14,6 +14,7 @@ pays for it (docs/architecture.md).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from pathlib import Path
 
 import mujoco
@@ -21,9 +22,11 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.mjcf import MASSLESS, compile_spec, no_mujoco_warnings, open_spec
-from testbed.robot.formats.urdf import supported_xml
+from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
+from testbed.robot.formats.mjcf_spec import open_spec
+from testbed.robot.formats.urdf_xml import supported_xml
 from testbed.robot.load import model_format
+from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.simulation.plant import Plant, check_plant
 
@@ -32,48 +35,43 @@ _PREFIX = "testbed/robot/"  # of the names in a robot that is put on a plate of 
 
 
 def build_plant(
-    path: Path,
+    model: ModelFile,
     tree: Tree,
     step: float,
     *,
-    weld_root: bool = False,
+    changed: Collection[str] = (),
     friction: bool = True,
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
 
     Args:
-        path: The model file, MJCF or URDF.
+        model: The model file, and how it is read.
         tree: The tree read from it; gives joint names, their order and gravity.
         step: Simulation step [s].
-        weld_root: Weld a floating root to the bedplate.
-        friction: Keep the file's joint friction.
+        changed: Joints whose friction and rotor inertia are the tree's, not the file's.
+        friction: Keep the joints' friction.
 
     Raises:
         ModelError: MuJoCo refuses the model.
     """
     tree = tree if friction else tree.without_friction()
-    spec = _robot(path, weld_root)
-    for actuator in list(spec.actuators):
-        spec.delete(actuator)
-    for key in list(spec.keys):
-        spec.delete(key)
+    path, spec = model.path, _robot(model)
     prefix = ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
-        _equip(spec, tree, step, prefix)
+        _equip(spec, tree, step, prefix, changed)
         plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
         check_plant(plant, tree, path)
     return plant
 
 
-def _robot(path: Path, weld_root: bool) -> mujoco.MjSpec:
+def _robot(model: ModelFile) -> mujoco.MjSpec:
+    path, weld_root, lock = model.path, model.weld_root, model.lock
     if model_format(path) == "mjcf":
-        spec = open_spec(path, weld_root=weld_root)
+        spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     else:
-        root = supported_xml(path, weld_root=weld_root)
-        for extension in root.findall("mujoco"):
-            root.remove(extension)
+        root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
         options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
         ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
         with no_mujoco_warnings():
@@ -100,7 +98,9 @@ def _on_plate(robot: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
+def _equip(
+    spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str, changed: Collection[str]
+) -> None:
     """Options, motors, joint sensors; friction that is Coulomb's down to 0.01 rad/s."""
     option = spec.option
     option.timestep, option.gravity = step, tree.gravity
@@ -112,6 +112,9 @@ def _equip(spec: mujoco.MjSpec, tree: Tree, step: float, prefix: str) -> None:
     for joint in spec.joints:
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE  # the drive limits itself
         known = tree.joints[tree.index(joint.name.removeprefix(prefix))]
+        if known.name in changed:
+            joint.frictionloss, joint.armature = known.coulomb, known.rotor_inertia
+            joint.damping = np.concatenate([[known.viscous], np.zeros(np.size(joint.damping) - 1)])
         if not known.coulomb:
             joint.frictionloss = 0.0
         if not known.viscous:

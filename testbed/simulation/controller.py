@@ -15,7 +15,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import friction_torque
+from testbed.robot.friction import ROTOR, drive_torque
 from testbed.robot.tree import Tree
 
 DAMPING = 0.9
@@ -66,13 +66,11 @@ def computed_torque(tree: Tree, motion: Fourier, times: Array, bandwidth: float)
     reference = motion.at(times)
     grid = motion.at(np.linspace(0, motion.period, _PERIOD_GRID, endpoint=False)).q
     phase = times / motion.period
-    rotors = np.array([joint.rotor_inertia for joint in tree.joints])
+    besides = drive_torque(tree, reference.qd, reference.qdd, _SMOOTH)
     return Controller(
         reference=reference,
-        expected=joint_forces(tree, reference)
-        + friction_torque(tree, reference.qd, _SMOOTH)
-        + rotors * reference.qdd,
-        inertia=mass_matrices(tree, grid) + np.diag(rotors),
+        expected=joint_forces(tree, reference) + besides,
+        inertia=mass_matrices(tree, grid) + np.diag(ROTOR.coefficients(tree)),
         posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int) % _PERIOD_GRID,
         bandwidth=bandwidth,
         effort=np.array([joint.max_effort for joint in tree.joints]),

@@ -12,7 +12,8 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.errors import ModelError
-from testbed.excitation.limits import friction_torque, limits_of
+from testbed.excitation.limits import limits_of
+from testbed.robot.friction import ROTOR, friction_torque
 from testbed.robot.tree import Tree
 
 SAME = 1e-9
@@ -80,9 +81,8 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
     if not (np.abs(qdd) < 1e12).all():
         raise ModelError(f"{path}: MuJoCo finds no finite acceleration; a body may lack inertia")
     motion = Motion(np.zeros(1), q[None], qd[None], qdd[None])
-    rotors = np.array([joint.rotor_inertia for joint in tree.joints]) * qdd
     friction = friction_torque(tree, qd)
-    need = joint_forces(tree, motion)[0] + rotors
+    need = joint_forces(tree, motion)[0] + ROTOR.coefficients(tree) * qdd
     scale = np.abs(np.concatenate([need, friction])).max() + np.abs(wrench).max()
     names = ", ".join(
         f"'{name}'"

@@ -32,6 +32,10 @@ _SLAB = 1000
 
 Watch: TypeAlias = Callable[[Array, Truth], None]
 
+StepForces: TypeAlias = Callable[[float, Array, Array], Array]
+"""Forces on the joints besides motors and the model's friction, (n,) [N m or N], of time [s],
+positions (n,) and velocities (n,), joints in the order of the tree; held over a step."""
+
 
 class SimulationDiverged(TestbedError):
     """The simulation left the reference or became unstable."""
@@ -81,6 +85,7 @@ def simulate_motion(
     sampling: Sampling,
     progress: Callable[[int, int], None] = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
 ) -> Rollout:
     """Follow a periodic motion in closed loop.
 
@@ -93,6 +98,8 @@ def simulate_motion(
         sampling: How the run is cut into samples.
         progress: Called with samples done and samples in all.
         watch: Called with every second or so of what happens, times before 0 included.
+        forces: Asked before every step; what they take counts as friction. The drive does
+            not know of them.
 
     Raises:
         SimulationDiverged: The robot did not follow.
@@ -100,7 +107,7 @@ def simulate_motion(
     lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
     times = np.arange(-lead, samples) / sampling.rate
     drive = computed_torque(tree, motion, times, bandwidth)
-    loop = _Loop(plant, drive, sampling)
+    loop = _Loop(plant, drive, sampling, forces)
     logs: list[Truth] = []
     for first in range(0, len(times), _SLAB):
         last = min(first + _SLAB, len(times))
@@ -132,23 +139,27 @@ def _rollout_of(time: Array, truth: Truth, drive: Controller, tree: Tree) -> Rol
 class _Loop:
     """MuJoCo's state, the controller around it, and the log of it."""
 
-    def __init__(self, plant: Plant, drive: Controller, sampling: Sampling) -> None:
-        self._scene, self._drive, self._sampling = plant, drive, sampling
+    def __init__(
+        self, plant: Plant, drive: Controller, sampling: Sampling, forces: StepForces | None
+    ) -> None:
+        self._plant, self._drive, self._sampling, self._forces = plant, drive, sampling, forces
         self._batch = Batch(plant.model, nsim=1, nthread=1)
-        self._live = {key: self._batch.bind(key)[0] for key in (*_STATE, *_RECORD, "qacc", "ctrl")}
+        keys = (*_STATE, *_RECORD, "qacc", "ctrl", "qfrc_applied")
+        self._live = {key: self._batch.bind(key)[0] for key in keys}
         self._live["qpos"][plant.order] = drive.reference.q[0]  # every joint has one position
         self._live["qvel"][plant.order] = drive.reference.qd[0]
 
     def run(self, samples: range) -> Truth:
         """Follow some samples of the reference."""
-        order, steps = self._scene.order, self._sampling.steps
-        torque = np.empty((len(samples), len(order)))
+        order, steps = self._plant.order, self._sampling.steps
+        torque, applied = np.empty((2, len(samples), len(order)))
         slab = {key: np.empty((len(samples), steps + 1, len(self._live[key]))) for key in _RECORD}
         start, end = np.empty((2, len(samples), len(order)))
         for row, k in enumerate(samples):
             position, velocity = (self._live[key][order] for key in _STATE)
             torque[row] = self._drive.torque(k, position, velocity)
             self._live["ctrl"][:] = torque[row]
+            applied[row] = self._push(k, 0)
             self._batch.forward()  # the first instant, under the new torque
             self._note(slab, row, 0)
             start[row] = self._live["qacc"][order]
@@ -156,14 +167,40 @@ class _Loop:
                 start[row] = velocity
                 # sensors are of each step's first instant, forces of its last
                 out = {key: slab[key][row : row + 1, _FIRST[key] :][:, :steps] for key in _RECORD}
-                self._batch.rollout(steps, record=_RECORD, out=out)
+                applied[row] += self._steps(k, out)
                 self._batch.forward()  # the last instant, still under the old torque
                 self._note(slab, row, steps)
                 end[row] = self._live["qvel"][order]
+                applied[row] /= steps
             else:
-                self._batch.rollout(steps, record=("qpos",))
+                self._steps(k, {})
         acceleration = (end - start) * self._sampling.rate if self._sampling.averaged else start
-        return self._truth({key: self._sampled(slab[key]) for key in _RECORD}, torque, acceleration)
+        log = {key: self._sampled(slab[key]) for key in _RECORD}
+        return self._truth(log, torque, applied, acceleration)
+
+    def _steps(self, k: int, out: dict[str, Array]) -> Array:
+        """The steps of sample k, recorded; the sum of the forces pushed after the first one."""
+        steps, total = self._sampling.steps, np.zeros(len(self._plant.order))
+        if self._forces is None:
+            self._batch.rollout(steps, record=tuple(out) or ("qpos",), out=out or None)
+            return total
+        for step in range(steps):
+            if step:
+                total += self._push(k, step)
+            here = {key: values[:, step : step + 1] for key, values in out.items()}
+            self._batch.rollout(1, record=tuple(out) or ("qpos",), out=here or None)
+        return total
+
+    def _push(self, k: int, step: int) -> Array:
+        """Apply the forces of a step of sample k, which belong to the state before it."""
+        order = self._plant.order
+        if self._forces is None:
+            return np.zeros(len(order))
+        time = self._drive.reference.t[k] + step / (self._sampling.steps * self._sampling.rate)
+        position, velocity = (self._live[key][order] for key in _STATE)
+        force = self._forces(time, position, velocity)
+        self._live["qfrc_applied"][order] = force
+        return force
 
     def _note(self, slab: dict[str, Array], row: int, instant: int) -> None:
         for key in _RECORD:
@@ -177,13 +214,16 @@ class _Loop:
         mean: Array = (inner + (slab[:, 0] + slab[:, -1]) / 2) / self._sampling.steps
         return mean
 
-    def _truth(self, log: dict[str, Array], torque: Array, acceleration: Array) -> Truth:
-        sensed, order = log["sensordata"], self._scene.order
+    def _truth(
+        self, log: dict[str, Array], torque: Array, applied: Array, acceleration: Array
+    ) -> Truth:
+        sensed, order = log["sensordata"], self._plant.order
+        lost = log["qfrc_passive"] + log["qfrc_constraint"]
         return Truth(
-            position=sensed[:, self._scene.positions],
-            velocity=sensed[:, self._scene.velocities],
+            position=sensed[:, self._plant.positions],
+            velocity=sensed[:, self._plant.velocities],
             acceleration=acceleration,
             torque=torque,
-            friction=-(log["qfrc_passive"] + log["qfrc_constraint"])[:, order],
-            wrench=self._scene.bedplate_wrench(sensed[:, self._scene.plate]),
+            friction=-lost[:, order] - applied,
+            wrench=self._plant.bedplate_wrench(sensed[:, self._plant.plate]),
         )

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import AnyArray
-from testbed.parameters.barycentric import COMPONENTS, UPPER, parameter_name, point_mass
-from testbed.parameters.formulas import length_name
+from testbed.parameters.barycentric import UPPER, component_symbol, point_mass
+from testbed.parameters.formulas import length_symbol
 from testbed.robot.tree import Tree
 from testbed.symbolic.budget import Budget
 from testbed.symbolic.expression import Expression, Nature, collect, expression, symbol
@@ -41,11 +41,11 @@ def barycentric_definitions(
             mass = parameter_symbol(f"mbar{child + 1}", child)
             values[1:] = values[1:] + point_mass(robot.joints[child].offset)[1:] * mass
         values[0] = masses[j]
-        for component, value, zero in zip(COMPONENTS, values, known_zero[j], strict=True):
+        for component, (value, zero) in enumerate(zip(values, known_zero[j], strict=True)):
             if not zero:
                 shown = present(ring, ring.expand(expression(value)), frozenset())
                 budget.write(len(shown.terms))
-                found.append((parameter_name(component, j + 1), shown))
+                found.append((component_symbol(j, component).text, shown))
     return sorted(found, key=lambda pair: _order(pair[0]))
 
 
@@ -64,7 +64,7 @@ def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
     centre = np.zeros(3, dtype=object)
     for axis, length in zip(range(3), inertia.com, strict=True):
         if not (by_file and abs(length) < TINY):
-            centre[axis] = symbol(Nature.CONSTANT, length_name(j, j, "xyz"[axis]))
+            centre[axis] = symbol(Nature.CONSTANT, length_symbol(j, j, "xyz"[axis]).text)
     central = np.zeros(6, dtype=object)
     scale = np.abs(inertia.central).max()
     for k, (a, b) in enumerate(zip(*UPPER, strict=True)):

@@ -21,9 +21,10 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import AnyArray, Array
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import UNITS, parameter_names
+from testbed.parameters.barycentric import UNITS, parameter_symbols
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.rules import Model
+from testbed.parameters.symbols import Label, Term
 from testbed.robot.tree import Tree
 from testbed.symbolic.budget import MAX_TERMS, Budget
 from testbed.symbolic.definitions import barycentric_definitions
@@ -226,14 +227,15 @@ class _Desk:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
         if self.form == "full":
             theta = all_parameters(self.tree, self.known_zero)
-            entries = described(parameter_names(self.tree), UNITS * self.tree.n, theta.ravel())
+            labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
+            entries = described(labels, UNITS * self.tree.n, theta.ravel())
             return "theta", entries, columns(self.known_zero) if kind.is_regressor else theta
         minimal = self.minimal.get(kind.model)
         if minimal is None:
             minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
             self.minimal[kind.model] = minimal
         delta = minimal_parameters(minimal)
-        entries = described(minimal.names, minimal.units, delta)
+        entries = described(minimal.labels, minimal.units, delta)
         given = np.eye(len(delta), dtype=int).astype(object)
         theta = lifted(minimal, given if kind.is_regressor else delta[:, None], self.tree.n)
         return f"delta_{kind.model[0]}", entries, theta

@@ -4,105 +4,176 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
 
-from testbed.recordings.recording import AXES
-from testbed.viewer.story import Story, extent, root, safe, span
+from testbed.experiment.growth import growing_errors
+from testbed.experiment.predictions import WRENCH_UNITS, Signal
+from testbed.identification.estimate import Method
+from testbed.recordings.columns import AXES
+from testbed.robot.tree import Tree
+from testbed.viewer.robot_drawing import CLOCK
+from testbed.viewer.scene import CUTOFF, Scene, root, safe
 
-UNITS = dict(zip(AXES, ("N",) * 3 + ("N m",) * 3, strict=True))
+Range = tuple[float, float]
+
+SETTLED = 1 / 3
+"""Growing errors are scaled by those after this part of the recording."""
 
 
-def blueprint(stories: Sequence[Story], tab: str = "wrench") -> rrb.Blueprint:
+def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
     """Robots on their plates to the left, everything over time to the right, in tabs.
 
     Args:
-        stories: One run, or several side by side.
-        tab: Which tab is in front: "wrench", "joints", "residuals", "friction", "estimates".
+        scenes: One run, or several side by side.
+        tab: Which tab is in front: "wrench", "joints", "friction", "estimates", "notes".
     """
-    count = len(stories)
+    count = len(scenes)
     roots = [root(k, count) for k in range(count)]
-    robots = [_robot(story, at) for story, at in zip(stories, roots, strict=True)]
-    sides = [_tabs(story, at, tab) for story, at in zip(stories, roots, strict=True)]
-    names = [story.name for story in stories]
+    robots = [_robot(s.run.name, s.span, at) for s, at in zip(scenes, roots, strict=True)]
+    sides = [_tabs(scene, at, tab) for scene, at in zip(scenes, roots, strict=True)]
+    name = " | ".join(scene.run.name for scene in scenes)
     left = robots[0] if count == 1 else rrb.Vertical(*robots)
     right = sides[0] if count == 1 else rrb.Tabs(*sides)
+    return _page(left, right, name, scenes[0].window)
+
+
+def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
+    """What is there while a run is simulated: the robot, its wrench and torques.
+
+    Args:
+        name: Of the run.
+        tree: The robot.
+        size: A length that fits it [m].
+    """
+    wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, WRENCH_UNITS, strict=True)]
+    torque = [
+        _plot(f"/torque/{safe(j.name)}", f"torque of {j.name} [{'N m' if j.revolute else 'N'}]")
+        for j in tree.joints
+    ]
+    tabs = rrb.Tabs(
+        rrb.Grid(*wrench, grid_columns=2, name="wrench"), _joints("", torque), name=name
+    )
+    return _page(_robot(name, size, ""), tabs, name, None)
+
+
+def _page(
+    left: rrb.View | rrb.Container, right: rrb.Container, name: str, window: Range | None
+) -> rrb.Blueprint:
+    """Both halves, the panels folded away."""
+    selection = None
+    if window is not None:
+        selection = rrb.components.AbsoluteTimeRange(*(int(1e9 * seconds) for seconds in window))
     return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[2, 3], name=" | ".join(names)),
-        rrb.TimePanel(state="collapsed"),
+        rrb.Horizontal(left, right, column_shares=[2, 3], name=name),
+        rrb.TimePanel(
+            state="collapsed",
+            timeline=CLOCK,
+            time_selection=selection,
+            loop_mode=None if selection is None else "selection",
+        ),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="hidden"),
     )
 
 
-def _robot(story: Story, at: str) -> rrb.Spatial3DView:
-    size = span(story)
+def _robot(name: str, size: float, at: str) -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(
-        position=(1.3 * size, -1.3 * size, 1.0 * size),
+        position=(1.0 * size, -1.65 * size, 1.0 * size),
         look_target=(0, 0, 0.35 * size),
         eye_up=(0, 0, 1),
     )
     return rrb.Spatial3DView(
-        origin=f"{at}/world", name=f"{story.name}: robot and reaction", eye_controls=eye,
-        background=rrb.Background(color=(250, 250, 252)),
-    )  # fmt: skip
-
-
-def _tabs(story: Story, at: str, tab: str) -> rrb.Tabs:
-    names = story.tree.names
-    unit = ["N m" if joint.revolute else "N" for joint in story.tree.joints]
-    wrench = [_plot(f"{at}/wrench/{c}", f"{c} [{UNITS[c]}]", c == "Fx") for c in AXES]
-    torque = [
-        _plot(f"{at}/torque/{safe(name)}", f"torque of {name} [{u}]")
-        for name, u in zip(names, unit, strict=True)
-    ]
-    views = [
-        rrb.Grid(*wrench, grid_columns=2, name="wrench"),
-        rrb.Grid(
-            _plot(f"{at}/position", "joint positions [rad or m]"), *torque,
-            grid_columns=1 if len(names) < 4 else 2, name="joints",
-        ),
-    ]  # fmt: skip
-    if story.wrench:
-        rest = [
-            _plot(f"{at}/residual/wrench/{c}", f"residual {c} [{UNITS[c]}]", c == "Fx")
-            for c in AXES
-        ]
-        views.append(rrb.Grid(*rest, grid_columns=2, name="residuals"))
-    if "external" in story.estimates:
-        bounds = rrb.VisualBounds2D(x_range=[-1.2, 1.2], y_range=[-1.2, 1.2])
-        curves = [
-            rrb.Spatial2DView(
-                origin=f"{at}/friction/{safe(name)}",
-                name=_friction(story, j),
-                visual_bounds=bounds,
-                background=rrb.Background(color=(250, 250, 252)),
-            )
-            for j, name in enumerate(names)
-        ]
-        views.append(rrb.Grid(*curves, name="friction"))
-    if story.growth:
-        method = next(iter(story.growth))
-        estimate = story.estimates[method]
-        units = zip(estimate.names[: estimate.count], estimate.units, strict=False)
-        plots = [
-            _plot(f"{at}/estimate/{safe(name)}", f"{name} [{u}]", legend=k == 0)
-            for k, (name, u) in enumerate(units)
-        ]
-        views.append(rrb.Grid(*plots, name="estimates"))
-    front = next((k for k, view in enumerate(views) if view.name == tab), 0)
-    return rrb.Tabs(*views, name=story.name, active_tab=front)
-
-
-def _friction(story: Story, j: int) -> str:
-    """Title of a friction curve: its axes end at these values."""
-    speed, torque = extent(story, j)
-    units = ("rad/s", "N m") if story.tree.joints[j].revolute else ("m/s", "N")
-    return (
-        f"{story.tree.names[j]}: friction to {torque:.2g} {units[1]} "
-        f"over velocity to {speed:.2g} {units[0]}"
+        origin=f"{at}/world", name=f"{name}: robot and reaction", eye_controls=eye
     )
 
 
-def _plot(origin: str, name: str, legend: bool = True) -> rrb.TimeSeriesView:
+def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
+    views: list[rrb.Container | rrb.View] = []
+    torque = []
+    for signal in scene.predictions.signals:
+        rows = _rows(signal, at, scene.window)
+        if signal.kind == "wrench":
+            views.append(rrb.Vertical(*rows, name="wrench"))
+        else:
+            torque = rows
+    views.append(_joints(at, torque, scene.window))
+    if scene.predictions.unexplained_torque is not None:
+        views.append(rrb.Grid(*_friction(scene, at), name="friction"))
+    if scene.growth:
+        columns = [rrb.Vertical(*_growth(scene, at, method)) for method in scene.growth]
+        views.append(rrb.Horizontal(*columns, name="estimates"))
+    views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
+    front = next((k for k, view in enumerate(views) if view.name == tab), 0)
+    return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
+
+
+def _joints(
+    at: str, torque: Sequence[rrb.View | rrb.Container], window: Range | None = None
+) -> rrb.Vertical:
+    positions = _plot(f"{at}/position", "joint positions [rad or m]", window)
+    return rrb.Vertical(positions, *torque, name="joints")
+
+
+def _rows(signal: Signal, at: str, window: Range) -> list[rrb.Horizontal]:
+    """A channel a row: measured and predicted, and beside it what is left over."""
+    rows = []
+    for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
+        path = f"{signal.kind}/{safe(channel)}"
+        plots = [_plot(f"{at}/{path}", f"{channel} [{unit}]", window, k == 0)]
+        if signal.predicted:
+            title = f"{channel}: residual below {CUTOFF:g} Hz [{unit}]"
+            plots.append(_plot(f"{at}/residual/{path}", title, window, k == 0))
+        rows.append(rrb.Horizontal(*plots))
+    return rows
+
+
+def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
+    bounds = rrb.VisualBounds2D(x_range=[-1.25, 1.25], y_range=[-1.2, 1.2])
+    return [
+        rrb.Spatial2DView(
+            origin=f"{at}/friction/{safe(joint.name)}",
+            name=f"{joint.name}: unexplained torque [{'N m' if joint.revolute else 'N'}] over "
+            f"velocity [{'rad/s' if joint.revolute else 'm/s'}]; line: friction found",
+            visual_bounds=bounds,
+        )
+        for joint in scene.run.tree.joints
+    ]
+
+
+def _growth(scene: Scene, at: str, method: Method) -> list[rrb.TimeSeriesView]:
+    """Errors by body, in percent, all of a method on one scale."""
+    names, grown = scene.run.tree.names, scene.growth[method]
+    errors = 100 * np.abs(growing_errors(scene.run, method, grown))
+    late = errors[grown.time >= SETTLED * grown.time[-1]]
+    most = 1.1 * max(float(np.nanmax(late, initial=0.0)), 1e-9)
+    against = "error" if scene.run.truths else "distance from the last value"
+    plots = []
+    for body in scene.bodies(method):
+        title = f"{method}, {names[body] if body >= 0 else 'bedplate'}: {against} [%]"
+        scale = rrb.ScalarAxis(range=(-most, most))
+        path = f"{at}/estimate/{method}/{body + 1}"
+        plots.append(_plot(path, title, axis_y=scale))
+    return plots
+
+
+def _plot(
+    origin: str,
+    name: str,
+    window: Range | None = None,
+    legend: bool = True,
+    axis_y: rrb.ScalarAxis | None = None,
+) -> rrb.TimeSeriesView:
+    """Curves over time, opened on a window of it."""
+    axis = None
+    if window is not None:
+        seen = rr.TimeRange(
+            start=rr.TimeRangeBoundary.absolute(seconds=window[0]),
+            end=rr.TimeRangeBoundary.absolute(seconds=window[1]),
+        )
+        axis = rrb.TimeAxis(view_range=seen, link="Independent")
     shown = rrb.PlotLegend(corner=rrb.Corner2D.RightTop, visible=legend)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=shown)
+    return rrb.TimeSeriesView(
+        origin=origin, name=name, plot_legend=shown, axis_x=axis, axis_y=axis_y
+    )

@@ -10,9 +10,6 @@ COLOURS: dict[str, Colour] = {
     "measured": (140, 150, 165, 255),
     "external": (0, 114, 178, 255),
     "internal": (213, 94, 0, 255),
-    "external band": (0, 114, 178, 110),
-    "internal band": (213, 94, 0, 110),
-    "truth": (0, 158, 115, 255),
     "force": (217, 38, 33, 255),
     "moment": (24, 84, 217, 255),
     "pressure": (240, 180, 40, 255),
@@ -20,7 +17,7 @@ COLOURS: dict[str, Colour] = {
     "axis": (110, 118, 130, 255),
 }
 
-_JOINTS: tuple[Colour, ...] = (
+_SERIES: tuple[Colour, ...] = (
     (0, 114, 178, 255),
     (213, 94, 0, 255),
     (0, 158, 115, 255),
@@ -31,6 +28,6 @@ _JOINTS: tuple[Colour, ...] = (
 )
 
 
-def joint_colours(n: int) -> list[Colour]:
-    """One a joint; they repeat after seven."""
-    return [_JOINTS[j % len(_JOINTS)] for j in range(n)]
+def palette(n: int) -> list[Colour]:
+    """One a curve; they repeat after seven."""
+    return [_SERIES[k % len(_SERIES)] for k in range(n)]

@@ -9,12 +9,14 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.errors import ViewerError
-from testbed.recordings.recording import AXES, Recording, Truth
-from testbed.viewer.blueprint import blueprint
-from testbed.viewer.colours import COLOURS, joint_colours
-from testbed.viewer.log import ARROW, clock, draw_robot, reach, send_arrows, send_poses
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Truth
+from testbed.robot.visuals.appearance import Appearance
+from testbed.viewer.blueprint import live_blueprint
+from testbed.viewer.colours import COLOURS, palette
+from testbed.viewer.robot_drawing import ARROW, clock, log_appearance, send_arrows, send_poses
+from testbed.viewer.scene import POSES, safe
 from testbed.viewer.show import LOOPBACK
-from testbed.viewer.story import POSES, Story, safe
 
 PATIENCE = 5.0
 """How long a viewer may take to answer [s]."""
@@ -25,11 +27,12 @@ PORT = 9876
 class Live:
     """Sends what happens to a viewer; to be called with every second of it."""
 
-    def __init__(self, story: Story, port: int = PORT) -> None:
+    def __init__(self, name: str, look: Appearance, port: int = PORT) -> None:
         """Connect to a viewer on this machine, and show the robot.
 
         Args:
-            story: Name, tree and shapes; its recording is of no matter.
+            name: Of the run.
+            look: The robot and what it looks like.
             port: Of the viewer.
 
         Raises:
@@ -42,22 +45,22 @@ class Live:
                 f"no viewer listens at {LOOPBACK}:{port}; open one first with "
                 f"rerun --bind {LOOPBACK}"
             ) from None
-        self._story = story
+        self._look = look
         self._stream = rr.RecordingStream("testbed", send_properties=False)
         self._stream.connect_grpc(
-            f"rerun+http://{LOOPBACK}:{port}/proxy", default_blueprint=blueprint([story])
+            f"rerun+http://{LOOPBACK}:{port}/proxy",
+            default_blueprint=live_blueprint(name, look.tree, look.reach),
         )
-        self._stream.log("/world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        draw_robot(self._stream, story, "/world")
-        names = story.tree.names
-        lines = rr.SeriesLines(names=list(names), colors=joint_colours(len(names)))
+        log_appearance(self._stream, look, "/world")
+        names = look.tree.names
+        lines = rr.SeriesLines(names=list(names), colors=palette(len(names)))
         self._stream.log("/position", lines, static=True)
         single = rr.SeriesLines(names=["true"], colors=[COLOURS["measured"]])
         for path in (*(f"/wrench/{c}" for c in AXES), *(f"/torque/{safe(n)}" for n in names)):
             self._stream.log(path, single, static=True)
-        mass = max(sum(inertia.mass for inertia in story.tree.inertias), 1e-3)
-        weight = mass * max(float(np.linalg.norm(story.tree.gravity)), 1.0)
-        size = reach(story)
+        mass = max(sum(inertia.mass for inertia in look.tree.inertias), 1e-3)
+        weight = mass * max(float(np.linalg.norm(look.tree.gravity)), 1.0)
+        size = look.reach
         self._flush()
         self._scales = ARROW * size / np.array([1.5 * weight, 0.3 * weight * size])
 
@@ -75,17 +78,15 @@ class Live:
         rate = (len(time) - 1) / max(float(time[-1] - time[0]), 1e-9) if len(time) > 1 else POSES
         step = max(1, round(rate / POSES))
         q, wrench = truth.position[there], truth.wrench[there]
-        send_poses(self._stream, self._story.tree, time[::step], q[::step], "/world")
+        send_poses(self._stream, self._look, time[::step], q[::step], "/world")
         send_arrows(
-            self._stream, self._story, time[::step], wrench[::step], self._scales, "/world/bedplate"
+            self._stream, self._look, time[::step], wrench[::step], self._scales, "/world/bedplate"
         )
         index = [clock(time)]
         self._stream.send_columns("/position", indexes=index, columns=rr.Scalars.columns(scalars=q))
         signals = {f"/wrench/{c}": wrench[:, k] for k, c in enumerate(AXES)}
         torque = truth.torque[there]
-        signals |= {
-            f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._story.tree.names)
-        }
+        signals |= {f"/torque/{safe(n)}": torque[:, j] for j, n in enumerate(self._look.tree.names)}
         for path, values in signals.items():
             columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
             self._stream.send_columns(path, indexes=index, columns=columns)
@@ -99,9 +100,3 @@ class Live:
             raise ViewerError(
                 f"what listens at {LOOPBACK} does not take the run; is it Rerun's viewer, and open?"
             ) from None
-
-
-def nothing_yet(names: tuple[str, ...]) -> Recording:
-    """A recording of two still samples."""
-    still = np.zeros((2, len(names)))
-    return Recording(names, np.array([0.0, 1e-3]), still, still, np.zeros((2, 6)), still, still)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -108,7 +110,6 @@ def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
         ("run", toml): "not well-formed XML",
         ("run", gone): "there is no model file",
         ("run", TABLE6, "--set", "motion.duraton=1"): "did you mean 'duration'",
-        ("run", TABLE6, *sets("motion.duration=0.5")): "too short",
         ("run", TABLE6, "--set", "motion.duration=1e12"): "more than the 2e+06",
         ("run", TABLE6, "--out", str(place)): "is no run folder: it holds broken.xml",
         ("run", TABLE6, "--out", toml): "is a file",
@@ -119,7 +120,14 @@ def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
         ("identify", nan, "--model", PUMA): "'wrench/Fz' is nan at sample 100",
         ("identify", short, "--model", PUMA): "too short",
         ("identify", str(recording), "--model", ur5): "another robot",
-        ("identify", PUMA, "--model", PUMA): "not a readable Parquet",
+        ("identify", PUMA, "--model", PUMA): "unknown format of a recording",
+        ("identify", str(recording), "--model", PUMA, "--set", "identification.cutof=3"): (
+            "did you mean 'cutoff'"
+        ),
+        ("identify", str(recording), "--model", PUMA, "--set", "motion.duration=3"): (
+            "unknown key 'motion'"
+        ),
+        ("run", TABLE6, "--set", "duration=20"): "did you mean motion.duration?",
     }
     for arguments, said in cases.items():
         done = command_line(*arguments, cwd=empty)
@@ -129,6 +137,76 @@ def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
         assert "Traceback" not in done.stderr
         assert done.stdout == ""
         assert list(empty.iterdir()) == [], arguments
+
+
+def test_a_recording_without_an_estimate_is_kept(tmp_path: Path) -> None:
+    done = command_line("run", TABLE6, *sets("motion.duration=0.5"), "--out", "short", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "the recording is kept in 'short'" in done.stderr
+    assert "too short" in done.stderr
+    assert tb.Recording.load(tmp_path / "short/recording.parquet").samples == 500
+
+
+def test_a_run_of_another_experiment_is_replaced_by_force_only(tmp_path: Path) -> None:
+    place = ("--out", "place")
+    assert command_line("run", TABLE6, *sets(), *place, cwd=tmp_path).returncode in (0, 1)
+    before = (tmp_path / "place/result.json").read_bytes()
+    other = command_line("run", TABLE6, *sets(), "--set", "seed=7", *place, cwd=tmp_path)
+    assert other.returncode == 2
+    assert "--force replaces it" in other.stderr
+    assert command_line("run", TABLE6, *sets(), *place, cwd=tmp_path).returncode in (0, 1)
+    assert (tmp_path / "place/result.json").read_bytes() == before
+    forced = command_line(
+        "run", TABLE6, *sets(), "--set", "seed=7", *place, "--force", cwd=tmp_path
+    )
+    assert forced.returncode in (0, 1)
+    assert (tmp_path / "place/result.json").read_bytes() != before
+
+
+@pytest.mark.parametrize("kept", ["torque", "wrench"])
+def test_half_a_recording_gives_its_half_of_the_answer(
+    kept: str, recording: Path, tmp_path: Path
+) -> None:
+    whole = tb.Recording.load(recording)
+    gone: dict[str, Any] = {"torque" if kept == "wrench" else "wrench": None}
+    replace(whole, truth=None, **gone).save(tmp_path / "half.parquet")
+    method, other = ("external", "internal") if kept == "wrench" else ("internal", "external")
+    call = ("identify", "half.parquet", "--model", PUMA, "--zeros")
+    done = command_line(*call, "--json", cwd=tmp_path)
+    assert done.returncode == 0
+    assert list(json.loads(done.stdout)) == [method]
+    said = command_line(*call, cwd=tmp_path)
+    assert f"no {other} estimate" in said.stdout
+    refused = command_line(*call, "--method", other, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert f"its {kept} allows the {method} one" in refused.stderr
+
+
+@pytest.mark.parametrize("columns", ["60", "72", "80", "110", "140"])
+def test_no_number_is_cut_off_at_any_width(
+    columns: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)
+    runs = [("run", TABLE6, *sets()), ("identify", str(recording), "--model", PUMA)]
+    for call in runs:
+        said = command_line(*call, cwd=tmp_path).stdout
+        assert "…" not in said
+        table = [line for line in said.splitlines() if line.startswith(("│", "  "))]
+        assert table
+        assert max(map(len, table)) <= int(columns)
+
+
+def test_gravity_is_a_vector_however_it_is_written(tmp_path: Path) -> None:
+    ways = (("0,0,-1.62",), ("0", "0", "-1.62"))
+    said = [
+        command_line("minimal", PUMA, "--json", "--gravity", *way, cwd=tmp_path) for way in ways
+    ]
+    assert said[0].stdout == said[1].stdout
+    assert json.loads(said[0].stdout)["gravity"] == [0, 0, -1.62]
+
+
+def test_the_version_is_told(tmp_path: Path) -> None:
+    assert command_line("--version", cwd=tmp_path).stdout.startswith("testbed ")
 
 
 def test_accept_inertia_warns_and_goes_on(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ExperimentError
-from testbed.experiment.experiment import METRICS, Bound
-from testbed.experiment.run_folder import run_folder, write_run
+from testbed.experiment.experiment_tables import METRICS, Bound
+from testbed.experiment.run_folder import default_folder, write_run
 from tests.helpers.paths import ROOT
 
 TABLE6 = ROOT / "experiments/table6.toml"
@@ -110,7 +110,7 @@ def test_a_claim_holds_or_fails() -> None:
 
 def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experiment) -> None:
     outcome = tb.carry_out(quick)
-    assert set(outcome.comparison.metrics) == set(METRICS)
+    assert set(outcome.metrics) == set(METRICS)
     assert set(outcome.verdicts) == set(quick.expect)
     strict = quick.model_copy(
         update={"expect": {"external_rms_relative_error": Bound(at_most=0.0)}}
@@ -122,6 +122,7 @@ def test_a_run_folder_repeats_the_run(quick: tb.Experiment, tmp_path: Path) -> N
     write_run(tb.carry_out(quick), tmp_path / "run")
     assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [
         "experiment.toml",
+        "model",
         "recording.parquet",
         "result.json",
     ]
@@ -136,5 +137,5 @@ def test_a_run_folder_repeats_the_run(quick: tb.Experiment, tmp_path: Path) -> N
 
 def test_different_experiments_go_to_different_folders(quick: tb.Experiment) -> None:
     other = quick.model_copy(update={"seed": 5})
-    assert run_folder(quick) != run_folder(other)
-    assert run_folder(quick) == run_folder(tb.Experiment.load(TABLE6, QUICK))
+    assert default_folder(quick) != default_folder(other)
+    assert default_folder(quick) == default_folder(tb.Experiment.load(TABLE6, QUICK))

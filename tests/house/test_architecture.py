@@ -38,13 +38,14 @@ PLAN = {
     },
     "report": BASE
     | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
-    "viewer": BASE | {"robot", "dynamics", "recordings", "identification", "experiment"},
+    "viewer": BASE
+    | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
 }  # fmt: skip
 ANYWHERE = {"__init__", "__main__", "cli"}
 
 # Packages that only some modules may import.
 GUESTS = {
-    "mujoco": ("robot/formats/mjcf.py", "robot/visuals/mjcf_shapes.py", "simulation/"),
+    "mujoco": ("robot/formats/mjcf", "robot/visuals/mjcf_shapes.py", "simulation/"),
     "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
     "coal": ("robot/visuals/urdf_shapes.py",),
     "rerun": ("viewer/",),

@@ -7,13 +7,15 @@ import re
 import subprocess
 import sys
 import tomllib
+from dataclasses import fields, is_dataclass
 from itertools import chain
 from pathlib import Path
 
 import pytest
 
 import testbed as tb
-from testbed.experiment.experiment import METRICS, Experiment
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.experiment_tables import METRICS
 from tests.helpers.paths import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -57,8 +59,11 @@ def keys(model: type) -> list[str]:
     found = []
     for name, field in model.model_fields.items():  # type: ignore[attr-defined]
         found.append(name)
-        if inspect.isclass(field.annotation) and hasattr(field.annotation, "model_fields"):
-            found += keys(field.annotation)
+        for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if inspect.isclass(inner) and hasattr(inner, "model_fields"):
+                found += keys(inner)
+            elif is_dataclass(inner):
+                found += [each.name for each in fields(inner)]
     return found
 
 

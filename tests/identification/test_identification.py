@@ -10,11 +10,11 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
-from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
+from testbed.errors import RecordingError, UnknownName, UnseenParameters
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
-from testbed.identification.identify import Method
 from testbed.recordings.recording import Recording
-from tests.helpers.ideal import EXACT, METHODS, ideal, true_values
+from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -94,10 +94,10 @@ def coverage(draws: int, correlation: float) -> Array:
     truth, inside = true_values(tree, "external"), []
     for seed in range(draws):
         rng = np.random.default_rng(seed)
-        noise = rng.normal(size=clean.wrench.shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
+        noise = rng.normal(size=clean.measured("wrench").shape) * [0.5, 0.5, 0.5, 0.1, 0.1, 0.1]
         for k in range(1, len(noise)):
             noise[k] += correlation * noise[k - 1]
-        noisy = replace(clean, wrench=clean.wrench + noise)
+        noisy = plus(clean, wrench=noise)
         estimate = tb.identify(tree, noisy, "external", settings=tb.Settings(cutoff=5.0))
         inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.sigma)
     share: Array = np.mean(inside, axis=0)
@@ -141,14 +141,9 @@ def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
 
 def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
     with pytest.raises(RecordingError, match="too few for a filter at 150 Hz"):
-        tb.identify(puma, ideal(puma), "external", settings=tb.Settings(None, 150.0))
-
-
-def test_a_filter_that_would_bias_the_estimate_is_refused() -> None:
-    with pytest.raises(SettingsError, match="less than twice"):
-        tb.Settings(position_cutoff=6.0, cutoff=5.0)
-    with pytest.raises(SettingsError, match="positive frequency"):
-        tb.Settings(cutoff=0.0)
+        tb.identify(
+            puma, ideal(puma), "external", settings=tb.Settings(position_cutoff="off", cutoff=150.0)
+        )
 
 
 def test_an_unknown_method_is_refused(puma: tb.Tree) -> None:
@@ -174,18 +169,27 @@ def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     assert mass == pytest.approx(20.0, rel=1e-3)
 
 
-def test_rotor_inertia_is_a_doubt_of_the_internal_estimate(
+def test_a_term_of_the_model_file_that_the_settings_leave_out_is_a_warning(
     puma: tb.Tree, puma_recording: Recording
 ) -> None:
+    """One line for all joints, and only the internal method feels it."""
     geared = replace(puma, joints=tuple(replace(j, rotor_inertia=1.0) for j in puma.joints))
-    warnings = tb.identify(geared, puma_recording, "internal", zeros=True).warnings
-    assert sum("rotor inertia" in warning for warning in warnings) == 3
+    with_rotor = tb.Settings(terms=("coulomb", "viscous", "rotor"))
+    cases: tuple[tuple[Method, tb.Settings, int], ...] = (
+        ("internal", tb.Settings(), 1),
+        ("internal", with_rotor, 0),
+        ("external", tb.Settings(), 0),
+    )
+    for method, settings, count in cases:
+        found = tb.identify(geared, puma_recording, method, zeros=True, settings=settings)
+        said = [w for w in found.warnings if "'rotor' of waist, shoulder, elbow" in w]
+        assert len(said) == count
 
 
 def test_poorly_determined_parameters_are_reported_by_name(puma: tb.Tree) -> None:
     clean = ideal(puma, duration=3.0)
-    noise = np.random.default_rng(0).normal(size=clean.wrench.shape) * 20
-    estimate = tb.identify(puma, replace(clean, wrench=clean.wrench + noise), "external")
+    noise = np.random.default_rng(0).normal(size=clean.measured("wrench").shape) * 20
+    estimate = tb.identify(puma, plus(clean, wrench=noise), "external")
     assert any("poorly determined" in warning for warning in estimate.warnings)
 
 

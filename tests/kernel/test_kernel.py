@@ -15,9 +15,10 @@ from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.kernel import numba_engine, numpy_engine
 from testbed.kernel.canonical import canonical
-from testbed.kernel.layout import TERMS, Layout, layout
+from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.parameters.rules import Model
+from testbed.robot.friction import LAWS, joint_terms
 from tests.helpers.robots import random_robot
 
 SAMPLES = 700
@@ -67,7 +68,7 @@ def test_products_and_residuals_are_those_of_the_reference(
 ) -> None:
     """Random trees; joints that rest, own terms, joined channels among them."""
     tree = some_tree(seed)
-    terms = TERMS if model == "dynamic" else ()
+    terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
     found = layout(tree, tb.minimal_set(tree, model), terms, joined=seed % 2 == 0)
     signals = some_signals(found, seed, encoders, filtered)
     signals = signals._replace(deadband=0.5 if model == "dynamic" else 0.0)

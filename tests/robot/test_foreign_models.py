@@ -9,6 +9,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ModelError
+from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT
 
@@ -39,7 +40,7 @@ def test_links_without_names_keep_their_own_masses(tmp_path: Path) -> None:
     tree = tb.load_tree(tmp_path / "r.xml")
     assert masses(tree) == [2.0, 1.5]
     assert len(set(tree.names)) == 2
-    build_plant(tmp_path / "r.xml", tree, 1e-3)
+    build_plant(ModelFile(tmp_path / "r.xml"), tree, 1e-3)
 
 
 def test_fused_links_keep_what_they_weigh(tmp_path: Path) -> None:
@@ -60,7 +61,7 @@ def test_flags_of_the_file_are_those_of_the_tree(tmp_path: Path) -> None:
     tree = tb.load_tree(arm(tmp_path / "r.xml", **parts))
     assert not tree.gravity.any()
     assert (tree.joints[0].coulomb, tree.joints[0].viscous) == (0.0, 1.0)
-    build_plant(tmp_path / "r.xml", tree, 1e-3)
+    build_plant(ModelFile(tmp_path / "r.xml"), tree, 1e-3)
 
 
 def test_the_narrower_effort_limit_counts(tmp_path: Path) -> None:
@@ -88,7 +89,7 @@ def test_what_else_acts_on_the_robot_is_refused_before_it_is_simulated(
     if compensated:
         path.write_text(path.read_text().replace('name="fore"', 'name="fore" gravcomp="1"'))
     with pytest.raises(ModelError, match=r"something else acts|do not feel the robot"):
-        build_plant(path, tb.load_tree(path), 1e-3)
+        build_plant(ModelFile(path), tb.load_tree(path), 1e-3)
 
 
 def test_an_arm_beside_the_plate_is_refused(tmp_path: Path) -> None:
@@ -99,7 +100,7 @@ def test_an_arm_beside_the_plate_is_refused(tmp_path: Path) -> None:
     text = (ROOT / "models/puma562.xml").read_text().replace("</worldbody>", other)
     (tmp_path / "r.xml").write_text(text)
     with pytest.raises(ModelError, match="does every arm stand on the sensor"):
-        build_plant(tmp_path / "r.xml", tb.load_tree(tmp_path / "r.xml"), 1e-3)
+        build_plant(ModelFile(tmp_path / "r.xml"), tb.load_tree(tmp_path / "r.xml"), 1e-3)
 
 
 def test_a_clipped_sensor_is_refused(tmp_path: Path) -> None:
@@ -107,7 +108,7 @@ def test_a_clipped_sensor_is_refused(tmp_path: Path) -> None:
     text = text.replace('<force name="bedplate_force"', '<force cutoff="50" name="bedplate_force"')
     (tmp_path / "r.xml").write_text(text)
     with pytest.raises(ModelError, match="is it unfiltered"):
-        build_plant(tmp_path / "r.xml", tb.load_tree(tmp_path / "r.xml"), 1e-3)
+        build_plant(ModelFile(tmp_path / "r.xml"), tb.load_tree(tmp_path / "r.xml"), 1e-3)
 
 
 WRONG = {
@@ -158,6 +159,6 @@ def test_nothing_is_left_in_the_folder(tmp_path: Path, monkeypatch: pytest.Monke
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     tree = tb.load_tree(path)
-    build_plant(path, tree, 1e-3)
+    build_plant(ModelFile(path), tree, 1e-3)
     assert list((tmp_path / "here").iterdir()) == []
     assert np.isfinite(tree.gravity).all()

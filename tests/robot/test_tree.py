@@ -174,7 +174,6 @@ REFUSED = {
     "broken.urdf": ("<robot><link>", "not well-formed"),
     "other.xml": ("<sdf/>", "<sdf>"),
     "still.urdf": ('<robot name="r"><link name="b"/></robot>', "no joint that moves"),
-    "unlimited.urdf": (URDF.format(JOINT.format("k", "revolute", "")), "k"),
 }
 
 

@@ -15,7 +15,6 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import testbed as tb
@@ -30,6 +29,7 @@ from testbed.symbolic.languages import as_document, write_equations
 from testbed.symbolic.parse import read_listing, wave
 from testbed.symbolic.polynomial import same
 from tests.helpers.paths import GOLDEN, ROOT
+from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_robot, random_states
 
 ROBOTS = sorted((GOLDEN / "robots").glob("*.urdf"))
@@ -74,42 +74,17 @@ def call(library: ctypes.CDLL, name: str, inputs: list[Array], shape: tuple[int,
     return kept[-1]
 
 
-def by_pinocchio(urdf: str, tree: tb.Tree, states: tuple[Array, ...]) -> dict[str, Array]:
-    """Joint forces, wrench on the moving bodies, mass matrix, gravity forces."""
-    fixed = pin.buildModelFromXML(urdf)
-    floating = pin.buildModelFromXML(urdf, pin.JointModelFreeFlyer())
-    floating.inertias[1] = pin.Inertia.Zero()
-    found: dict[str, list[Array]] = {"forces": [], "wrench": [], "mass": [], "gravity": []}
-    order = [fixed.joints[fixed.getJointId(name)].idx_v for name in tree.names]
-    for model in (fixed, floating):
-        model.gravity.linear = tree.gravity
-    data, other = fixed.createData(), floating.createData()
-    for q, qd, qdd in zip(*states, strict=True):
-        mine = [np.zeros(tree.n) for _ in range(3)]
-        for into, values in zip(mine, (q, qd, qdd), strict=True):
-            into[order] = values
-        found["forces"].append(pin.rnea(fixed, data, *mine)[order])
-        mass = np.triu(pin.crba(fixed, data, mine[0]))
-        mass = mass + np.triu(mass, 1).T
-        found["mass"].append(mass[np.ix_(order, order)])
-        found["gravity"].append(pin.computeGeneralizedGravity(fixed, data, mine[0])[order])
-        root = [np.array([0, 0, 0, 0, 0, 0, 1.0]), np.zeros(6), np.zeros(6)]
-        full = [np.concatenate([a, b]) for a, b in zip(root, mine, strict=True)]
-        found["wrench"].append(pin.rnea(floating, other, *full)[:6].copy())
-    return {name: np.array(values) for name, values in found.items()}
-
-
 def check(listing: Listing, urdf: str, tree: tb.Tree, folder: Path, seed: int = 0) -> None:
     """Python and C of all kinds against Pinocchio."""
     states = random_states(np.random.default_rng(seed), 4, tree.n)
     truth = by_pinocchio(urdf, tree, states)
     expected = {
-        "joint-forces": truth["forces"],
-        "dynamic-regressor": truth["forces"],
-        "base-wrench": truth["wrench"],
-        "reaction-regressor": truth["wrench"],
-        "mass-matrix": truth["mass"],
-        "gravity-forces": truth["gravity"],
+        "joint-forces": truth.forces,
+        "dynamic-regressor": truth.forces,
+        "base-wrench": truth.wrench,
+        "reaction-regressor": truth.wrench,
+        "mass-matrix": truth.mass,
+        "gravity-forces": truth.gravity,
     }
     module = load(write_equations(listing, "python"), folder)
     library = compiled(write_equations(listing, "c"), folder, "-O0")

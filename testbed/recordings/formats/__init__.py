@@ -1,0 +1,43 @@
+"""Formats of recordings: one module a format, named for the ending of its files.
+
+A module of this room holds a function `open_table(path) -> Table`, which yields columns and
+metadata; nothing else knows of it.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+
+from testbed.errors import RecordingError, UnknownName
+from testbed.recordings.columns import Table
+from testbed.recordings.magic import is_parquet
+
+
+def formats() -> tuple[str, ...]:
+    """The endings of files that can be read, as .parquet."""
+    return tuple(sorted(f".{module.name}" for module in iter_modules(__path__)))
+
+
+def open_table(path: Path) -> Table:
+    """The columns of a recording's file.
+
+    Args:
+        path: The file; one without a known ending may be Parquet.
+
+    Raises:
+        RecordingError: The file is missing or damaged.
+        UnknownName: The ending is that of no known format.
+    """
+    if not path.exists():
+        raise RecordingError(f"there is no recording '{path}'")
+    if not path.is_file():
+        raise RecordingError(f"'{path}' is no file; a recording is one")
+    ending, known = path.suffix.lower(), formats()
+    if ending not in known:  # a file's name never names code: only one of ours is imported
+        if ending and not is_parquet(path):
+            raise UnknownName("format of a recording", ending, known)
+        ending = ".parquet"
+    found: Table = import_module(f"{__name__}{ending}").open_table(path)
+    return found

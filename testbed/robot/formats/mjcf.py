@@ -1,185 +1,83 @@
 """MJCF -> Tree, through MuJoCo: the other of two independent roads.
 
-MuJoCo's compiler resolves classes, frames, includes and inertias implied by geoms; bodies
-without joints are merged here. Mesh files that are missing are dropped where an explicit
-inertia makes them irrelevant.
+Bodies without joints are merged into those that carry them.
 """
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import FreeRootError, InertiaError, ModelError
-from testbed.robot.inertia import NOTHING, Inertia, flaw
-from testbed.robot.stderr import captured_stderr
-from testbed.robot.tree import Joint, Kind, Tree
+from testbed.errors import InertiaError, ModelError
+from testbed.robot.formats.mjcf_compile import (
+    MASSLESS,
+    StatedInertia,
+    compile_spec,
+    stated_inertias,
+)
+from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
+from testbed.robot.formats.mjcf_spec import open_spec
+from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.locks import Lock
+from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
     int(mujoco.mjtJoint.mjJNT_SLIDE): "prismatic",
 }
-MASSLESS = 1e-12
-"""Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
-
-_VELOCITY_LIMIT = "velocity_limit/"
-"""MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
 
 
-def open_spec(path: Path, *, weld_root: bool = False) -> mujoco.MjSpec:
-    """The editable MuJoCo model of an MJCF file, checked for what is supported.
-
-    Raises:
-        ModelError: The file is not MJCF, or holds what is not supported.
-        FreeRootError: The root floats and `weld_root` is not set.
-    """
-    with no_mujoco_warnings():
-        try:
-            spec = mujoco.MjSpec.from_file(str(path))
-        except Exception as error:  # MuJoCo raises ValueError and its own FatalError
-            raise ModelError(f"{path}: not a valid MJCF: {_one_line(error)}") from None
-    _name_everything(spec)
-    spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
-    if spec.compiler.settotalmass > 0:
-        raise ModelError(
-            f"{path}: compiler settotalmass is deprecated and not supported; scale the masses in "
-            "the file"
-        )
-    for equality in spec.equalities:
-        raise ModelError(
-            f"{path}: equality constraint '{equality.name}' between '{equality.name1}' and "
-            f"'{equality.name2}' closes a loop or couples joints, which is not supported"
-        )
-    for joint in list(spec.joints):
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.parent.parent.name == "world":
-            if not weld_root:
-                raise FreeRootError(path.name, joint.name or joint.parent.name)
-            spec.delete(joint)
-        elif int(joint.type) not in _KINDS:
-            kind = joint.type.name.removeprefix("mjJNT_").lower()
-            raise ModelError(
-                f"{path}: joint '{joint.name or joint.parent.name}' is of type '{kind}', which is "
-                "not supported (supported: hinge, slide)"
-            )
-    return spec
-
-
-def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """Compile; where mesh or texture files are missing, without what is only for the eye.
-
-    Raises:
-        ModelError: MuJoCo refuses the model.
-    """
-    with no_mujoco_warnings():
-        try:
-            return spec.compile()
-        except Exception as error:
-            first = _one_line(error)
-        if "file" not in first:
-            raise ModelError(f"{path}: {first}")
-        _drop_assets(spec, path, first)
-        try:
-            return spec.compile()
-        except Exception as error:
-            raise ModelError(f"{path}: {_one_line(error)}") from None
-
-
-def read_mjcf(path: Path, *, weld_root: bool = False, accept_inertia: bool = False) -> Tree:
+def read_mjcf(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    accept_inertia: bool = False,
+    lock: Lock | None = None,
+) -> Tree:
     """The tree of an MJCF file; the bedplate frame is MuJoCo's world frame.
 
     Args:
         path: The file.
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         accept_inertia: Take impossible inertias as they are and note them in `warnings`.
+        lock: Joints to be held, which are no joints of the tree.
 
     Raises:
-        ModelError: The file is not MJCF, or holds what is not supported.
-        FreeRootError: The root floats and `weld_root` is not set.
+        ModelError: The file is not MJCF, or holds what is not supported; FreeRootError and
+            MimicError are such.
         InertiaError: A body cannot be rigid and `accept_inertia` is not set.
     """
-    spec = open_spec(path, weld_root=weld_root)
-    flaws, stated = _stated_inertias(spec)
+    spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
+    flaws, stated = stated_inertias(spec)
     if flaws and not accept_inertia:
         raise InertiaError(path.name, flaws)
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     model = compile_spec(spec, path)
+    _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
-        if name.startswith(_VELOCITY_LIMIT) and not _is_joint(model, name):
+        if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    return _tree_of(model, stated, tuple(flaws) + _springs(model))
+    return _tree_of(model, stated, (*flaws, *notes, *_springs(model)))
 
 
-@dataclass(frozen=True)
-class _Stated:
-    """An inertia as the file states it: the compiler's principal axes cost digits."""
-
-    mass: float
-    central: Array | None  # None: along the principal axes given by the body's `iquat`
-
-
-def _stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, _Stated]]:
-    """Flaws, and the explicit inertias by body name; flawed ones are replaced in `spec`."""
-    flaws: list[str] = []
-    stated: dict[str, _Stated] = {}
-    compiler = spec.compiler
-    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    if from_geoms or compiler.balanceinertia:
-        return flaws, stated  # what counts is what the compiler makes of the file
-    for body in spec.bodies:
-        if not body.explicitinertial:
-            continue
-        xx, yy, zz, xy, xz, yz = body.fullinertia
-        full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        given_in_full = not np.isnan(xx)
-        found = flaw(body.name, body.mass, full if given_in_full else np.diag(body.inertia))
-        if not np.isfinite(body.ipos).all():
-            found = f"link '{body.name}' has a mass centre that is not a number"
-            body.ipos = np.zeros(3)
-        stated[body.name] = _Stated(body.mass, full if given_in_full else None)
-        if found:
-            flaws.append(found)
-            tensor = full if given_in_full else np.diag(body.inertia)
-            finite = np.isfinite(body.mass) and np.isfinite(tensor).all()
-            stated[body.name] = (
-                _Stated(body.mass, tensor) if finite else _Stated(0.0, np.zeros((3, 3)))
+def _check_places(model: mujoco.MjModel, path: Path) -> None:
+    """Whether bodies, joints and mass centres are near enough to be reckoned with."""
+    bodies, joints = range(1, model.nbody), range(model.njnt)
+    places = [
+        *((f"body '{model.body(b).name}'", model.body_pos[b]) for b in bodies),
+        *((f"mass centre of body '{model.body(b).name}'", model.body_ipos[b]) for b in bodies),
+        *((f"joint '{model.joint(j).name}'", model.jnt_pos[j]) for j in joints),
+    ]
+    for what, place in places:
+        if not (np.abs(place) <= FARTHEST).all():
+            raise ModelError(
+                f"{path}: the {what} is {np.abs(place).max():.3g} m away; {FARTHEST:g} m is the "
+                "limit"
             )
-            body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
-    return flaws, stated
-
-
-def _name_everything(spec: mujoco.MjSpec) -> None:
-    """Names are optional in MJCF, and everything here is told apart by name."""
-    taken = {body.name for body in spec.bodies} | {joint.name for joint in spec.joints}
-    for k, body in enumerate(spec.bodies):
-        if not body.name:
-            body.name = next(n for i in range(len(taken) + 1) if (n := f"body{k + i}") not in taken)
-            taken.add(body.name)
-    for k, joint in enumerate(spec.joints):
-        if not joint.name:
-            near = f"{joint.parent.name}_joint"
-            joint.name = near if near not in taken else f"{near}{k}"
-            taken.add(joint.name)
-
-
-@contextmanager
-def no_mujoco_warnings() -> Iterator[None]:
-    """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
-    try:
-        with captured_stderr(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        mujoco.set_mju_user_warning(before)
 
 
 def _springs(model: mujoco.MjModel) -> tuple[str, ...]:
@@ -191,7 +89,9 @@ def _springs(model: mujoco.MjModel) -> tuple[str, ...]:
     )
 
 
-def _tree_of(model: mujoco.MjModel, stated: dict[str, _Stated], warnings: tuple[str, ...]) -> Tree:
+def _tree_of(
+    model: mujoco.MjModel, stated: dict[str, StatedInertia], warnings: tuple[str, ...]
+) -> Tree:
     joints: list[Joint] = []
     inertias: list[Inertia] = []
     pedestal = NOTHING
@@ -237,7 +137,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
         attachment = attachment - rotation @ axis * zero
     dof = model.jnt_dofadr[j]
     bounded, capped = model.jnt_limited[j], model.jnt_actfrclimited[j]
-    limit = _VELOCITY_LIMIT + name
+    limit = VELOCITY_LIMIT + name
     dry, wet = (not _disabled(model, flag) for flag in ("FRICTIONLOSS", "DAMPER"))
     return Joint(
         name=name,
@@ -257,7 +157,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
 
 
 def _is_joint(model: mujoco.MjModel, numeric: str) -> bool:
-    joint = numeric.removeprefix(_VELOCITY_LIMIT)
+    joint = numeric.removeprefix(VELOCITY_LIMIT)
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)) >= 0
 
 
@@ -269,7 +169,7 @@ def _has(model: mujoco.MjModel, name: str) -> bool:
     return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)) >= 0
 
 
-def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, _Stated]) -> Inertia:
+def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:
     """The inertia of MuJoCo body b in its body frame, as stated where the file states it."""
     axes = _matrix(model.body_iquat[b])
     principal = axes @ np.diag(model.body_inertia[b]) @ axes.T
@@ -293,27 +193,3 @@ def _turn(axis: Array, angle: float) -> Array:
     quaternion = np.empty(4)
     mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
     return _matrix(quaternion)
-
-
-def _drop_assets(spec: mujoco.MjSpec, path: Path, reason: str) -> None:
-    """Remove meshes, height fields, textures and what uses them, unless an inertia needs them."""
-    shapes = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF, mujoco.mjtGeom.mjGEOM_HFIELD)
-    for geom in list(spec.geoms):
-        if geom.type in shapes:
-            body = geom.parent
-            if not body.explicitinertial and body.name != "world":
-                raise ModelError(
-                    f"{path}: the inertia of body '{body.name}' comes from its mesh, and {reason}"
-                )
-            spec.delete(geom)
-        else:
-            geom.material = ""
-    for site in spec.sites:
-        site.material = ""
-    for assets in (spec.skins, spec.meshes, spec.hfields, spec.materials, spec.textures):
-        for asset in list(assets):
-            spec.delete(asset)
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).removeprefix("Error: ").split())

@@ -1,9 +1,8 @@
 """URDF -> Tree, through Pinocchio: one of two independent roads.
 
-Pinocchio reads the kinematics and merges fixed links. What it passes over in silence
-(mimic joints, loops, floating and planar joints, impossible inertias) is looked for in
-the XML first. Visual and collision elements are dropped unread, so meshes and
-`package://` addresses never matter.
+Pinocchio reads the kinematics and merges fixed links; what it would pass over in silence
+has been found in the XML before. Visual and collision elements are dropped unread, so
+meshes and `package://` addresses never matter.
 """
 
 from __future__ import annotations
@@ -15,28 +14,36 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from testbed.errors import FreeRootError, InertiaError, ModelError
-from testbed.robot.inertia import Inertia, flaw
+from testbed.errors import InertiaError, ModelError
+from testbed.robot.formats.urdf_numbers import numbers_of
+from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.robot.inertia import Inertia, inertia_flaw
+from testbed.robot.locks import Lock
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Joint, Kind, Tree
 
-_SUPPORTED = ("revolute", "continuous", "prismatic", "fixed")
 
-
-def read_urdf(path: Path, *, weld_root: bool = False, accept_inertia: bool = False) -> Tree:
+def read_urdf(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    accept_inertia: bool = False,
+    lock: Lock | None = None,
+) -> Tree:
     """The tree of a URDF file; the bedplate frame is the root link's frame.
 
     Args:
         path: The file.
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         accept_inertia: Take impossible inertias as they are and note them in `warnings`.
+        lock: Joints to be held, which are no joints of the tree.
 
     Raises:
-        ModelError: The file is not a URDF, or holds what is not supported.
-        FreeRootError: The root floats and `weld_root` is not set.
+        ModelError: The file is not a URDF, or holds what is not supported; FreeRootError and
+            MimicError are such.
         InertiaError: A link cannot be a rigid body and `accept_inertia` is not set.
     """
-    root = supported_xml(path, weld_root=weld_root)
+    root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
     flaws = [found for link in root.findall("link") if (found := _link_flaw(link, path))]
     if flaws and not accept_inertia:
         raise InertiaError(path.name, flaws)
@@ -45,65 +52,9 @@ def read_urdf(path: Path, *, weld_root: bool = False, accept_inertia: bool = Fal
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         except Exception as error:  # Pinocchio raises whatever its parser meets
             raise ModelError(f"{path}: {_first_complaint(said(), str(error))}") from None
-    return _tree_of(model, root.get("name", path.stem), tuple(flaws))
-
-
-def supported_xml(path: Path, *, weld_root: bool = False, keep_visuals: bool = False) -> ET.Element:
-    """The file's XML without shapes (or with those to be seen), checked for what is supported.
-
-    Raises:
-        ModelError: The file is not XML, or holds what is not supported.
-        FreeRootError: The root floats and `weld_root` is not set.
-    """
-    try:
-        root = ET.parse(path).getroot()
-    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
-        raise ModelError(f"{path}: not well-formed XML ({error})") from None
-    for link in root.findall("link"):
-        visuals = [] if keep_visuals else link.findall("visual")
-        for shape in (*visuals, *link.findall("collision")):
-            link.remove(shape)
-    for joint in root.findall("joint"):
-        _check_joint(joint, root, path, weld_root)
-    _check_loops(root, path)
-    return root
-
-
-def _check_joint(joint: ET.Element, root: ET.Element, path: Path, weld_root: bool) -> None:
-    name, kind = joint.get("name", "?"), joint.get("type", "?")
-    if joint.find("mimic") is not None:
-        raise ModelError(f"{path}: joint '{name}' mimics another joint, which is not supported")
-    if kind == "floating" and _is_root(joint, root):
-        if not weld_root:
-            raise FreeRootError(path.name, name)
-        joint.set("type", "fixed")
-    elif kind not in _SUPPORTED:
-        raise ModelError(
-            f"{path}: joint '{name}' is of type '{kind}', which is not supported "
-            f"(supported: {', '.join(_SUPPORTED)})"
-        )
-
-
-def _is_root(joint: ET.Element, root: ET.Element) -> bool:
-    parent = _link_of(joint, "parent")
-    return all(_link_of(other, "child") != parent for other in root.findall("joint"))
-
-
-def _check_loops(root: ET.Element, path: Path) -> None:
-    carrier: dict[str, str] = {}
-    for joint in root.findall("joint"):
-        child, name = _link_of(joint, "child"), joint.get("name", "?")
-        if child in carrier:
-            raise ModelError(
-                f"{path}: link '{child}' is carried by joint '{carrier[child]}' and by joint "
-                f"'{name}'; closed loops are not supported"
-            )
-        carrier[child] = name
-
-
-def _link_of(joint: ET.Element, end: str) -> str:
-    element = joint.find(end)
-    return "" if element is None else element.get("link", "")
+        if said():  # its parser leaves out what it complains of
+            raise ModelError(f"{path}: {_first_complaint(said(), said())}")
+    return _tree_of(model, root.get("name", path.stem), (*flaws, *warnings))
 
 
 def _link_flaw(link: ET.Element, path: Path) -> str | None:
@@ -114,20 +65,15 @@ def _link_flaw(link: ET.Element, path: Path) -> str | None:
     mass, inertia = inertial.find("mass"), inertial.find("inertia")
     if mass is None or inertia is None:
         raise ModelError(f"{path}: the inertial of link '{name}' lacks a mass or an inertia")
-    try:
-        m = float(mass.get("value", "nan"))
-        xx, xy, xz, yy, yz, zz = (
-            float(inertia.get(key, "nan")) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        )
-    except ValueError as error:
-        raise ModelError(f"{path}: the inertial of link '{name}': {error}") from None
-    found = flaw(name, m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    (m,) = numbers_of(mass, "value")
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    xx, xy, xz, yy, yz, zz = (numbers_of(inertia, key)[0] for key in keys)
+    found = inertia_flaw(name, m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
     origin = inertial.find("origin")
-    place = " ".join([] if origin is None else [origin.get("xyz", ""), origin.get("rpy", "")])
-    if any(word.lower().strip("+-") in ("nan", "inf", "infinity") for word in place.split()):
+    place = numbers_of(origin, "xyz", "0 0 0") + numbers_of(origin, "rpy", "0 0 0")
+    if not np.isfinite(place).all():
         found = f"link '{name}' has a mass centre or inertia frame that is not a number"
-        link.remove(inertial)
-    elif not np.isfinite([m, xx, xy, xz, yy, yz, zz]).all():
+    if not np.isfinite([m, xx, xy, xz, yy, yz, zz, *place]).all():
         link.remove(inertial)
     return found
 
@@ -176,10 +122,7 @@ def _joint_of(model: pin.Model, j: int, bodies: dict[int, str]) -> Joint:
 
 def _screw(model: pin.Model, j: int) -> tuple[Kind, np.ndarray]:
     """Kind and axis of a joint, from the motion that its unit velocity makes."""
-    data, velocity = model.createData(), np.zeros(model.nv)
-    velocity[model.idx_vs[j]] = 1.0
-    pin.forwardKinematics(model, data, pin.neutral(model), velocity)
-    turn, slide = data.v[j].angular, data.v[j].linear
+    slide, turn = np.split(np.ravel(model.joints[j].createData().S), 2)
     revolute = np.linalg.norm(turn) > 0.5
     return ("revolute", turn.copy()) if revolute else ("prismatic", slide.copy())
 
@@ -191,4 +134,4 @@ def _inertia_of(inertia: pin.Inertia) -> Inertia:
 def _first_complaint(said: str, raised: str) -> str:
     """The parser's first reason, on one line."""
     reasons: list[str] = re.findall(r"Error:\s*(.+)", said) or [raised]
-    return "not a valid URDF: " + " ".join(reasons[0].split())
+    return "not a valid URDF: " + " ".join(reasons[0].split())[:400]

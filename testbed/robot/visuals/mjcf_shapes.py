@@ -9,9 +9,17 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.robot.formats.mjcf import MASSLESS, compile_spec, open_spec
+from testbed.robot.formats.mjcf_compile import (
+    MASSLESS,
+    compile_spec,
+    drop_unreadable_meshes,
+    no_mujoco_warnings,
+    stated_inertias,
+)
+from testbed.robot.formats.mjcf_spec import open_spec
+from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import Kind, Shape, in_body
+from testbed.robot.visuals.shapes import DrawnShapes, Kind, Shape, poses_at_zero
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -25,28 +33,43 @@ _SEEN_GROUPS = 3
 """MuJoCo's viewers show geoms of groups 0, 1 and 2."""
 
 
-def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[Shape]:
+def read_shapes(
+    path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
+) -> DrawnShapes:
     """What MuJoCo's own viewer shows, but for floors.
 
     Args:
         path: The MJCF file.
         tree: The tree read from it.
         weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that are held.
     """
-    spec = open_spec(path, weld_root=weld_root)
+    spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
+    stated_inertias(spec)  # impossible ones would keep it from being compiled
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
-    model = compile_spec(spec, path)
+    warnings: tuple[str, ...] = ()
+    try:
+        with no_mujoco_warnings():
+            model = spec.compile()
+    except ValueError:
+        warnings = drop_unreadable_meshes(spec, path)
+        model = compile_spec(spec, path)
+    return DrawnShapes(tuple(_shapes(model, tree)), warnings)
+
+
+def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
+    poses = [*poses_at_zero(tree), (np.eye(3), np.zeros(3))]  # the last is the bedplate's
     for g in range(model.ngeom):
         kind = _KINDS.get(int(model.geom_type[g]))
         if kind is None or model.geom_group[g] >= _SEEN_GROUPS:
             continue
         body = _owner(model, int(model.geom_bodyid[g]), tree)
-        rotation, position = in_body(
-            tree, body, data.geom_xmat[g].reshape(3, 3).copy(), data.geom_xpos[g].copy()
-        )
+        turn, origin = poses[body]
+        rotation = turn.T @ data.geom_xmat[g].reshape(3, 3)
+        position = turn.T @ (data.geom_xpos[g] - origin)
         vertices, faces = _mesh(model, g) if kind == "mesh" else (np.zeros((0, 3)),) * 2
         size = _size(kind, model.geom_size[g], int(model.geom_type[g]))
         yield Shape(body, kind, size, position, rotation, _colour(model, g), vertices, faces)

@@ -51,6 +51,19 @@ class Shape:
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
 
+@dataclass(frozen=True)
+class DrawnShapes:
+    """What there is to see of a robot.
+
+    Attributes:
+        shapes: Those that the model file gives.
+        warnings: What the file gives but cannot be shown, a line each.
+    """
+
+    shapes: tuple[Shape, ...]
+    warnings: tuple[str, ...] = ()
+
+
 def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
     """Rotation to the bedplate's axes and position of every body at q = 0."""
     poses: list[tuple[Array, Array]] = []
@@ -58,14 +71,6 @@ def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
         rotation, position = (np.eye(3), np.zeros(3)) if joint.parent < 0 else poses[joint.parent]
         poses.append((rotation @ joint.rotation, position + rotation @ joint.offset))
     return poses
-
-
-def in_body(tree: Tree, body: int, rotation: Array, position: Array) -> tuple[Array, Array]:
-    """A pose in the bedplate's frame at q = 0, in the frame of a body."""
-    if body < 0:
-        return rotation, position
-    turn, origin = poses_at_zero(tree)[body]
-    return turn.T @ rotation, turn.T @ (position - origin)
 
 
 def upright(direction: Array) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 
 import coal
@@ -13,41 +14,49 @@ import pinocchio as pin
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf import supported_xml
+from testbed.robot.formats.urdf_numbers import rewrite_numbers
+from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.robot.locks import Lock
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.mesh_files import find_mesh
+from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])
 
 
-def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[Shape]:
+def read_shapes(
+    path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
+) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
-
-    If one of them cannot be read, all meshes are left out.
 
     Args:
         path: The URDF file.
         tree: The tree read from it.
         weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that are held.
 
     Raises:
-        ModelError: Pinocchio refuses a shape.
+        ModelError: Pinocchio refuses the shapes.
     """
-    root = supported_xml(path, weld_root=weld_root, keep_visuals=True)
-    coloured = _with_meshes_found(root, path)
+    root, _ = supported_xml(path, weld_root=weld_root, lock=lock, keep_visuals=True)
+    missing = [line for link in root.findall("link") for line in _prepared(link, path)]
+    coloured = root.find("link/visual/material") is not None
+    root.set("version", "1.2")  # capsules are new in it
     try:
         model, seen = _built(root)
     except Exception:  # Pinocchio raises whatever a mesh makes it meet
-        for link in root.findall("link"):
-            for visual in [
-                v for v in link.findall("visual") if v.find("geometry/mesh") is not None
-            ]:
-                link.remove(visual)
+        missing += [line for link in root.findall("link") for line in _without_unreadable(link)]
         try:
             model, seen = _built(root)
         except Exception as error:
             raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+    return DrawnShapes(tuple(_shapes(model, seen, tree, coloured)), tuple(missing))
+
+
+def _shapes(
+    model: pin.Model, seen: pin.GeometryModel, tree: Tree, coloured: bool
+) -> Iterator[Shape]:
     for shape in seen.geometryObjects:
         joint = shape.parentJoint
         body = tree.index(model.names[joint]) if joint else -1
@@ -59,10 +68,13 @@ def read_shapes(path: Path, tree: Tree, *, weld_root: bool = False) -> Iterator[
 def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
     """The robot, and what there is to see of it."""
     text = ET.tostring(root, encoding="unicode")
-    with captured_stderr(), warnings.catch_warnings():
+    with captured_stderr() as said, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = pin.buildModelFromXML(text)
-        return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
+        seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
+        if said():  # a link with one visual that is not understood loses all of them
+            raise ValueError(said())
+        return model, seen
 
 
 def _drawn(
@@ -88,28 +100,38 @@ def _drawn(
             yield Shape(body, "mesh", size, *at, vertices, np.array(faces, dtype=float))
 
 
-def _with_meshes_found(root: ET.Element, path: Path) -> bool:
-    """Make mesh file names absolute, drop visuals without a file; whether any has a colour."""
-    for link in root.findall("link"):
-        for visual in link.findall("visual"):
+def _prepared(link: ET.Element, path: Path) -> Iterator[str]:
+    """Make numbers plain and mesh names absolute; a line for each visual that is dropped."""
+    owner = f"link '{link.get('name')}'"
+    for visual in link.findall("visual"):
+        try:
+            for holder in (visual, *visual.findall("geometry"), *visual.findall("material")):
+                rewrite_numbers(holder, f"{path.name}: visual of {owner}")
+        except ModelError as error:
+            link.remove(visual)
+            yield f"{error}; it is not drawn"
+            continue
+        mesh = visual.find("geometry/mesh")
+        if mesh is not None:
+            name = mesh.get("filename", "")
+            found = find_mesh(name, path)
+            if found is None:
+                link.remove(visual)
+                yield f"mesh file '{name}' of {owner} is not found; it is not drawn"
+            else:
+                mesh.set("filename", str(found[1]))
+
+
+def _without_unreadable(link: ET.Element) -> Iterator[str]:
+    """Drop visuals that Pinocchio cannot read, each tried alone; a line for each."""
+    for visual in link.findall("visual"):
+        alone = ET.Element("robot", name="one", version="1.2")
+        ET.SubElement(alone, "link", name="one").append(deepcopy(visual))
+        try:
+            _built(alone)
+        except Exception as error:
+            link.remove(visual)
             mesh = visual.find("geometry/mesh")
-            if mesh is not None:
-                found = _mesh_file(mesh.get("filename", ""), path)
-                if found is None:
-                    link.remove(visual)
-                else:
-                    mesh.set("filename", str(found))
-    return root.find("link/visual/material") is not None
-
-
-def _mesh_file(name: str, path: Path) -> Path | None:
-    """A mesh's file: package://PACKAGE/... is looked for below all folders above the model."""
-    places = [path.resolve().parent, *path.resolve().parent.parents]
-    bare = name.removeprefix("file://")
-    if name.startswith("package://"):
-        rest = Path(name.removeprefix("package://"))
-        inside = Path(*rest.parts[1:]) if len(rest.parts) > 1 else rest
-        candidates = [place / part for place in places for part in (rest, inside)]
-    else:
-        candidates = [places[0] / bare]
-    return next((found for found in candidates if found.is_file()), None)
+            what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
+            said = " ".join(str(error).split())
+            yield f"{what} of link '{link.get('name')}' is not drawn: {said}"

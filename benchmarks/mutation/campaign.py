@@ -1,0 +1,231 @@
+"""A campaign: each mutant meets the tests that can see it; results are kept and go on.
+
+A mutant that was killed stays so while its module and the test that saw it are the same;
+one that survived is tried again when any test has changed.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import tomllib
+from collections.abc import Callable, Collection, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from queue import SimpleQueue
+from typing import TypeAlias, TypeVar
+
+from benchmarks.mutation.changes import Mutant
+from benchmarks.mutation.coverage import HOUSE, Coverage, Test, digest
+from benchmarks.mutation.draw import draw
+from benchmarks.mutation.workshop import Bench, load_packages
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "build" / "mutation"
+EQUIVALENT = ROOT / "benchmarks" / "equivalent_mutants.toml"
+
+PATIENCE, START, COMPILING = 5.0, 30.0, 300.0
+"""Time for tests: this much longer than they took when traced, to start, to compile [s]."""
+
+Say: TypeAlias = Callable[[str], None]
+"""Called with a line for people."""
+
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a mutant.
+
+    Attributes:
+        mutant: The change.
+        fate: "killed", "survived" or "set aside".
+        by: The test that saw it, or why it is set aside.
+        chosen: How many tests might have seen it.
+    """
+
+    mutant: Mutant
+    fate: str
+    by: str
+    chosen: int
+
+    def __str__(self) -> str:
+        """For people."""
+        return f"{self.fate:<9} {self.mutant}" + (f"  [{self.by}]" if self.by else "")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a campaign is to do.
+
+    Attributes:
+        count: How many mutants to draw.
+        seed: Of the draw.
+        room: Only this one's; None for all.
+        own: Meet the tests of the mutant's own room only, and those about all rooms: quick.
+        jobs: Copies of the project that work at once.
+        minutes: After which nothing new is started; None for no end.
+    """
+
+    count: int = 200
+    seed: int = 0
+    room: str | None = None
+    own: bool = False
+    jobs: int = 2
+    minutes: float | None = None
+
+
+def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
+    """Draw mutants and try those that no kept result speaks of.
+
+    Args:
+        plan: What to do.
+        say: Called with a line for every result.
+
+    Returns:
+        What is known so far, and whether that is all.
+    """
+    mutants = draw(ROOT, plan.count, plan.seed, plan.room)
+    aside = set_aside()
+    results = [Result(m, "set aside", aside[_saying(m)], 0) for m in mutants if _saying(m) in aside]
+    waiting = [m for m in mutants if _saying(m) not in aside]
+    kept = {m.key: result for m in waiting if (result := _kept(m))}
+    results += kept.values()
+    waiting = [m for m in waiting if m.key not in kept]
+    if waiting:
+        load_packages()
+        rooms = {*(mutant.room for mutant in waiting), HOUSE} if plan.own else None
+        shop = Shop(plan, rooms)
+        if shop.trace(say):
+            for result in shop.try_all(waiting):
+                say(str(result))
+                results.append(result)
+    return sorted(results, key=lambda r: r.mutant.key), len(results) == len(mutants)
+
+
+class Shop:
+    """Benches at work, until a deadline."""
+
+    def __init__(self, plan: Plan, rooms: Collection[str] | None) -> None:
+        self._plan = plan
+        self._deadline = time.monotonic() + 60 * (plan.minutes or float("inf"))
+        self._benches: SimpleQueue[Bench] = SimpleQueue()
+        for k in range(plan.jobs):
+            self._benches.put(Bench(ROOT, FOLDER / f"copy-{k}"))
+        self._coverage = Coverage(ROOT, FOLDER / "coverage", rooms)
+
+    def trace(self, say: Say) -> bool:
+        """See to it that it is known what every test executes; whether it is by now."""
+
+        def trace(bench: Bench, file: str) -> list[str]:
+            place = self._coverage.place(file)
+            place.unlink(missing_ok=True)
+            bench.trace(file, place)
+            failed = self._coverage.seal(file)
+            return [f"traced {file}", *(f"left out, it fails as things are: {n}" for n in failed)]
+
+        for lines in self._shared(trace, self._coverage.stale()):
+            for line in lines:
+                say(line)
+        return not self._coverage.stale()
+
+    def try_all(self, mutants: Sequence[Mutant]) -> Iterator[Result]:
+        """Results as they come."""
+        tests = self._coverage.tests()
+
+        def judge(bench: Bench, mutant: Mutant) -> Result:
+            seeing = self._coverage.seeing(mutant, tests)
+            if self._plan.own:
+                seeing = [test for test in seeing if test.room in (mutant.room, HOUSE)]
+            compiles = self._coverage.is_compiled(mutant.module)
+            bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
+            by = ""
+            for part in _stages(seeing, mutant.room):
+                limit = START + PATIENCE * sum(test.seconds for test in part)
+                limit += COMPILING * compiles
+                by = by or bench.failure([test.name for test in part], limit, compiles=compiles)
+            bench.restore()
+            result = Result(mutant, "killed" if by else "survived", by, len(seeing))
+            if by or not self._plan.own:
+                _keep(result)
+            return result
+
+        return self._shared(judge, mutants)
+
+    def _shared(
+        self, work: Callable[[Bench, Item], Answer], items: Sequence[Item]
+    ) -> Iterator[Answer]:
+        """Answers as they come; what the deadline leaves no time for has none."""
+
+        def one(item: Item) -> Answer | None:
+            if time.monotonic() > self._deadline:
+                return None
+            bench = self._benches.get()
+            try:
+                return work(bench, item)
+            finally:
+                self._benches.put(bench)
+
+        with ThreadPoolExecutor(self._plan.jobs) as pool:
+            for done in as_completed([pool.submit(one, item) for item in items]):
+                answer = done.result()
+                if answer is not None:
+                    yield answer
+
+
+def _stages(tests: Sequence[Test], room: str) -> Iterator[Sequence[Test]]:
+    """Tests of the room, the others that are fast, all others."""
+    own = [test for test in tests if test.room == room and not test.slow]
+    fast = [test for test in tests if test.room != room and not test.slow]
+    yield from (part for part in (own, fast, [t for t in tests if t.slow]) if part)
+
+
+# ----------------------------------------------------------------------------- kept results
+
+
+def _place(mutant: Mutant) -> Path:
+    return FOLDER / "results" / f"{mutant.key}.json"
+
+
+def _mark(mutant: Mutant, by: str) -> str:
+    """What a result depends on: the module, and the test that saw it or all tests."""
+    file = ROOT / by.partition("::")[0]
+    tests = [file] if by and file.is_file() else sorted((ROOT / "tests").rglob("*.py"))
+    return digest(ROOT / mutant.module, *tests)
+
+
+def _keep(result: Result) -> None:
+    place = _place(result.mutant)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    said = {"fate": result.fate, "by": result.by, "chosen": result.chosen}
+    said["mark"] = _mark(result.mutant, result.by)
+    fresh = place.with_suffix(".new")  # whole or not at all: campaigns may be stopped
+    fresh.write_text(json.dumps(said))
+    fresh.replace(place)
+
+
+def _kept(mutant: Mutant) -> Result | None:
+    place = _place(mutant)
+    if not place.exists():
+        return None
+    said = json.loads(place.read_text())
+    if said["mark"] != _mark(mutant, said["by"]):
+        return None
+    return Result(mutant, said["fate"], said["by"], said["chosen"])
+
+
+def set_aside() -> dict[tuple[str, str, str, str], str]:
+    """Changes that change nothing that can be observed, and why; written by hand."""
+    found = {}
+    for entry in tomllib.loads(EQUIVALENT.read_text())["mutant"]:
+        mutated = entry["mutated"]
+        for each in [mutated] if isinstance(mutated, str) else mutated:
+            place = entry["module"], entry["function"], entry["original"], each
+            found[place] = entry["because"]
+    return found
+
+
+def _saying(mutant: Mutant) -> tuple[str, str, str, str]:
+    return mutant.module, mutant.function, mutant.original, mutant.mutated

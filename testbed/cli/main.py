@@ -1,0 +1,133 @@
+"""The command line: parses, calls, prints.
+
+Exit codes: 0 done and as expected; 1 done, but a claim of [expect] failed; 2 the input is
+at fault, with one message on standard error; 70 a fault of this program; 130 interrupted;
+141 nobody reads the output any more.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+from types import FrameType
+
+INPUT_AT_FAULT, OUR_FAULT, INTERRUPTED, UNREAD = 2, 70, 130, 141
+
+
+def main() -> None:
+    """Run a command; what the user got wrong is one line and exit code 2.
+
+    What is heavy is imported by `_command`, so that Ctrl-C is answered from the first moment.
+    """
+    interrupts = _Interrupts()
+    try:
+        try:
+            _ready_streams()
+            code = _command()
+        except BaseException as error:
+            code = INTERRUPTED if interrupts.seen else _told(error)
+        interrupts.default()
+    except KeyboardInterrupt:  # between an error and its message
+        code = INTERRUPTED
+    if code == INTERRUPTED:
+        _say("interrupted")
+    sys.exit(_flushed(code))
+
+
+class _Interrupts:
+    """The first Ctrl-C is an exception and the work is tidied up; the next one ends at once.
+
+    An import that is interrupted may raise any other exception instead: `seen` tells.
+    """
+
+    def __init__(self) -> None:
+        self.seen = False
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
+            signal.signal(signal.SIGINT, self._interrupt)
+
+    def _interrupt(self, number: int, frame: FrameType | None) -> None:
+        self.seen = True
+        self.default()
+        raise KeyboardInterrupt
+
+    def default(self) -> None:
+        """From now on Ctrl-C ends the process without a word."""
+        if signal.getsignal(signal.SIGINT) == self._interrupt:
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _ready_streams() -> None:
+    """Streams that are there even if whoever started us closed them; output takes any text."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # in this order each takes its own file descriptor
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: PTH123, SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names in letters a terminal lacks
+
+
+def _command() -> int:
+    """Carry out what the command line asks for; its exit code."""
+    import warnings
+
+    from testbed.cli.commands import app
+    from testbed.cli.options import joined_vectors
+
+    warnings.simplefilter("ignore")  # numerical doubt is a field of the result
+    try:
+        code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
+    except SystemExit:  # the option parser's answer to a broken pipe
+        return UNREAD
+    sys.stdout.flush()
+    return code if isinstance(code, int) else 0
+
+
+def _told(error: BaseException) -> int:
+    """Say what an error means, in one line; the exit code."""
+    from testbed.errors import TestbedError
+
+    code = INPUT_AT_FAULT
+    if isinstance(error, TestbedError):
+        _say(str(error))
+    elif isinstance(error, BrokenPipeError):
+        code = UNREAD
+    elif isinstance(error, OSError):  # a full disk, a folder that may not be written
+        place = f"'{error.filename}': " if error.filename is not None else ""
+        _say(f"{place}{error.strerror}" if error.strerror else str(error))
+    elif isinstance(error, MemoryError):
+        _say("not enough memory; ask for less, such as a shorter motion")
+    elif isinstance(error, RecursionError):
+        _say("the input is nested too deeply")
+    elif isinstance(error, UnicodeDecodeError):
+        _say(f"a file that should be text is not UTF-8: {error.reason} at byte {error.start}")
+    elif hasattr(error, "format_message"):  # what the option parser found
+        if message := error.format_message():  # none where it has printed the help instead
+            _say(f"{message} (testbed --help tells more)")
+    else:
+        import traceback
+
+        traceback.print_exception(error)
+        _say("the above is a fault of the program; please report it")
+        code = OUR_FAULT
+    return code
+
+
+def _say(message: str) -> None:
+    """One line on standard error."""
+    from testbed.errors import printable
+
+    try:
+        sys.stderr.write(f"testbed: {printable(message)}\n")
+        sys.stderr.flush()
+    except OSError:  # nobody is left to be told
+        pass
+
+
+def _flushed(code: int) -> int:
+    """The exit code, once nothing is left to write: the interpreter's own words are many."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return code

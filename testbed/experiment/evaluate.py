@@ -1,0 +1,67 @@
+"""From an experiment's recording to its run: no simulation needed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from testbed.errors import ExperimentError
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run, assemble_run
+from testbed.identification.passes import Progress
+from testbed.recordings.recording import Recording
+from testbed.robot.load import mimic_joints
+from testbed.robot.model_file import ModelFile
+from testbed.robot.tree import Tree
+
+
+def evaluate(
+    experiment: Experiment,
+    recording: Recording,
+    progress: Progress = lambda done, total: None,
+) -> Run:
+    """Identify from an experiment's recording and compare with the truth.
+
+    Args:
+        experiment: What was carried out.
+        recording: What the instrument measured.
+        progress: Called with samples done and samples in all, method by method.
+    """
+    return assemble_run(
+        robot_of(experiment),
+        recording,
+        name=experiment.name,
+        settings=experiment.identification,
+        experiment=experiment,
+        model=model_of(experiment),
+        progress=progress,
+    )
+
+
+def robot_of(experiment: Experiment) -> Tree:
+    """The robot of an experiment, under its gravity.
+
+    Args:
+        experiment: Names the model file.
+
+    Raises:
+        ExperimentError: A table names a joint that the robot has not.
+    """
+    tree = model_of(experiment).tree()
+    for table, entries in experiment.joint_tables.items():
+        for name in entries:
+            if name not in tree.names:
+                raise ExperimentError(
+                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
+                )
+    return tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
+
+
+def model_of(experiment: Experiment) -> ModelFile:
+    """The model file of an experiment, and how it is read.
+
+    Args:
+        experiment: Says so in `model`, `weld_root` and its table `robot`.
+    """
+    mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
+    held = dict.fromkeys(mimic) | experiment.robot.lock
+    return ModelFile(Path(experiment.model), weld_root=experiment.weld_root, lock=held)

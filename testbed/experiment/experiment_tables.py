@@ -1,0 +1,124 @@
+"""The tables of an experiment file: settings with units, defaults and bounds, each in one place.
+
+Two tables are the very values that act: `measurement` is `instruments.chain.Instrument`, and
+`identification` is `identification.settings.Settings`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Range = tuple[Finite, Finite]
+
+METRICS = (
+    "external_rms_relative_error",
+    "external_max_relative_error",
+    "external_max_z",
+    "internal_rms_relative_error",
+    "internal_max_relative_error",
+    "internal_max_z",
+    "internal_to_external",
+    "friction_max_relative_error",
+)
+"""What `[expect]` can bound (docs/experiments.md)."""
+
+
+class Table(BaseModel):
+    """A table whose keys are all known."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
+    )
+
+
+class JointTable(Table):
+    """What the model file does not say of a joint, or says wrongly."""
+
+    position_range: Range | None = None
+    """Least and greatest position [rad or m]."""
+    max_velocity: Positive | None = None
+    """[rad/s or m/s]."""
+    max_effort: Positive | None = None
+    """Of the motor, at the joint [N m or N]."""
+    coulomb: NotNegative | None = None
+    """Dry friction [N m or N]."""
+    viscous: NotNegative | None = None
+    """Viscous friction [N m s/rad or N s/m]."""
+    rotor_inertia: NotNegative | None = None
+    """Of the drive, at the joint [kg m^2 or kg]."""
+
+
+class RobotTable(Table):
+    """How the model file is read."""
+
+    lock: dict[str, Finite] = {}
+    """Joints that are held, and where [rad or m]: their bodies become part of the carriers."""
+    lock_mimic: bool = False
+    """Joints that mimic others are held where their masters' zero puts them."""
+    joint: dict[str, JointTable] = {}
+    """By joint: limits and friction, instead of the model file's."""
+
+    @property
+    def settings(self) -> dict[str, dict[str, object]]:
+        """What is said of joints, by joint and key."""
+        return {name: table.model_dump(exclude_none=True) for name, table in self.joint.items()}
+
+
+class MotionTable(Table):
+    """Which motion: the best of a few random Fourier series within the limits."""
+
+    duration: Positive = 60.0
+    """Of the recording [s]."""
+    fundamental: Positive = 0.1
+    """Frequency at which the motion repeats [Hz]."""
+    harmonics: Annotated[int, Field(ge=1, le=100)] = 5
+    """Number of harmonics."""
+    candidates: Annotated[int, Field(ge=1, le=10_000)] = 40
+    """Random motions drawn; the one that promises the smallest sigma is run."""
+    max_velocity: dict[str, Positive] = {}
+    """By joint, besides the model file's limits [rad/s or m/s]."""
+    max_acceleration: dict[str, Positive] = {}
+    """By joint [rad/s^2 or m/s^2]."""
+
+
+class SimulationTable(Table):
+    """The plant and its controller."""
+
+    step: Positive = 2.5e-4
+    """Of the integration [s]."""
+    friction: bool = True
+    """Keep the joints' friction."""
+    bandwidth: Positive = 60.0
+    """Of the joint controllers [rad/s]."""
+    warm_up: NotNegative = 2.0
+    """Time run before the recording starts [s]."""
+
+
+class Bound(Table):
+    """A claim about one metric."""
+
+    at_most: Finite | None = None
+    at_least: Finite | None = None
+
+    @model_validator(mode="after")
+    def _bounds_something(self) -> Bound:
+        if self.at_most is None and self.at_least is None:
+            raise ValueError("a claim needs at_most or at_least")
+        return self
+
+    @property
+    def wanted(self) -> str:
+        """In words: at most 0.0015."""
+        bounds = self.model_dump(exclude_none=True).items()
+        return ", ".join(f"{side.replace('_', ' ')} {value:g}" for side, value in bounds)
+
+    def holds(self, value: float) -> bool:
+        """Whether `value` is within the bound; a value that is not a number never is."""
+        low = -math.inf if self.at_least is None else self.at_least
+        return low <= value <= (math.inf if self.at_most is None else self.at_most)

@@ -1,0 +1,148 @@
+"""Measured against predicted: what the estimates of a run say that its instruments should read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError
+from testbed.experiment.run import Run
+from testbed.identification.estimate import Method
+from testbed.identification.filters import row_weights
+from testbed.identification.predict import friction, motion_in, predictions
+from testbed.identification.settings import Settings
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
+
+WRENCH_UNITS = ("N", "N", "N", "N m", "N m", "N m")
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """One kind of measurement and what the estimates say of it.
+
+    Attributes:
+        kind: "wrench" or "torque".
+        channels: Names, (k,).
+        units: One a channel.
+        measured: (M, k) [N, N m].
+        predicted: By method, (M, k). The wrench contains the pedestal's; joint torques of the
+            external estimate lack friction.
+    """
+
+    kind: Literal["wrench", "torque"]
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    measured: Array
+    predicted: Mapping[Method, Array]
+
+    def residual(self, method: Method) -> Array:
+        """Measured less predicted, (M, k)."""
+        return self.measured - self.predicted[method]
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """A recording beside what a run's estimates say of it.
+
+    Attributes:
+        run: Whose estimates.
+        recording: Of the run, or another of the same robot; joints in the tree's order.
+        motion: What the recording shows, without the ends that filters take, M samples.
+        signals: What was measured: the wrench, the joint torques, or both.
+    """
+
+    run: Run
+    recording: Recording
+    motion: Motion
+    signals: tuple[Signal, ...]
+
+    @cached_property
+    def unexplained_torque(self) -> Array | None:
+        """Motor torque less what the robot needs by the plate's estimate, (M, n) [N m or N].
+
+        Friction, and what the drives report wrongly. None without torques or that estimate.
+        """
+        for signal in self.signals:
+            if signal.kind == "torque" and "external" in signal.predicted:
+                return signal.residual("external")
+        return None
+
+    def smoothed(self, cutoff: float) -> Predictions:
+        """Through one low-pass, without the ends it takes; as it is where it is too short for it.
+
+        Args:
+            cutoff: Where the low-pass has a gain of one half [Hz].
+        """
+        weights = row_weights(self.recording.rate, cutoff)
+        reach = len(weights) // 2
+        if self.motion.samples <= 2 * len(weights):
+            return self
+
+        def passed(values: Array) -> Array:
+            return np.column_stack([np.convolve(each, weights, "valid") for each in values.T])
+
+        signals = [
+            replace(
+                signal,
+                measured=passed(signal.measured),
+                predicted={method: passed(each) for method, each in signal.predicted.items()},
+            )
+            for signal in self.signals
+        ]
+        inner = slice(reach, self.motion.samples - reach)
+        return replace(self, motion=self.motion[inner], signals=tuple(signals))
+
+    def friction(self, speed: Array) -> Array | None:
+        """Friction that the internal estimate tells at speeds, (k, n) [N m or N]; None without it.
+
+        Args:
+            speed: Joint velocities, (k, n) [rad/s or m/s].
+        """
+        internal = self.run.estimates.get("internal")
+        return None if internal is None else friction(speed, internal)
+
+
+def predict(run: Run, recording: Recording | None = None) -> Predictions:
+    """What a run's estimates say of a recording.
+
+    Args:
+        run: The run.
+        recording: Of the same robot; default the run's own.
+
+    Raises:
+        RecordingError: The recording is of another robot.
+    """
+    tree = run.tree
+    recording = run.recording if recording is None else recording.ordered(tree)
+    motion, inner = shown_motion(recording, run.settings)
+    wrench, torque = predictions(tree, recording, motion, run.estimates)
+    signals = []
+    if recording.wrench is not None:
+        signals.append(Signal("wrench", AXES, WRENCH_UNITS, recording.wrench[inner], wrench))
+    if recording.torque is not None:
+        units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
+        signals.append(Signal("torque", tree.names, units, recording.torque[inner], torque))
+    return Predictions(run, recording, motion, tuple(signals))
+
+
+def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
+    """A recording's motion, and the samples it covers; unfiltered where filters do not fit.
+
+    Args:
+        recording: Two samples or more.
+        settings: Whose filter on positions to use.
+    """
+    try:
+        return motion_in(recording, settings)
+    except RecordingError:
+        step = 1 / recording.rate
+        speed = np.gradient(recording.position, step, axis=0)
+        rates = speed, np.gradient(speed, step, axis=0)
+        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)

@@ -1,0 +1,65 @@
+"""A run as JSON takes it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from testbed.experiment.run import Run
+from testbed.experiment.score import Errors
+from testbed.experiment.versions import versions
+from testbed.identification.estimate import Estimate
+
+
+def result(run: Run) -> dict[str, Any]:
+    """A run without its recording, as JSON takes it."""
+    experiment = run.experiment
+    expect = {} if experiment is None else experiment.expect
+    errors = {} if run.score is None else run.score.errors
+    return {
+        "name": run.name,
+        "claim": "" if experiment is None else experiment.claim,
+        **{
+            method: estimate_as_json(estimate) | _errors(errors.get(method))
+            for method, estimate in run.estimates.items()
+        },
+        "failures": dict(run.failures),
+        "metrics": dict(run.metrics),
+        "expect": {k: b.model_dump(exclude_none=True) for k, b in expect.items()},
+        "verdicts": run.verdicts,
+        "as_expected": run.as_expected,
+        "warnings": list(run.warnings),
+        "model_sha256": run.recording.facts.get("model_sha256"),
+        "versions": versions(),
+    }
+
+
+def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
+    """An estimate as JSON takes it."""
+    return {
+        "method": estimate.method,
+        "names": list(estimate.names),
+        "units": list(estimate.units),
+        "values": estimate.values.tolist(),
+        "sigma": estimate.sigma.tolist(),
+        "covariance": estimate.covariance.tolist(),
+        "count": len(estimate.base.names),
+        "channels": list(estimate.channels),
+        "residual": estimate.residual.tolist(),
+        "relative_residual": estimate.relative_residual.tolist(),
+        "samples": list(estimate.samples),
+        "condition": estimate.condition,
+        "warnings": list(estimate.warnings),
+    }
+
+
+def _errors(errors: Errors | None) -> dict[str, Any]:
+    """Errors as JSON takes them: null where there is no number."""
+    if errors is None:
+        return {}
+    numbers = {"truth": errors.truth, "relative_error": errors.relative, "z": errors.z}
+    return {
+        name: [x if np.isfinite(x) else None for x in values.tolist()]
+        for name, values in numbers.items()
+    }

@@ -1,0 +1,132 @@
+"""A run: one recording of one robot, what was identified from it, and how well.
+
+The value that terminal, report and viewer take, whether a simulation made the recording or
+somebody's own instruments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from testbed.errors import RecordingError, UnseenParameters
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run_warnings import warnings_of
+from testbed.experiment.score import Score, score
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.identify import identify, in_its_gravity
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import Recording
+from testbed.robot.model_file import ModelFile
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One recording and what came of it.
+
+    Attributes:
+        name: Of the run.
+        tree: The robot, under the recording's gravity.
+        recording: What was measured; joint columns in the order of `tree.names`.
+        estimates: By method; only those that could be made.
+        failures: Why a method has no estimate, by method.
+        settings: How the recording's signals were treated.
+        experiment: What was carried out; None for a recording that no experiment made.
+        score: The estimates against the truth; None where the truth is not known.
+        model: The model file, for its shapes; None if the robot came from no file.
+        warnings: What a careful reader should know, one line each.
+    """
+
+    name: str
+    tree: Tree
+    recording: Recording
+    estimates: Mapping[Method, Estimate]
+    failures: Mapping[Method, str] = field(default_factory=dict)
+    settings: Settings = field(default_factory=Settings)
+    experiment: Experiment | None = None
+    score: Score | None = None
+    model: ModelFile | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def truths(self) -> dict[str, float]:
+        """True values by parameter name; {} where they are not known."""
+        return {} if self.score is None else self.score.truths
+
+    @property
+    def metrics(self) -> Mapping[str, float]:
+        """Figures of merit by name (docs/experiments.md); {} where the truth is not known."""
+        return {} if self.score is None else self.score.metrics
+
+    @property
+    def verdicts(self) -> dict[str, bool]:
+        """For each metric in [expect], whether the claim holds; not if the run lacks the metric."""
+        if self.experiment is None:
+            return {}
+        return {
+            name: name in self.metrics and bound.holds(self.metrics[name])
+            for name, bound in self.experiment.expect.items()
+        }
+
+    @property
+    def as_expected(self) -> bool:
+        """Whether every claim holds."""
+        return all(self.verdicts.values())
+
+
+def assemble_run(
+    tree: Tree,
+    recording: Recording,
+    *,
+    name: str,
+    settings: Settings | None = None,
+    experiment: Experiment | None = None,
+    model: ModelFile | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Run:
+    """Identify by every method that the recording's signals allow, and score where that is known.
+
+    A method that fails does not take the other with it: the run says why it has none.
+
+    Args:
+        tree: The robot.
+        recording: What was measured; its gravity, where it says so, goes before the tree's.
+        name: Of the run.
+        settings: How the signals are treated; default `Settings()`.
+        experiment: What made the recording: the tree then holds the truth.
+        model: The model file, for its shapes.
+        progress: Called with samples done and samples in all, method by method.
+
+    Raises:
+        RecordingError: The recording is of another robot.
+    """
+    recording = recording.ordered(tree)
+    tree = in_its_gravity(tree, recording)
+    settings = settings or Settings()
+    estimates: dict[Method, Estimate] = {}
+    failures: dict[Method, str] = {}
+    for method in METHODS:
+        try:
+            estimates[method] = identify(
+                tree, recording, method, settings=settings, progress=progress
+            )
+        except (RecordingError, UnseenParameters) as error:
+            failures[method] = str(error)
+    judged = None
+    if experiment is not None:
+        judged = score(tree, estimates, settings.zeros, experiment.simulation.friction)
+    errors = {} if judged is None else judged.errors
+    return Run(
+        name=name,
+        tree=tree,
+        recording=recording,
+        estimates=estimates,
+        failures=failures,
+        settings=settings,
+        experiment=experiment,
+        score=judged,
+        model=model,
+        warnings=warnings_of(tree, recording, estimates, failures, errors),
+    )

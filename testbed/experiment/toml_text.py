@@ -1,0 +1,153 @@
+"""TOML and "table.key=value" into tables; whatever is not understood becomes one clear line."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from testbed.errors import ExperimentError, UnknownName
+
+LARGEST_FILE = 1_000_000
+"""Bytes of an experiment file."""
+
+Checked = TypeVar("Checked", bound=BaseModel)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file, unchecked.
+
+    Raises:
+        ExperimentError: There is no such file, or it is not TOML.
+    """
+    if not path.exists():
+        raise ExperimentError(f"there is no experiment file '{path}'")
+    if not path.is_file():
+        raise ExperimentError(f"'{path}' is no file; an experiment is one, in TOML")
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError(f"it has more than {LARGEST_FILE:.0e} bytes")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
+    except (OSError, ValueError) as error:
+        raise ExperimentError(f"{path}: not a readable TOML file: {error}") from None
+
+
+def override(content: dict[str, Any], settings: Iterable[str]) -> None:
+    """Apply "table.key=value" words, the value in TOML or a bare word.
+
+    Raises:
+        ExperimentError: A word is not of that form.
+    """
+    for setting in settings:
+        key, equals, value = setting.partition("=")
+        if not equals or not key.strip():
+            raise ExperimentError(f"--set '{setting}': write it as table.key=value")
+        *tables, last = _parts(key.strip(), setting)
+        here = content
+        for table in tables:
+            here = here.setdefault(table, {})
+            if not isinstance(here, dict):
+                raise ExperimentError(f"--set '{setting}': '{table}' is a value, not a table")
+        here[last] = _value(value, setting)
+
+
+def _parts(key: str, setting: str) -> list[str]:
+    """The names of a dotted key; a name with dots of its own stands in quotes.
+
+    Raises:
+        ExperimentError: It is no key.
+    """
+    if '"' not in key and "'" not in key:
+        return key.split(".")
+    try:
+        found: Any = tomllib.loads(f"{key} = 0")
+    except (ValueError, RecursionError):
+        raise ExperimentError(f"--set '{setting}': '{key}' is no key of TOML") from None
+    names = []
+    while isinstance(found, dict):
+        name, found = next(iter(found.items()))
+        names.append(name)
+    return names
+
+
+def _value(text: str, setting: str) -> Any:
+    """A value in TOML, or a bare word."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+    except (ValueError, RecursionError) as error:
+        raise ExperimentError(f"--set '{setting}': {error}") from None
+
+
+def checked(model: type[Checked], content: dict[str, Any], source: str) -> Checked:
+    """Tables as a frozen value.
+
+    Args:
+        model: What they should be.
+        content: As TOML gives them.
+        source: What they are called.
+
+    Raises:
+        ExperimentError: Says all that is wrong, in one line.
+    """
+    try:
+        return model.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        raise ExperimentError(f"{source}: {complaints(error, model)}") from None
+    except (RecursionError, ValueError):
+        raise ExperimentError(f"{source}: it is nested too deeply, or no text") from None
+
+
+def complaints(error: ValidationError, model: type[BaseModel]) -> str:
+    """All faults in one line, unknown keys with the known ones."""
+    lines = []
+    for fault in error.errors(include_url=False):
+        where = [str(part) for part in fault["loc"]]
+        if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            *tables, key = where
+            lines.append(_unknown(model, tables, key))
+        else:
+            said = fault["msg"].removeprefix("Value error, ")
+            found = "" if fault["type"] == "missing" else f", found {_short(fault['input'])}"
+            label = ".".join(part for part in where if "[" not in part)
+            found = "" if fault["type"] == "value_error" else found
+            lines.append(f"{label}: {said}{found}" if label else said)
+    return "; ".join(dict.fromkeys(lines))
+
+
+def _short(value: Any, limit: int = 60) -> str:
+    text = repr(value)
+    return text if len(text) <= limit else f"{text[:limit]}..."
+
+
+def _unknown(model: type[BaseModel], tables: list[str], key: str) -> str:
+    """An unknown key, with the table that has one of this name, else with the known ones."""
+    homes = [] if tables else [t for t in model.model_fields if key in _keys(model, [t])]
+    if homes:
+        return f"unknown key '{key}'; did you mean {' or '.join(f'{t}.{key}' for t in homes)}?"
+    place = f" in [{'.'.join(tables)}]" if tables else ""
+    return str(UnknownName(f"key{place}", key, _keys(model, tables)))
+
+
+def _keys(model: Any, tables: list[str]) -> tuple[str, ...]:
+    """The keys that a table knows."""
+    for table in tables:
+        known = getattr(model, "model_fields", {})
+        model = known[table].annotation if table in known else _member(model)
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return tuple(model.model_fields)
+    return tuple(f.name for f in fields(model)) if is_dataclass(model) else ()
+
+
+def _member(annotation: Any) -> Any:
+    """What a table by name holds: dict[str, Bound] -> Bound."""
+    arguments = getattr(annotation, "__args__", ())
+    return arguments[-1] if arguments else None

@@ -1,0 +1,155 @@
+"""What one method found, with its structure: minimal parameters, then the joints' own terms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+from testbed.arrays import Array, readonly
+from testbed.identification.normal_equations import NormalEquations
+from testbed.parameters.joint_terms import DriveSet
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.rules import Model
+from testbed.robot.friction import JointLaw
+
+Method = Literal["external", "internal"]
+
+METHODS: tuple[Method, ...] = ("external", "internal")
+"""By the bedplate's wrench, and by the joint torques."""
+
+MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
+"""Which of the two minimal sets a method sees."""
+
+SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
+"""What a method needs of a recording besides positions."""
+
+
+@dataclass(frozen=True, eq=False)
+class BaseEstimate:
+    """The minimal parameters of an estimate.
+
+    Attributes:
+        model: "reaction" (delta_r) or "dynamic" (delta_d).
+        names: One a parameter; a joint's term that cannot be told from it is named in it.
+        units: One each.
+        values: (N,).
+        sigma: Standard deviations, (N,).
+        covariance: (N, N).
+        matrix: Those on the 10 n barycentric parameters, (N, 10 n).
+    """
+
+    model: Model
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sigma: Array
+    covariance: Array
+    matrix: Array
+
+
+@dataclass(frozen=True)
+class TermEstimate:
+    """One coefficient of a law of a joint's own torque.
+
+    Attributes:
+        law: Which law.
+        joint: The joint's name.
+        name: `kind/JOINT`; another term of the joint that it takes up is named in it.
+        unit: Of the coefficient.
+        value: The coefficient.
+        sigma: Its standard deviation.
+    """
+
+    law: JointLaw
+    joint: str
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+    @property
+    def kind(self) -> str:
+        """The law's name."""
+        return self.law.kind
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What one method found.
+
+    Attributes:
+        method: "external" (bedplate) or "internal" (joint torques).
+        names: The minimal parameters; then, for the internal method, the joints' own terms.
+        units: One each.
+        values: (p,).
+        sigma: Standard deviations, (p,), correlation of residuals counted.
+        covariance: (p, p).
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        channels: The measured channels.
+        residual: Rms of their residuals, (channels,) [N, N m].
+        relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
+        samples: Rows used of each, (channels,).
+        condition: Of the equations with unit columns and weights.
+        normal_equations: Of all rows: other weights and subsets of channels need no other pass.
+        warnings: What a careful reader should know, one line each.
+        minimal: The minimal set that comes first.
+        drives: That set with the joints' own terms, for the internal method.
+        joints: The joints' names.
+    """
+
+    method: Method
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: Array
+    sigma: Array
+    covariance: Array
+    gravity: Array
+    channels: tuple[str, ...]
+    residual: Array
+    relative_residual: Array
+    samples: tuple[int, ...]
+    condition: float
+    normal_equations: NormalEquations
+    warnings: tuple[str, ...]
+    minimal: MinimalSet
+    drives: DriveSet | None
+    joints: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        p, c = len(self.names), len(self.channels)
+        shapes = {"values": (p,), "sigma": (p,), "covariance": (p, p), "gravity": (3,)}
+        shapes |= {"residual": (c,), "relative_residual": (c,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @cached_property
+    def base(self) -> BaseEstimate:
+        """The minimal parameters alone."""
+        own = slice(0, self.minimal.count)
+        return BaseEstimate(
+            model=self.minimal.model,
+            names=self.names[own],
+            units=self.units[own],
+            values=self.values[own],
+            sigma=self.sigma[own],
+            covariance=self.covariance[own, own],
+            matrix=self.minimal.matrix,
+        )
+
+    @cached_property
+    def joint_terms(self) -> tuple[TermEstimate, ...]:
+        """The joints' own terms, law by law; none for the external method."""
+        terms = () if self.drives is None else self.drives.terms
+        return tuple(
+            TermEstimate(
+                law=term.law,
+                joint=self.joints[term.joint],
+                name=self.names[k],
+                unit=self.units[k],
+                value=float(self.values[k]),
+                sigma=float(self.sigma[k]),
+            )
+            for k, term in enumerate(terms, start=self.minimal.count)
+        )

@@ -1,0 +1,140 @@
+"""MuJoCo's compiler: kept quiet, helped over missing meshes and impossible inertias."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.inertia import inertia_flaw
+from testbed.robot.stderr import captured_stderr
+
+LONGEST_MESSAGE = 400
+"""Of MuJoCo's: it repeats what it found in a file."""
+MASSLESS = 1e-12
+"""Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
+
+
+def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """Compile; where meshes cannot be read, without those that are only for the eye.
+
+    Raises:
+        ModelError: MuJoCo refuses the model.
+    """
+    with no_mujoco_warnings():
+        try:
+            return spec.compile()
+        except Exception as error:
+            first = one_line(error)
+        try:
+            if drop_unreadable_meshes(spec, path):
+                return spec.compile()
+        except ValueError as error:
+            first = one_line(error)
+    raise ModelError(f"{path}: {first}")
+
+
+def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
+    """Take out meshes that MuJoCo cannot read, and the geoms made of them; a line for each.
+
+    Raises:
+        ModelError: The inertia of a body comes from such a mesh.
+    """
+    lines = []
+    with no_mujoco_warnings():
+        for mesh in list(spec.meshes):
+            name, fault = mesh.name, _mesh_fault(spec, mesh.name)
+            if fault is None:
+                continue
+            lines.append(f"mesh '{mesh.file or name}' is left out: {fault}")
+            for geom in [geom for geom in spec.geoms if geom.meshname == name]:
+                body = geom.parent
+                if not body.explicitinertial and body.name != "world":
+                    raise ModelError(
+                        f"{path}: the inertia of body '{body.name}' comes from its mesh, and "
+                        f"{fault}"
+                    )
+                spec.delete(geom)
+            spec.delete(mesh)
+    return tuple(lines)
+
+
+def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
+    """What MuJoCo says of one mesh; None if it can read it."""
+    alone = spec.copy()
+    alone.compiler.boundmass = alone.compiler.boundinertia = MASSLESS
+    stated_inertias(alone)
+    for geom in list(alone.geoms):
+        if geom.meshname:
+            alone.delete(geom)
+    for mesh in list(alone.meshes):
+        if mesh.name != name:
+            alone.delete(mesh)
+    try:
+        alone.compile()
+    except Exception as error:
+        return one_line(error)
+    return None
+
+
+@contextmanager
+def no_mujoco_warnings() -> Iterator[None]:
+    """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        with captured_stderr(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
+
+@dataclass(frozen=True, eq=False)
+class StatedInertia:
+    """An inertia as the file states it: the compiler's principal axes cost digits."""
+
+    mass: float
+    central: Array | None  # None: along the principal axes given by the body's `iquat`
+
+
+def stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, StatedInertia]]:
+    """Flaws, and the explicit inertias by body name; flawed ones are replaced in `spec`."""
+    flaws: list[str] = []
+    stated: dict[str, StatedInertia] = {}
+    compiler = spec.compiler
+    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    if from_geoms or compiler.balanceinertia:
+        return flaws, stated  # what counts is what the compiler makes of the file
+    for body in spec.bodies:
+        if not body.explicitinertial:
+            continue
+        xx, yy, zz, xy, xz, yz = body.fullinertia
+        full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        given_in_full = not np.isnan(xx)
+        found = inertia_flaw(body.name, body.mass, full if given_in_full else np.diag(body.inertia))
+        if not np.isfinite(body.ipos).all():
+            found = f"link '{body.name}' has a mass centre that is not a number"
+            body.ipos = np.zeros(3)
+        stated[body.name] = StatedInertia(body.mass, full if given_in_full else None)
+        if found:
+            flaws.append(found)
+            tensor = full if given_in_full else np.diag(body.inertia)
+            finite = np.isfinite(body.mass) and np.isfinite(tensor).all()
+            stated[body.name] = (
+                StatedInertia(body.mass, tensor) if finite else StatedInertia(0.0, np.zeros((3, 3)))
+            )
+            body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
+    return flaws, stated
+
+
+def one_line(error: Exception) -> str:
+    """MuJoCo's message without its line breaks."""
+    return " ".join(str(error).removeprefix("Error: ").split())[:LONGEST_MESSAGE]

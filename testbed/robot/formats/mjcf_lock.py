@@ -1,0 +1,179 @@
+"""Joints of an MJCF model that are held: found, posed and taken out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, stated_inertias
+from testbed.robot.locks import Coupling, Lock, Travel, held_positions
+
+VELOCITY_LIMIT = "velocity_limit/"
+"""MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
+
+
+def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
+    """Take locked joints out of a model, and those that go along with them.
+
+    Args:
+        spec: The model, which is changed.
+        lock: The joints to be held.
+        path: Its file, for messages.
+
+    Returns:
+        A line for each follower that is held where its master does not take it.
+
+    Raises:
+        ModelError: What couples joints is not supported; MimicError for a joint that follows
+            another that moves.
+        UnknownName: A joint to be held is not there.
+    """
+    couplings = _couplings(spec, path)
+    if not lock and not couplings:
+        return ()
+    model = _resolved(spec, path)
+    held, warnings = held_positions(_travels(model, couplings), lock, path.name)
+    _drop_tendons(spec, held, path)
+    for numeric in list(spec.numerics):
+        if numeric.name.removeprefix(VELOCITY_LIMIT) in held:
+            spec.delete(numeric)
+    for body in spec.bodies:
+        if any(joint.name in held for joint in body.joints):
+            _hold(spec, body, model, held)
+    return warnings
+
+
+def followers(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
+    """The joints of a model that follow others that move."""
+    return tuple(name for name, (master, _) in _couplings(spec, path).items() if master)
+
+
+def _couplings(spec: mujoco.MjSpec, path: Path) -> dict[str, tuple[str | None, Array]]:
+    """Joints that follow others: whom, and five coefficients; taken out of `spec`.
+
+    Both positions are counted from the file's posture there.
+    """
+    found: dict[str, tuple[str | None, Array]] = {}
+    for equality in list(spec.equalities):
+        if equality.active:
+            follower, master = equality.name1, equality.name2
+            if equality.type != mujoco.mjtEq.mjEQ_JOINT or follower in found:
+                raise ModelError(
+                    f"{path}: equality constraint '{equality.name}' between '{follower}' and "
+                    f"'{master}' closes a loop, which is not supported"
+                )
+            found[follower] = (master or None, np.array(equality.data[:5]))
+        spec.delete(equality)  # an inactive one does nothing
+    return found
+
+
+def _resolved(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
+    """The compiled model, for its geometry: frames, degrees and limits are resolved there."""
+    copy = spec.copy()
+    stated_inertias(copy)
+    copy.compiler.boundmass = copy.compiler.boundinertia = MASSLESS
+    return compile_spec(copy, path)
+
+
+def _travels(
+    model: mujoco.MjModel, couplings: dict[str, tuple[str | None, Array]]
+) -> dict[str, Travel]:
+    names = [model.joint(j).name for j in range(model.njnt)]
+    zero = {name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)}
+    travels = {}
+    for j, name in enumerate(names):
+        low, high = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
+        coupling = None
+        if name in couplings:
+            master, coefficients = couplings[name]
+            ahead = np.polynomial.Polynomial([-zero.get(master or "", 0.0), 1.0])
+            polynomial = np.polynomial.Polynomial(coefficients)(ahead) + zero[name]
+            powers = polynomial.coef if master else polynomial.coef[:1]
+            coupling = Coupling(master, tuple(float(c) for c in powers))
+        travels[name] = Travel(float(low), float(high), coupling)
+    return travels
+
+
+def _hold(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, model: mujoco.MjModel, held: dict[str, float]
+) -> None:
+    """Take a body's held joints out and pose it where they hold it.
+
+    Joints of one body move it one after the other; those before a held one are seen from
+    where it takes the body.
+    """
+    place, turn = model.body(body.name).pos.copy(), model.body(body.name).quat.copy()
+    before: list[tuple[mujoco.MjsJoint, Array, Array]] = []
+    posed = False
+    for joint in list(body.joints):
+        known = model.joint(joint.name)
+        anchor, axis = known.pos.copy(), known.axis.copy()
+        if joint.name not in held:
+            before.append((joint, anchor, axis))
+            continue
+        way = held[joint.name] - float(known.qpos0[0])
+        slides = joint.type == mujoco.mjtJoint.mjJNT_SLIDE
+        spec.delete(joint)
+        if way:
+            by = _turn(axis, 0.0 if slides else way)
+            shift = axis * way if slides else anchor - _turned(anchor, by)
+            place, turn = place + _turned(shift, turn), _product(turn, by)
+            back = by * [1, -1, -1, -1]
+            before = [(j, _turned(p - shift, back), _turned(e, back)) for j, p, e in before]
+            posed = True
+    if posed:
+        _pose(body, place, turn, before)
+
+
+def _pose(
+    body: mujoco.MjsBody,
+    place: Array,
+    turn: Array,
+    joints: list[tuple[mujoco.MjsJoint, Array, Array]],
+) -> None:
+    """Set a body's pose in its carrier, and its joints' anchors and axes."""
+    body.set_frame(body.parent.add_frame())  # out of frames that would move it once more
+    body.pos, body.quat = place, turn
+    body.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    for joint, anchor, axis in joints:
+        joint.set_frame(body.add_frame())
+        joint.pos, joint.axis = anchor, axis
+
+
+def _drop_tendons(spec: mujoco.MjSpec, held: dict[str, float], path: Path) -> None:
+    """Take tendons along held joints out."""
+    for tendon in list(spec.tendons):
+        ends = [
+            wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT
+        ]
+        if not any(name in held for name in ends):
+            continue
+        acts = (*tendon.stiffness, *tendon.damping, tendon.armature, tendon.frictionloss)
+        if any(name not in held for name in ends) and (any(acts) or tendon.limited == 1):
+            raise ModelError(
+                f"{path}: tendon '{tendon.name}' couples held joints with others, which is not "
+                "supported; hold all joints along it"
+            )
+        spec.delete(tendon)
+
+
+def _turn(axis: Array, angle: float) -> Array:
+    quaternion = np.empty(4)
+    mujoco.mju_axisAngle2Quat(quaternion, axis, angle)
+    return quaternion
+
+
+def _turned(vector: Array, quaternion: Array) -> Array:
+    result = np.empty(3)
+    mujoco.mju_rotVecQuat(result, vector, quaternion)
+    return result
+
+
+def _product(first: Array, second: Array) -> Array:
+    result = np.empty(4)
+    mujoco.mju_mulQuat(result, first, second)
+    return result

@@ -1,0 +1,242 @@
+"""A URDF file's XML, made fit for any parser: checked, of plain numbers, locked joints fixed.
+
+What parsers pass over in silence is found here: numbers that urdfdom drops, loops, links
+that hang nowhere, floating and planar joints, misspelled elements.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from difflib import get_close_matches
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import FreeRootError, ModelError
+from testbed.robot.formats.urdf_numbers import numbers_of, plain, rewrite_numbers
+from testbed.robot.locks import Coupling, Lock, Travel, held_positions
+from testbed.robot.model_xml import read_xml
+from testbed.robot.rotations import about, from_rpy, to_rpy
+
+DEEPEST_LINKS = 1_500
+"""Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
+_MOVING = ("revolute", "continuous", "prismatic")
+_SUPPORTED = (*_MOVING, "fixed")
+_PARTS = {
+    "link": ("inertial",),
+    "joint": ("parent", "child", "origin", "axis", "limit", "dynamics", "mimic"),
+    "inertial": ("origin", "mass", "inertia"),
+}
+"""What counts of an element; the rest is for simulators, drawings and drives."""
+
+
+def supported_xml(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    lock: Lock | None = None,
+    keep_visuals: bool = False,
+) -> tuple[ET.Element, tuple[str, ...]]:
+    """The file's links and joints, checked for what is supported.
+
+    Args:
+        path: The file.
+        weld_root: Weld a floating root to the bedplate instead of refusing it.
+        lock: Joints to be held, which become fixed ones.
+        keep_visuals: Keep what is to be seen.
+
+    Returns:
+        The root element, and what was accepted although it is doubtful, a line each.
+
+    Raises:
+        ModelError: The file is not URDF, or holds what is not supported; FreeRootError for a
+            floating root, MimicError for a joint that follows another that moves.
+        UnknownName: A joint to be held is not there.
+    """
+    root = _checked(path, weld_root, keep_visuals)
+    return root, _hold(root.findall("joint"), lock or {}, path)
+
+
+def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Element:
+    """Links and joints alone, in one tree, their numbers plain."""
+    root = read_xml(path)
+    links, joints = root.findall("link"), root.findall("joint")
+    shown = root.findall("material") if keep_visuals else []
+    for link in links:
+        _keep(link, _PARTS["link"], path, also=("visual",) if keep_visuals else ())
+        for inertial in link.findall("inertial"):
+            _keep(inertial, _PARTS["inertial"], path, owner=f"link '{link.get('name', '?')}'")
+    for joint in joints:
+        _keep(joint, _PARTS["joint"], path)
+    root[:] = [*shown, *links, *joints]
+    carriers = _check_structure(links, joints, path)
+    for joint in joints:
+        _check_kind(joint, carriers, path, weld_root)
+        rewrite_numbers(joint, f"{path}: joint '{joint.get('name')}'")
+    for link in links:
+        for inertial in link.findall("inertial"):
+            rewrite_numbers(inertial, f"{path}: link '{link.get('name')}'", allow_nan=True)
+    return root
+
+
+def follower_names(path: Path) -> tuple[str, ...]:
+    """The joints of a URDF file that follow others that move."""
+    root = _checked(path, weld_root=True)
+    found = _travels(root.findall("joint"))
+    return tuple(name for name, each in found.items() if each.coupling and each.coupling.master)
+
+
+def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
+    """How the joints of a checked file move, by name; fixed ones do not."""
+    moving = {joint.get("name", ""): joint for joint in joints if joint.get("type") in _MOVING}
+    found = {}
+    for name, joint in moving.items():
+        low, high = -np.inf, np.inf
+        limit, mimic = joint.find("limit"), joint.find("mimic")
+        if limit is not None and joint.get("type") != "continuous":
+            ends = *numbers_of(limit, "lower"), *numbers_of(limit, "upper")
+            low, high = ends if any(ends) else (low, high)  # zeros: not known
+        coupling = None
+        if mimic is not None:
+            master = mimic.get("joint", "")
+            offset, slope = *numbers_of(mimic, "offset"), *numbers_of(mimic, "multiplier", "1")
+            still = any(j.get("name") == master and j not in moving.values() for j in joints)
+            coupling = Coupling(None if still else master, (offset,) if still else (offset, slope))
+        found[name] = Travel(low, high, coupling)
+    return found
+
+
+def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
+    """Make locked joints fixed ones, in the place where they are held."""
+    held, warnings = held_positions(_travels(joints), lock, path.name)
+    for joint in joints:
+        name = joint.get("name", "")
+        if joint.get("type") == "fixed":
+            for part in ("axis", "limit", "dynamics", "mimic"):
+                _remove(joint, part)
+        elif name in held:
+            if held[name]:
+                _move_origin(joint, held[name])
+            joint.set("type", "fixed")
+            for part in ("axis", "limit", "dynamics", "mimic"):
+                _remove(joint, part)
+        elif joint.get("type") != "continuous" and joint.find("limit") is None:
+            zeros = dict.fromkeys(("lower", "upper", "effort", "velocity"), "0")
+            ET.SubElement(joint, "limit", zeros)  # parsers want one; zeros: not known
+    return warnings
+
+
+def _move_origin(joint: ET.Element, position: float) -> None:
+    """Turn or shift a joint's origin by the joint's own motion."""
+    origin = joint.find("origin")
+    if origin is None:
+        origin = ET.SubElement(joint, "origin")
+    axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
+    axis /= np.linalg.norm(axis) or 1.0
+    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    if joint.get("type") == "prismatic":
+        place = np.array(numbers_of(origin, "xyz", "0 0 0")) + turn @ axis * position
+        origin.set("xyz", plain(list(place)))
+    else:
+        origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
+
+
+def _remove(element: ET.Element, tag: str) -> None:
+    for part in element.findall(tag):
+        element.remove(part)
+
+
+def _keep(
+    element: ET.Element,
+    parts: tuple[str, ...],
+    path: Path,
+    *,
+    owner: str = "",
+    also: tuple[str, ...] = (),
+) -> None:
+    """Leave only the parts that count, each once."""
+    owner = owner or f"{element.tag} '{element.get('name', '?')}'"
+    for child in list(element):
+        if child.tag in parts:
+            if len(element.findall(child.tag)) > 1:
+                raise ModelError(f"{path}: {owner} has more than one <{child.tag}>")
+        elif child.tag not in also:
+            meant = get_close_matches(str(child.tag).lower(), parts, n=1, cutoff=0.8)
+            if meant:
+                raise ModelError(
+                    f"{path}: {owner} holds <{child.tag:.40}>; did you mean <{meant[0]}>?"
+                )
+            element.remove(child)
+
+
+def _check_structure(
+    links: list[ET.Element], joints: list[ET.Element], path: Path
+) -> dict[str, ET.Element]:
+    """Whether the links hang together as one tree; the joint that carries each."""
+    for what, elements in (("link", links), ("joint", joints)):
+        names = [element.get("name", "") for element in elements]
+        if "" in names:
+            raise ModelError(f"{path}: a {what} has no name")
+        if len(set(names)) < len(names):
+            twice = next(name for k, name in enumerate(names) if name in names[:k])
+            raise ModelError(f"{path}: two {what}s have the name '{twice}'")
+    known = {link.get("name", "") for link in links}
+    carriers: dict[str, ET.Element] = {}
+    for joint in joints:
+        name, child = joint.get("name", ""), _end(joint, "child")
+        for end in ("parent", "child"):
+            if _end(joint, end) not in known:
+                raise ModelError(f"{path}: joint '{name}' has no {end} link '{_end(joint, end)}'")
+        if child in carriers:
+            raise ModelError(
+                f"{path}: link '{child}' is carried by joint '{carriers[child].get('name')}' and "
+                f"by joint '{name}'; closed loops are not supported"
+            )
+        carriers[child] = joint
+    _check_tree(known, carriers, path)
+    return carriers
+
+
+def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) -> None:
+    """Whether all links hang on one root, and not too deep: parsers recurse along them."""
+    roots = [name for name in known if name not in carriers]
+    below: dict[str, list[str]] = {}
+    for child, joint in carriers.items():
+        below.setdefault(_end(joint, "parent"), []).append(child)
+    reached, level, depth = set(roots), roots, 0
+    while level:
+        level = [child for link in level for child in below.get(link, [])]
+        reached.update(level)
+        depth += 1
+        if depth > DEEPEST_LINKS:
+            raise ModelError(f"{path}: a chain of more than {DEEPEST_LINKS} links")
+    if len(reached) < len(known):
+        lost = min(known - reached)
+        raise ModelError(
+            f"{path}: link '{lost}' hangs on no root; its chain of joints is a closed loop"
+        )
+    if len(roots) > 1:
+        listed = ", ".join(f"'{name}'" for name in sorted(roots)[:5])
+        raise ModelError(
+            f"{path}: {len(roots)} links are carried by no joint ({listed}); a robot has one such"
+        )
+
+
+def _end(joint: ET.Element, end: str) -> str:
+    element = joint.find(end)
+    return "" if element is None else element.get("link", "")
+
+
+def _check_kind(
+    joint: ET.Element, carriers: dict[str, ET.Element], path: Path, weld_root: bool
+) -> None:
+    name, kind = joint.get("name", "?"), joint.get("type", "?")
+    if kind == "floating" and _end(joint, "parent") not in carriers:
+        if not weld_root:
+            raise FreeRootError(path.name, name)
+        joint.set("type", "fixed")
+    elif kind not in _SUPPORTED:
+        raise ModelError(
+            f"{path}: joint '{name}' is of type '{kind:.40}', which is not supported "
+            f"(supported: {', '.join(_SUPPORTED)})"
+        )

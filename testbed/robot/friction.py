@@ -1,0 +1,171 @@
+"""Joint laws: what a joint's torque holds besides the forces that move the bodies.
+
+A law is a column, a function of the joint's velocity and acceleration, to be multiplied by a
+coefficient: friction, a rotor's inertia, an offset of the measured torque. This is the only
+place where they are written down: the kernel compiles these columns; simulation, prediction,
+units, scores and the command line read them here.
+
+To add a law, write a `JointLaw` and put it into LAWS. A law that is only tried out need not
+be there: `Settings(terms=("coulomb", my_law))` takes any `JointLaw`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import UnknownName
+from testbed.robot.tree import Joint, Tree
+
+
+@dataclass(frozen=True)
+class JointLaw:
+    """One kind of term of the joints' torques; every joint has a coefficient of its own.
+
+    Attributes:
+        kind: Its name: the estimate calls the coefficients `kind/JOINT`.
+        turning: Unit of the coefficient at a revolute joint.
+        sliding: Unit of the coefficient at a prismatic joint.
+        column: What the coefficient multiplies: a function of velocity and acceleration
+            [rad/s or m/s, rad/s^2 or m/s^2], element by element. Those in LAWS are
+            compiled for single numbers, too: arithmetic and NumPy's functions only.
+        parameter: The field of `Joint` that holds the model file's coefficient; None where
+            no model file states one.
+        resists: Whether it takes energy from the motion, as friction does: such a
+            coefficient cannot be negative.
+        jumps: Whether the column jumps where the motion reverses.
+    """
+
+    kind: str
+    turning: str
+    sliding: str
+    column: Callable[[Any, Any], Any]
+    parameter: str | None = None
+    resists: bool = False
+    jumps: bool = False
+
+    def unit(self, joint: Joint) -> str:
+        """Unit of the coefficient at a joint."""
+        return self.turning if joint.revolute else self.sliding
+
+    def coefficients(self, tree: Tree) -> Array:
+        """What the model file states, (n,); zero where it states nothing."""
+        if self.parameter is None:
+            return np.zeros(tree.n)
+        return np.array([getattr(joint, self.parameter) for joint in tree.joints], dtype=float)
+
+    def columns(self, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
+        """The column of every joint, shaped as `qd`.
+
+        Args:
+            qd: Velocities [rad/s or m/s].
+            qdd: Accelerations, of the same shape [rad/s^2 or m/s^2].
+            smooth: Speed over which a jump is smoothed [rad/s or m/s]; 0 for none.
+        """
+        found: Array = np.broadcast_to(self.column(qd, qdd), np.shape(qd))
+        return np.abs(found) * np.tanh(qd / smooth) if self.jumps and smooth else found
+
+
+def _sign(qd: Any, qdd: Any) -> Any:
+    return np.sign(qd)
+
+
+def _velocity(qd: Any, qdd: Any) -> Any:
+    return qd
+
+
+def _one(qd: Any, qdd: Any) -> Any:
+    return 1.0
+
+
+def _acceleration(qd: Any, qdd: Any) -> Any:
+    return qdd
+
+
+COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
+"""Dry friction: against the motion, however fast."""
+
+VISCOUS = JointLaw("viscous", "N m s/rad", "N s/m", _velocity, "viscous", resists=True)
+"""Friction in proportion to the velocity."""
+
+OFFSET = JointLaw("offset", "N m", "N", _one)
+"""What the drive reports too much: a constant."""
+
+ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
+"""Inertia of the drive's rotor, reflected to the joint."""
+
+LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR)
+"""All that can be asked for by name."""
+
+
+@dataclass(frozen=True)
+class JointTerm:
+    """One law at one joint.
+
+    Attributes:
+        law: Which.
+        joint: Index of the joint.
+    """
+
+    law: JointLaw
+    joint: int
+
+    def name(self, tree: Tree) -> str:
+        """Name of the coefficient: rotor/waist."""
+        return f"{self.law.kind}/{tree.names[self.joint]}"
+
+    def unit(self, tree: Tree) -> str:
+        """Unit of the coefficient."""
+        return self.law.unit(tree.joints[self.joint])
+
+
+def joint_terms(tree: Tree, laws: Iterable[JointLaw]) -> tuple[JointTerm, ...]:
+    """Every law at every joint, law by law."""
+    return tuple(JointTerm(law, j) for law in laws for j in range(tree.n))
+
+
+def joint_law(kind: str) -> JointLaw:
+    """The law of that name.
+
+    Raises:
+        UnknownName: There is none.
+    """
+    known = {law.kind: law for law in LAWS}
+    if kind not in known:
+        raise UnknownName("term of a joint's torque", kind, known)
+    return known[kind]
+
+
+def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:
+    """What friction takes at the joints, (..., n) [N m or N].
+
+    Args:
+        tree: Gives the coefficients.
+        qd: Velocities, (..., n) [rad/s or m/s].
+        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
+    """
+    laws = [law for law in LAWS if law.resists]
+    still = np.zeros_like(qd)
+    return _sum([law.coefficients(tree) * law.columns(qd, still, smooth) for law in laws])
+
+
+def drive_torque(tree: Tree, qd: Array, qdd: Array, smooth: float = 0.0) -> Array:
+    """What the drives deliver besides what moves the bodies, (..., n) [N m or N].
+
+    Args:
+        tree: Gives the coefficients: friction, and the rotors' inertias.
+        qd: Velocities, (..., n) [rad/s or m/s].
+        qdd: Accelerations, (..., n) [rad/s^2 or m/s^2].
+        smooth: Speed over which the sign of dry friction is smoothed [rad/s or m/s].
+    """
+    laws = [law for law in LAWS if law.parameter is not None]
+    return _sum([law.coefficients(tree) * law.columns(qd, qdd, smooth) for law in laws])
+
+
+def _sum(torques: list[Array]) -> Array:
+    total: Array = sum(torques[1:], torques[0])
+    return total

@@ -1,0 +1,167 @@
+"""Joints held still: which of them, where, and what goes along with them.
+
+A tree has one degree of freedom a joint. A joint that follows another (URDF's <mimic>,
+MJCF's equality between joints) has none of its own: it can be part of a tree only where
+it is held, or where the joint that it follows is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from testbed.errors import MimicError, ModelError, UnknownName
+from testbed.robot.decimals import decimals
+
+Lock: TypeAlias = Mapping[str, float | None]
+"""Positions of held joints by name [rad or m]; None: where a joint rests of itself."""
+
+_SLACK = 1e-6
+"""How far beyond its range a joint may be held: limits are rounded in files [rad or m]."""
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """A joint's position as a polynomial of another's.
+
+    Attributes:
+        master: The joint that is followed; None if the position is constant.
+        coefficients: Of the powers 0, 1, 2, ... of the master's position [rad, m].
+    """
+
+    master: str | None
+    coefficients: tuple[float, ...]
+
+    def position(self, master: float) -> float:
+        """Where the joint is when its master is there [rad or m]."""
+        return sum(c * master**k for k, c in enumerate(self.coefficients))
+
+
+@dataclass(frozen=True)
+class Travel:
+    """What a file says of how a joint moves.
+
+    Attributes:
+        low: Least position [rad or m], -inf if unknown.
+        high: Greatest position [rad or m], inf if unknown.
+        coupling: What it follows, if it does.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    coupling: Coupling | None = None
+
+    @property
+    def rest(self) -> float:
+        """Zero, or the middle of the range where that leaves zero out [rad or m]."""
+        if self.low <= 0 <= self.high:
+            return 0.0
+        if math.isinf(self.low) or math.isinf(self.high):
+            return self.high if math.isinf(self.low) else self.low
+        return self.low / 2 + self.high / 2
+
+
+def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
+    """What was typed as --lock JOINT or --lock JOINT=q.
+
+    Raises:
+        ModelError: A position is not a number, or one joint is given two.
+    """
+    lock: dict[str, float | None] = {}
+    for text in texts:
+        name, equals, place = text.partition("=")
+        value = decimals(place, 1)
+        if not name or (equals and value is None):
+            raise ModelError(f"--lock takes JOINT or JOINT=q [rad or m], found '{text}'")
+        position = value[0] if value else None
+        if lock.setdefault(name, position) != position:
+            raise ModelError(f"--lock {name} is given two positions")
+    return lock
+
+
+def held_positions(
+    joints: Mapping[str, Travel], lock: Lock, source: str
+) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Where which joints are held, followers of held joints included.
+
+    Args:
+        joints: All joints of the file that move.
+        lock: Those to be held.
+        source: The file, for messages.
+
+    Returns:
+        Positions by name [rad or m], and a line for each follower whose master goes elsewhere.
+
+    Raises:
+        UnknownName: A joint to be held is not there.
+        MimicError: A joint follows another that moves, and neither is held.
+        ModelError: A position is no number or out of range, or joints follow in a circle.
+    """
+    for name in lock:
+        if name not in joints:
+            raise UnknownName("joint to lock", name, joints)
+    held: dict[str, float] = {}
+    places: dict[str, float] = {}
+    free: dict[str, str] = {}
+    for name in _masters_first(joints, source):
+        coupling, wanted = joints[name].coupling, lock.get(name)
+        master = coupling.master if coupling else None
+        if wanted is not None:
+            places[name] = _within(name, float(wanted), joints[name], source)
+        elif coupling is not None:
+            places[name] = coupling.position(places.get(master or "", 0.0))
+        else:
+            places[name] = joints[name].rest
+        taken_along = coupling is not None and (master is None or master in held)
+        if name in lock or taken_along:
+            held[name] = places[name]
+        elif master:
+            free[name] = master
+    if free:
+        raise MimicError(source, free, tuple(m if m in joints else f for f, m in free.items()))
+    return held, tuple(_departures(joints, held))
+
+
+def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterable[str]:
+    """Followers that are held where their masters would not take them."""
+    for name, position in held.items():
+        coupling = joints[name].coupling
+        if coupling is None or coupling.master is None:
+            continue
+        master = coupling.master
+        if master not in held:
+            yield f"joint '{name}' follows '{master}', which moves; it is held at {position:g}"
+        elif abs(taken := coupling.position(held[master]) - position) > _SLACK:
+            yield (
+                f"joint '{name}' is held at {position:g}, where '{master}' would take it to "
+                f"{position + taken:g}"
+            )
+
+
+def _masters_first(joints: Mapping[str, Travel], source: str) -> Iterable[str]:
+    """All joints, each after the one it follows, if that is there."""
+    done: set[str] = set()
+    for last in joints:
+        chain: list[str] = []
+        name: str | None = last
+        while name is not None and name in joints and name not in done:
+            if name in chain:
+                raise ModelError(f"{source}: joint '{name}' follows itself")
+            chain.append(name)
+            coupling = joints[name].coupling
+            name = coupling.master if coupling else None
+        yield from reversed(chain)
+        done.update(chain)
+
+
+def _within(name: str, position: float, joint: Travel, source: str) -> float:
+    if not math.isfinite(position):
+        raise ModelError(f"{source}: joint '{name}' cannot be held at {position}")
+    if not joint.low - _SLACK <= position <= joint.high + _SLACK:
+        raise ModelError(
+            f"{source}: joint '{name}' cannot be held at {position:g}, out of its range "
+            f"{joint.low:g} ... {joint.high:g}"
+        )
+    return position

@@ -1,0 +1,92 @@
+"""A model file's XML, read within limits: nothing larger, deeper or worse named goes further.
+
+Parsers in C recurse over elements and print names; what would make them crash or would
+disturb a terminal is refused here, before they see it.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from testbed.errors import ModelError
+
+LARGEST = 64 * 2**20
+"""Size of a model file [bytes]; meshes are files of their own."""
+MOST_ELEMENTS = 200_000
+DEEPEST = 450
+"""Elements within each other; MuJoCo's own parser stops at 500."""
+LONGEST_NAME = 200
+_NAMES = {
+    "name", "model", "link", "joint", "joint1", "joint2", "body", "body1", "body2", "class",
+    "childclass", "type", "prefix", "file", "filename", "mesh", "material",
+}  # fmt: skip
+"""Attributes that name something: they come back in columns, files and messages."""
+_UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
+"""Unicode's control, format (bidirectional ones too), surrogate and separator characters."""
+
+
+def read_xml(path: Path) -> ET.Element:
+    """The root element of a model file.
+
+    Raises:
+        ModelError: There is no such file, it is not XML, or it is beyond a limit.
+    """
+    if not path.is_file():
+        raise ModelError(f"there is no model file '{path}'")
+    size = path.stat().st_size
+    if size > LARGEST:
+        raise ModelError(f"{path}: {size / 2**20:.0f} MiB; a model file has at most 64 MiB")
+    builder = _Limited(path)
+    try:
+        return ET.parse(path, ET.XMLParser(target=builder)).getroot()
+    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
+        raise ModelError(f"{path}: not well-formed XML ({error})") from None
+
+
+def check_name(name: str, what: str, path: Path) -> None:
+    """Whether a name can stand in a table, a file and a message.
+
+    Args:
+        name: As in the file.
+        what: Whose name it is, for the message.
+        path: The file, for the message.
+
+    Raises:
+        ModelError: It is too long, or holds characters that control a terminal or are unseen.
+    """
+    if len(name) > LONGEST_NAME:
+        raise ModelError(
+            f"{path}: {what} of {len(name)} characters, '{ascii(name[:20])[1:-1]}...'; a name has "
+            f"at most {LONGEST_NAME}"
+        )
+    if any(unicodedata.category(letter) in _UNSEEN for letter in name):
+        raise ModelError(
+            f"{path}: {what} {name!a:.60} holds control characters; names are plain text"
+        )
+
+
+class _Limited(ET.TreeBuilder):
+    """Elements as they come, counted."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self._path, self._depth, self._count = path, 0, 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        """An element begins."""
+        self._depth, self._count = self._depth + 1, self._count + 1
+        if self._depth > DEEPEST:
+            raise ModelError(f"{self._path}: elements stand more than {DEEPEST} deep in each other")
+        if self._count > MOST_ELEMENTS:
+            raise ModelError(f"{self._path}: more than {MOST_ELEMENTS} elements")
+        for key, value in attrs.items():
+            if key in _NAMES:
+                check_name(value, f"{key} in <{tag:.40}>", self._path)
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        """An element ends."""
+        self._depth -= 1
+        return super().end(tag)

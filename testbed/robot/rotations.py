@@ -1,0 +1,38 @@
+"""Rotations as matrices: about an axis, and by roll, pitch and yaw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from testbed.arrays import Array, skew
+
+_X, _Y, _Z = np.eye(3)
+
+
+def about(axis: Array, angle: float) -> Array:
+    """The turn about a unit vector by an angle [rad], (3, 3): Rodrigues' formula."""
+    cross = skew(axis)
+    turn: Array = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return turn
+
+
+def from_rpy(rpy: Sequence[float]) -> Array:
+    """Turns about the fixed axes x, y, z in this order by three angles [rad], (3, 3)."""
+    roll, pitch, yaw = rpy
+    turn: Array = about(_Z, yaw) @ about(_Y, pitch) @ about(_X, roll)
+    return turn
+
+
+def to_rpy(turn: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw of a rotation [rad].
+
+    Roll first, then the others from what it leaves: where the pitch is a right angle, roll
+    and yaw are arbitrary each, and only so do they belong together.
+    """
+    roll = float(np.arctan2(turn[2, 1], turn[2, 2]))
+    rest = turn @ about(_X, -roll)
+    yaw = float(np.arctan2(-rest[0, 1], rest[1, 1]))
+    level = np.cos(yaw) * rest[0, 0] + np.sin(yaw) * rest[1, 0]
+    return roll, float(np.arctan2(-rest[2, 0], level)), yaw

@@ -1,0 +1,138 @@
+"""Everything over time, and friction over velocity, as Rerun takes them: in columns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from testbed.arrays import Array
+from testbed.experiment.growth import growing_errors
+from testbed.viewer.colours import COLOURS, Colour, palette
+from testbed.viewer.robot_drawing import clock
+from testbed.viewer.scene import Scene, safe
+
+MOST_POINTS = 2000
+"""Points of a friction plot."""
+
+
+def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Positions; torques and wrench, measured and predicted, every sample; residuals, smoothed."""
+    recording, inner = scene.run.recording, clock(scene.motion.t)
+    names = scene.run.tree.names
+    series(
+        stream, f"{at}/position", clock(recording.time), recording.position, names,
+        palette(len(names)),
+    )  # fmt: skip
+    for signal in scene.predictions.signals:
+        labels = ["measured", *signal.predicted]
+        colours, widths = [COLOURS[label] for label in labels], [3.0] + [1.2] * len(labels[1:])
+        for c, channel in enumerate(signal.channels):
+            columns = [signal.measured[:, c], *(each[:, c] for each in signal.predicted.values())]
+            path = f"{at}/{signal.kind}/{safe(channel)}"
+            series(stream, path, inner, np.column_stack(columns), labels, colours, widths)
+    index = clock(scene.smooth.motion.t)
+    for signal in scene.smooth.signals:
+        for c, channel in enumerate(signal.channels if signal.predicted else ()):
+            rest = np.column_stack([signal.residual(m)[:, c] for m in signal.predicted])
+            path = f"{at}/residual/{signal.kind}/{safe(channel)}"
+            colours = [COLOURS[method] for method in signal.predicted]
+            series(stream, path, index, rest, list(signal.predicted), colours)
+
+
+def series(
+    stream: rr.RecordingStream,
+    path: str,
+    index: rr.TimeColumn,
+    values: Array,
+    labels: Sequence[str],
+    colours: Sequence[Colour],
+    widths: Sequence[float] | None = None,
+) -> None:
+    """Curves of one plot over time.
+
+    Args:
+        stream: Where to.
+        path: The plot's place among the entities.
+        index: M instants.
+        values: (M, k).
+        labels: (k,).
+        colours: (k,).
+        widths: Of the lines, (k,); default the viewer's.
+    """
+    lines = rr.SeriesLines(names=list(labels), colors=list(colours), widths=widths)
+    stream.log(path, lines, static=True)
+    columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
+    stream.send_columns(path, indexes=[index], columns=columns)
+
+
+def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Unexplained torque against velocity, and the friction found; a picture a joint.
+
+    Both axes are drawn from -1 to 1; their ticks say the true values.
+    """
+    rest = scene.predictions.unexplained_torque
+    if rest is None:
+        return
+    step = max(1, len(rest) // MOST_POINTS)
+    for j, joint in enumerate(scene.run.tree.joints):
+        width, height = scene.friction_axes(j)
+        points = np.column_stack(
+            [scene.motion.qd[::step, j] / width, -rest[::step, j] / height]  # y points down
+        )
+        path = f"{at}/{safe(joint.name)}"
+        dots = rr.Points2D(points, colors=[COLOURS["measured"]], radii=[0.006])
+        stream.log(f"{path}/points", dots, static=True)
+        units = ("rad/s", "N m") if joint.revolute else ("m/s", "N")
+        _log_axes(stream, f"{path}/axes", (width, height), units)
+        grid = np.zeros((201, scene.run.tree.n))
+        grid[:, j] = np.linspace(-width, width, 201)
+        curve = scene.predictions.friction(grid)
+        if curve is not None:
+            line = np.column_stack([grid[:, j] / width, -curve[:, j] / height])
+            strip = rr.LineStrips2D([line], colors=[COLOURS["internal"]], radii=[0.008])
+            stream.log(f"{path}/curve", strip, static=True)
+
+
+def _log_axes(
+    stream: rr.RecordingStream, path: str, ends: tuple[float, float], units: tuple[str, str]
+) -> None:
+    """Two axes that cross at zero, with ticks at round values and what they mean."""
+    strips, places, labels = [[[-1.1, 0.0], [1.1, 0.0]], [[0.0, 1.1], [0.0, -1.1]]], [], []
+    for axis, (end, unit) in enumerate(zip(ends, units, strict=True)):
+        round_value = tick(end)
+        for value in (-round_value, round_value):
+            place = [value / end, 0.0] if axis == 0 else [0.0, -value / end]
+            across = [0.0, 0.03] if axis == 0 else [0.03, 0.0]
+            strips.append([[p - a for p, a in zip(place, across, strict=True)],
+                           [p + a for p, a in zip(place, across, strict=True)]])  # fmt: skip
+            places.append(place)
+            labels.append(f"{value:g} {unit}")
+    lines = rr.LineStrips2D(strips, colors=[COLOURS["axis"]], radii=[0.003])
+    stream.log(path, lines, static=True)
+    ticks = rr.Points2D(
+        places, colors=[COLOURS["axis"]], radii=[0.001], labels=labels, show_labels=True
+    )
+    stream.log(f"{path}/ticks", ticks, static=True)
+
+
+def tick(end: float) -> float:
+    """The largest of 1, 2, 5 times a power of ten that an axis still reaches."""
+    power = 10.0 ** np.floor(np.log10(end))
+    return float(max(step * power for step in (1, 2, 5) if step * power <= end * (1 + 1e-9)))
+
+
+def log_growth(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Every minimal parameter's error as the data grow, in percent: a plot a body and method."""
+    for method, grown in scene.growth.items():
+        names = scene.run.estimates[method].names
+        errors = 100 * growing_errors(scene.run, method, grown)
+        for body, members in scene.bodies(method).items():
+            there = np.isfinite(errors[:, members]).all(axis=1)
+            if not there.any():
+                continue
+            labels = [names[k] for k in members]
+            path = f"{at}/{method}/{body + 1}"
+            index, values = clock(grown.time[there]), errors[there][:, members]
+            series(stream, path, index, values, labels, palette(len(labels)))

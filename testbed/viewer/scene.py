@@ -1,0 +1,184 @@
+"""What there is to see of a run, computed: motion, predictions, moments, sizes."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import rerun as rr
+
+from testbed.arrays import Array
+from testbed.dynamics.kinematics import poses
+from testbed.dynamics.motion import Motion
+from testbed.experiment.growth import Growth
+from testbed.experiment.predictions import Predictions, predict
+from testbed.experiment.run import Run
+from testbed.experiment.summary import summary, verdict
+from testbed.identification.estimate import Method
+from testbed.robot.visuals.appearance import Appearance, load_appearance
+
+PRESSED = 0.05
+"""Part of the largest force that must press for there to be a centre of pressure."""
+POSES = 50.0
+"""Poses shown a second [Hz]; the eye sees no more."""
+WINDOW = 5.0
+"""What is seen first: so long before and after the moment that tells most [s]."""
+CUTOFF = 10.0
+"""Of the low-pass on residuals: motions are slower [Hz]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One run, ready to be shown.
+
+    Attributes:
+        predictions: The run's recording beside what its estimates say of it.
+        appearance: What the robot looks like.
+        growth: Estimates from more and more of the recording, by method.
+    """
+
+    predictions: Predictions
+    appearance: Appearance
+    growth: Mapping[Method, Growth] = field(default_factory=dict)
+
+    @property
+    def run(self) -> Run:
+        """The run."""
+        return self.predictions.run
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful reader should know, of the run and of what cannot be shown."""
+        return (*self.run.warnings, *self.appearance.warnings)
+
+    @property
+    def motion(self) -> Motion:
+        """What the recording shows, without the ends that filters take."""
+        return self.predictions.motion
+
+    @property
+    def frames(self) -> slice:
+        """Samples of the motion at which poses are shown."""
+        return slice(0, self.motion.samples, max(1, round(self.run.recording.rate / POSES)))
+
+    @cached_property
+    def smooth(self) -> Predictions:
+        """The predictions through one low-pass."""
+        return self.predictions.smoothed(CUTOFF)
+
+    @cached_property
+    def wrench(self) -> Array | None:
+        """The measured wrench over the motion, (M, 6) [N, N m]; None if there was no plate."""
+        for signal in self.predictions.signals:
+            if signal.kind == "wrench":
+                return signal.measured
+        return None
+
+    @cached_property
+    def span(self) -> float:
+        """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
+        placed = poses(self.run.tree, self.motion.q[self.frames])
+        far = [position for _, position in placed]
+        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.appearance.tips.items()]
+        return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+
+    @cached_property
+    def window(self) -> tuple[float, float]:
+        """The seconds seen first: around the moment at which the estimates differ most."""
+        time = self.motion.t
+        first, last = float(time[0]), float(time[-1])
+        length = min(2 * WINDOW, last - first)
+        start = min(max(first, self.moment - length / 2), last - length)
+        return start, start + length
+
+    @cached_property
+    def moment(self) -> float:
+        """When a prediction of the wrench is farthest off, in parts of its channel's spread [s].
+
+        Without a plate, of the torques; without predictions, when a channel is farthest from
+        its mean.
+        """
+        signals = self.smooth.signals
+        if not signals:
+            return float(self.motion.t[0])
+        signal = signals[0]
+        spread = np.maximum(signal.measured.std(axis=0), 1e-12)
+        rest = [signal.residual(method) for method in signal.predicted]
+        off = rest or [signal.measured - signal.measured.mean(axis=0)]
+        worst = np.max([(np.abs(each) / spread).max(axis=1) for each in off], axis=0)
+        return float(self.smooth.motion.t[worst.argmax()])
+
+    def bodies(self, method: Method) -> dict[int, list[int]]:
+        """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
+        found: dict[int, list[int]] = {}
+        for k, body in enumerate(self.run.estimates[method].minimal.bodies):
+            found.setdefault(body, []).append(k)
+        return dict(sorted(found.items()))
+
+    @cached_property
+    def notes(self) -> str:
+        """What was found and what to be careful about, as Markdown."""
+        run = self.run
+        said = [line for line in (*summary(run), verdict(run)) if line]
+        lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
+        if run.experiment is not None and run.experiment.claim:
+            lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
+        if self.warnings:
+            lines.append("## Warnings")
+            lines.append("\n".join(f"- {plain(line)}" for line in self.warnings))
+        return "\n\n".join(lines)
+
+    def friction_axes(self, j: int) -> tuple[float, float]:
+        """Largest speed and largest unexplained torque of a joint, where its axes end."""
+        rest = self.predictions.unexplained_torque
+        torque = 1e-9 if rest is None else max(float(np.abs(rest[:, j]).max()), 1e-9)
+        return max(float(np.abs(self.motion.qd[:, j]).max()), 1e-9), torque
+
+
+def scene_of(run: Run, growth: Mapping[Method, Growth] | None = None) -> Scene:
+    """Compute what there is to see of a run.
+
+    Args:
+        run: The run.
+        growth: Its estimates from more and more of the recording; default none.
+    """
+    appearance = load_appearance(run.tree, run.model)
+    return Scene(predict(run), appearance, growth or {})
+
+
+def root(k: int, count: int) -> str:
+    """Where the k-th of several runs stands among the entities."""
+    return "" if count == 1 else f"/run{k + 1}"
+
+
+def safe(name: str) -> str:
+    """A joint's or parameter's name as one part of an entity's path."""
+    return str(rr.escape_entity_path_part(name))
+
+
+def plain(text: str) -> str:
+    """Text that Markdown takes as it is: asterisks of parameters' names, for one."""
+    return re.sub(r"([\\`*_{}\[\]()#+.!<>|~-])", r"\\\1", text)
+
+
+def pressure(wrench: Array) -> Array:
+    """Centre of pressure on the bedplate's plane z = 0, (M, 2) [m]; nan where it is hardly pressed.
+
+    Args:
+        wrench: Of the bedplate on the robot, (M, 6) [N, N m].
+    """
+    fz = wrench[:, 2]
+    pressed = fz > PRESSED * np.abs(wrench[:, :3]).max(initial=1e-9)
+    pressing = np.where(pressed, fz, np.nan)
+    return np.column_stack([-wrench[:, 4] / pressing, wrench[:, 3] / pressing])
+
+
+def means(signal: Array, size: int) -> Array:
+    """Means of consecutive blocks of `size` samples, (blocks, k)."""
+    blocks = -(-len(signal) // size)
+    starts = np.arange(blocks) * size
+    counts = np.diff([*starts, len(signal)])
+    return np.asarray(np.add.reduceat(signal, starts, axis=0) / counts[:, None])

@@ -1,0 +1,173 @@
+"""The judge is judged: every metric anew from what a run folder's result keeps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.experiment.experiment_tables import METRICS, Bound
+from testbed.experiment.results import result
+from testbed.experiment.run import Run
+from testbed.experiment.score import relative_errors, score
+from testbed.identification.estimate import METHODS, Method
+from tests.helpers.ideal import ideal
+from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of
+
+Row = tuple[str, str, float, float, float]  # name, unit, value, sigma, truth
+
+judged = cache(judged_run)
+
+
+def rows(stored: dict[str, Any], method: Method) -> list[Row]:
+    table = stored[method]
+    columns = ("names", "units", "values", "sigma", "truth")
+    return list(zip(*(table[column] for column in columns), strict=True))
+
+
+def relative(row: Row, table: list[Row]) -> float | None:
+    """The error over the true value, or over 1 % of the largest of its unit."""
+    _, unit, value, _, truth = row
+    largest = max(abs(other[4]) for other in table if other[1] == unit)
+    return None if largest == 0 else (value - truth) / max(abs(truth), largest / 100)
+
+
+def told(errors: list[float | None]) -> list[float]:
+    return [error for error in errors if error is not None]
+
+
+def rms(errors: list[float]) -> float:
+    return math.sqrt(math.fsum(error**2 for error in errors) / len(errors))
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("method", METHODS)
+def test_stored_errors_are_those_of_the_stored_values(name: str, method: Method) -> None:
+    stored = result(judged(name))
+    table = rows(stored, method)
+    for row, share, z in zip(
+        table, stored[method]["relative_error"], stored[method]["z"], strict=True
+    ):
+        _, _, value, sigma, truth = row
+        assert z == pytest.approx((value - truth) / sigma, rel=1e-12)
+        expected = relative(row, table)
+        assert share == (None if expected is None else pytest.approx(expected, rel=1e-12))
+        if share:
+            assert (share > 0) == (value > truth)  # whatever the sign of the truth
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("method", METHODS)
+def test_stored_truths_are_the_robots(name: str, method: Method) -> None:
+    tree, table = robot(name), rows(result(judged(name)), method)
+    model = tb.minimal_set(tree, "reaction" if method == "external" else "dynamic")
+    true = dict(zip(model.names, model.values(tb.barycentric(tree)), strict=True))
+    if method == "internal":
+        for joint in tree.joints:
+            true |= {f"coulomb/{joint.name}": joint.coulomb, f"viscous/{joint.name}": joint.viscous}
+    assert {row[0]: row[4] for row in table} == pytest.approx(true, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_metric_again_from_the_stored_table(name: str) -> None:
+    stored, run = result(judged(name)), judged(name)
+    expected: dict[str, float] = {}
+    for method in METHODS:
+        table, count = rows(stored, method), stored[method]["count"]
+        own = told([relative(row, table) for row in table[:count]])
+        expected[f"{method}_max_relative_error"] = max(map(abs, own))
+        expected[f"{method}_max_z"] = max(abs(v - t) / s for _, _, v, s, t in table[:count])
+    torques = rows(stored, "internal")
+    count = stored["internal"]["count"]
+    expected["internal_rms_relative_error"] = rms(
+        told([relative(row, torques) for row in torques[:count]])
+    )
+    friction = told([relative(row, torques) for row in torques[count:]])
+    if friction:
+        expected["friction_max_relative_error"] = max(map(abs, friction))
+    # delta_d = S delta_r, S from the sets' matrices alone
+    dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("dynamic", "reaction"))
+    s = np.linalg.lstsq(reaction.matrix.T, dynamic.matrix.T, rcond=None)[0].T
+    by_plate = s @ np.array(stored["external"]["values"])
+    shared = [(n, u, v, s, t) for (n, u, _, s, t), v in zip(torques, by_plate, strict=False)]
+    errors = told([relative(row, shared) for row in shared])
+    expected["external_rms_relative_error"] = rms(errors)
+    expected["internal_to_external"] = expected["internal_rms_relative_error"] / rms(errors)
+    assert stored["metrics"] == pytest.approx(expected, rel=1e-6)
+
+
+def test_robots_have_every_metric_but_the_friction_that_they_lack() -> None:
+    assert set(judged("puma").metrics) == set(METRICS)
+    for name in ("ur5", "gantry", "random"):
+        assert set(METRICS) - set(judged(name).metrics) == {"friction_max_relative_error"}
+
+
+def test_a_kind_of_friction_that_no_joint_has_counts_nowhere() -> None:
+    """Dry friction alone: what is found of viscous friction has no scale to be judged on."""
+    tree = robot("puma")
+    dry = replace(tree, joints=tuple(replace(joint, viscous=0.0) for joint in tree.joints))
+    run = run_of(dry, asked=experiment())
+    internal, errors = run.estimates["internal"], run.score.errors["internal"]  # type: ignore[union-attr]
+    names = np.array(internal.names)
+    viscous = np.char.startswith(names, "viscous/")
+    assert np.isnan(errors.relative[viscous]).all()
+    assert np.isfinite(errors.relative[~viscous]).all()
+    dry_alone = np.abs(errors.relative[np.char.startswith(names, "coulomb/")]).max()
+    assert run.metrics["friction_max_relative_error"] == dry_alone
+
+
+def test_scales_are_of_one_unit_and_never_of_rounding() -> None:
+    units = ("kg", "kg", "kg m", "kg m", "N m")
+    truth = np.array([40.0, 0.0, -2.0, 0.001, 1e-15])
+    values = truth + 0.1
+    found = relative_errors(values, truth, units)
+    np.testing.assert_allclose(found[:4], [0.1 / 40, 0.1 / 0.4, 0.05, 0.1 / 0.02], rtol=1e-12)
+    assert np.isnan(found[4])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_method_without_estimate_has_no_metrics(method: Method) -> None:
+    run = judged("puma")
+    alone = score(run.tree, {method: run.estimates[method]}, False, True)
+    other = next(m for m in METHODS if m != method)
+    lost = {name for name in METRICS if name.startswith(f"{other}_")} | {"internal_to_external"}
+    if method == "external":
+        lost |= {"friction_max_relative_error"}
+    assert alone.metrics == {k: v for k, v in run.metrics.items() if k not in lost}
+    assert set(alone.errors) == {method}
+    assert set(alone.truths) == set(run.estimates[method].names)
+
+
+def test_without_friction_in_the_plant_the_truth_is_none() -> None:
+    run = judged("puma")
+    smooth = score(run.tree, run.estimates, False, False)
+    assert {v for k, v in smooth.truths.items() if "/" in k} == {0.0}
+    assert "friction_max_relative_error" not in smooth.metrics
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_better_data_have_better_scores(name: str) -> None:
+    """A tenth of the noise is a tenth of every error; sigmas go with them."""
+    tree = robot(name)
+    perfect = ideal(tree)
+    coarse, fine = (
+        run_of(tree, noisy(perfect, size=size), experiment()).metrics for size in (0.5, 0.05)
+    )
+    for metric, value in coarse.items():
+        same = metric.endswith(("_z", "to_external"))
+        assert fine[metric] == pytest.approx(value if same else value / 10, rel=1e-3), metric
+
+
+def test_claims_about_what_is_not_there_fail() -> None:
+    expect = {
+        "friction_max_relative_error": Bound(at_most=1e9),
+        "external_max_z": Bound(at_most=1e9),
+    }
+    run: Run = run_of(robot("ur5"), asked=experiment(expect=expect))
+    assert run.verdicts == {"friction_max_relative_error": False, "external_max_z": True}
+    assert not run.as_expected

@@ -1,0 +1,47 @@
+"""Plants in single states and along short motions, for tests of the simulation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.excitation.fourier import Fourier
+from testbed.robot.model_file import ModelFile
+from testbed.simulation.build import build_plant
+from testbed.simulation.plant import Plant
+from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
+from tests.helpers.paths import ROOT
+
+PUMA = ROOT / "models/puma562.xml"
+
+
+def sensed(plant: Plant, q: Array, qd: Array, effort: Array) -> tuple[Array, Array, Array]:
+    """Acceleration, joint friction and bedplate wrench in one state of the plant."""
+    data = mujoco.MjData(plant.model)
+    data.qpos[plant.order], data.qvel[plant.order], data.ctrl[:] = q, qd, effort
+    mujoco.mj_forward(plant.model, data)
+    friction = -(data.qfrc_passive + data.qfrc_constraint)[plant.order]
+    wrench = plant.bedplate_wrench(data.sensordata[plant.plate])
+    return data.qacc[plant.order].copy(), friction, wrench
+
+
+def run(
+    tree: tb.Tree,
+    path: Path,
+    motion: Fourier,
+    sampling: Sampling,
+    step: float,
+    friction: bool = True,
+) -> Rollout:
+    plant = build_plant(ModelFile(path), tree, step, friction=friction)
+    tree = tree if friction else tree.without_friction()
+    return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
+
+
+def waving(n: int) -> Fourier:
+    rng = np.random.default_rng(n)
+    return Fourier(0.5, np.zeros(n), 0.2 * rng.normal(size=(n, 2)), 0.2 * rng.normal(size=(n, 2)))

@@ -1,0 +1,98 @@
+"""Rerun's files read back, and its real viewer without a screen."""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+LAVAPIPE = Path("/usr/share/vulkan/icd.d/lvp_icd.x86_64.json")
+"""Mesa's software Vulkan driver."""
+
+
+def columns(path: Path, entity: str, column: str, *, static: bool = False) -> np.ndarray[Any, Any]:
+    """All samples of one entity's column, in the file's order."""
+    found = [
+        np.array(each.flatten().to_pylist(), dtype=float)
+        for each in _chunks(path, entity, column, static)
+    ]
+    return np.concatenate(found)
+
+
+def words(path: Path, entity: str, column: str) -> list[str]:
+    """What a static column of text says."""
+    return [
+        word for each in _chunks(path, entity, column, True) for word in each.flatten().to_pylist()
+    ]
+
+
+def entities(path: Path) -> set[str]:
+    """All that a file speaks of."""
+    reader = RrdReader(str(path))
+    store = reader.store(store=reader.recordings()[0])
+    return {str(chunk.entity_path) for chunk in store.stream()}
+
+
+def _chunks(path: Path, entity: str, column: str, static: bool) -> Iterator[Any]:
+    reader = RrdReader(str(path))
+    store = reader.store(store=reader.recordings()[0])
+    for chunk in store.stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if chunk.is_static is static and column in batch.schema.names:
+            yield batch.column(column)
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+@contextmanager
+def headless_viewer(folder: Path) -> Iterator[tuple[Any, int]]:
+    """The real viewer, drawing without a screen, and its port.
+
+    A test is skipped where there is no driver that draws.
+    """
+    if not LAVAPIPE.exists():
+        pytest.skip("no software Vulkan driver on this machine")
+    experimental = pytest.importorskip("rerun.experimental")
+    wanted = {
+        "VK_ICD_FILENAMES": str(LAVAPIPE),
+        "WGPU_BACKEND": "vulkan",
+        "XDG_RUNTIME_DIR": str(folder),
+        "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
+    }
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
+    port = free_port()
+    spawn = experimental.ViewerClient.spawn
+    try:
+        with spawn(headless=True, port=port, hide_welcome_screen=True) as viewer:
+            yield viewer, port
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def settled(viewer: Any) -> list[Any]:
+    """The viewer's views, once they are there."""
+    for _ in range(60):
+        time.sleep(0.5)
+        views: list[Any] = list(viewer.get_state().views)
+        if len(views) > 3:
+            return views
+    raise AssertionError("the viewer shows no views")

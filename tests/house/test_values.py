@@ -1,0 +1,124 @@
+"""Values stay as they were made: frozen, with arrays of one shape that nobody writes to."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import Limits
+from testbed.robot.visuals.shapes import Shape
+
+
+def dataclasses_of_the_project() -> list[type[Any]]:
+    found = []
+    for module in pkgutil.walk_packages(tb.__path__, "testbed."):
+        if not module.name.endswith("__main__"):
+            inside = vars(importlib.import_module(module.name)).values()
+            found += [
+                each
+                for each in inside
+                if inspect.isclass(each)
+                and each.__module__ == module.name
+                and dataclasses.is_dataclass(each)
+            ]
+    return found
+
+
+def arrays_of(kind: type[Any]) -> list[str]:
+    return [each.name for each in dataclasses.fields(kind) if "Array" in str(each.type)]
+
+
+CLASSES = dataclasses_of_the_project()
+NOUNS = [each for each in CLASSES if not each.__name__.startswith("_")]
+CHECKED = [each for each in NOUNS if "__post_init__" in vars(each) and arrays_of(each)]
+"""Values that people make: their shapes are checked."""
+
+rng = np.random.default_rng(0)
+
+
+def some(*shape: int) -> np.ndarray:
+    return rng.normal(size=shape)
+
+
+NOTHING: Any = None  # where arrays alone matter
+
+EXAMPLES: dict[str, Any] = {
+    "Motion": lambda: tb.Motion(some(4), some(4, 2), some(4, 2), some(4, 2)),
+    "Fourier": lambda: Fourier(0.1, some(2), some(2, 3), some(2, 3)),
+    "Limits": lambda: Limits(*some(5, 2)),
+    "Inertia": lambda: tb.Inertia(1.0, some(3), some(3, 3)),
+    "Joint": lambda: tb.Joint("a", "b", "revolute", -1, some(3), some(3), some(3, 3), some(2)),
+    "Tree": lambda: tb.Tree("none", (), (), gravity=some(3)),
+    "Shape": lambda: Shape(
+        0, "mesh", some(3), some(3), some(3, 3), some(4), some(5, 3), some(6, 3)
+    ),
+    "Estimate": lambda: tb.Estimate(
+        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
+        some(1), some(1), (5,), 1.0, NOTHING, (), NOTHING, None, ("a",),
+    ),
+    "Recording": lambda: tb.Recording(
+        ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
+        some(6),
+    ),
+}  # fmt: skip
+FREE = {("Shape", "size", 0), ("Shape", "vertices", 0), ("Shape", "faces", 0)}
+"""Axes of any length that nothing else has."""
+
+
+def test_every_checked_value_has_an_example() -> None:
+    assert {each.__name__ for each in CHECKED} == set(EXAMPLES)
+
+
+@pytest.mark.parametrize("kind", NOUNS, ids=lambda kind: kind.__name__)
+def test_values_are_frozen_and_those_with_arrays_are_themselves_alone(kind: type[Any]) -> None:
+    """Arrays have no one answer to `==`: what holds them is compared by identity."""
+    parameters = kind.__dataclass_params__
+    assert parameters.frozen
+    assert not (parameters.eq and arrays_of(kind))
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_arrays_of_values_refuse_to_be_written_to(name: str) -> None:
+    value = EXAMPLES[name]()
+    for field in arrays_of(type(value)):
+        array = getattr(value, field)
+        assert array.dtype == np.float64
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(value, field, array)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_values_do_not_change_with_what_they_were_made_of(name: str) -> None:
+    value = EXAMPLES[name]()
+    for field in arrays_of(type(value)):
+        given = getattr(value, field).copy()
+        made = dataclasses.replace(value, **{field: given})
+        before = getattr(made, field).copy()
+        given *= 2
+        np.testing.assert_array_equal(getattr(made, field), before)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_arrays_of_another_shape_are_refused_by_name(name: str) -> None:
+    """One entry more along any axis of any one array, or one axis more."""
+    value = EXAMPLES[name]()
+    for field in arrays_of(type(value)):
+        array = getattr(value, field)
+        longer = [
+            np.concatenate([array, np.take(array, [-1], axis)], axis)
+            for axis in range(array.ndim)
+            if (name, field, axis) not in FREE
+        ]
+        for other in (*longer, array[None], array[..., None]):
+            with pytest.raises(ValueError, match=r"\w+ has shape .*, expected \("):
+                dataclasses.replace(value, **{field: other})

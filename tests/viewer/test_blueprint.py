@@ -1,0 +1,153 @@
+"""What stands where at first sight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.experiment.growth import growth
+from testbed.experiment.predictions import WRENCH_UNITS
+from testbed.recordings.columns import AXES
+from testbed.viewer.blueprint import blueprint, live_blueprint
+from testbed.viewer.log import write_rrd
+from testbed.viewer.scene import Scene, scene_of
+from tests.helpers.ideal import ideal
+from tests.helpers.robots import random_robot
+from tests.helpers.runs import ROBOTS, noisy, robot, run_of
+from tests.helpers.viewer import entities
+
+
+def views(part: Any) -> Iterator[Any]:
+    """All views of a blueprint's part."""
+    inner = getattr(part, "contents", None)
+    if isinstance(inner, list | tuple):
+        for each in inner:
+            yield from views(each)
+    else:
+        yield part
+
+
+def tabs_of(page: Any) -> Any:
+    return page.root_container.contents[1]
+
+
+def names(parts: Any) -> list[str]:
+    return [part.name for part in parts]
+
+
+def test_the_first_tab_shows_signals_and_what_is_left_over_side_by_side(scene: Scene) -> None:
+    tabs = tabs_of(blueprint([scene]))
+    assert names(tabs.contents) == ["wrench", "joints", "friction", "estimates", "notes"]
+    assert tabs.active_tab in (0, "wrench")
+    rows = tabs.contents[0].contents
+    assert len(rows) == 6
+    for row, axis, unit in zip(rows, AXES, WRENCH_UNITS, strict=True):
+        signal, rest = row.contents
+        assert signal.name == f"{axis} [{unit}]"
+        assert rest.name == f"{axis}: residual below 10 Hz [{unit}]"
+        assert (signal.origin, rest.origin) == (f"/wrench/{axis}", f"/residual/wrench/{axis}")
+
+
+@pytest.mark.parametrize("tab", ["wrench", "friction", "estimates", "notes"])
+def test_the_tab_that_was_asked_for_is_in_front(scene: Scene, tab: str) -> None:
+    tabs = tabs_of(blueprint([scene], tab))
+    assert tabs.active_tab == names(tabs.contents).index(tab)
+
+
+def test_plots_over_time_open_on_the_window(scene: Scene) -> None:
+    tabs = tabs_of(blueprint([scene]))
+    for tab in tabs.contents[:2]:
+        for view in views(tab):
+            shown = view.properties["TimeAxis"].view_range.pa_array.to_pylist()[0]
+            ends = [shown[side] for side in ("start", "end")]
+            assert [round(end["value"] if isinstance(end, dict) else end, -3) for end in ends] == [
+                round(1e9 * t, -3) for t in scene.window
+            ]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_view_looks_at_something(name: str, tmp_path: Path) -> None:
+    run = run_of(robot(name))
+    scene = scene_of(run, growth(run, [5.0]))
+    write_rrd([scene], tmp_path / "r.rrd")
+    there = entities(tmp_path / "r.rrd")
+    seen = list(views(blueprint([scene]).root_container))
+    assert len(seen) > 20
+    for view in seen:
+        assert any(f"{entity}/".startswith(f"{view.origin}/") for entity in there), view.origin
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_plot_has_its_unit(name: str) -> None:
+    run = run_of(robot(name))
+    scene = scene_of(run, growth(run, [5.0]))
+    tabs = tabs_of(blueprint([scene]))
+    kinds = {joint.name: joint.revolute for joint in run.tree.joints}
+    for view in views(tabs):
+        if view.origin == "/notes":
+            continue
+        assert "[" in view.name
+        joint = view.origin.removeprefix("/friction/")
+        if joint in kinds:
+            units = ("N m", "rad/s") if kinds[joint] else ("N", "m/s")
+            for unit in units:
+                assert f"[{unit}]" in view.name
+
+
+def test_growing_errors_are_scaled_by_the_late_ones(scene: Scene) -> None:
+    """What the first seconds say does not matter."""
+    wild = dict(scene.growth)
+    for method, grown in scene.growth.items():
+        values = grown.values.copy()
+        values[0] *= 1e6
+        wild[method] = replace(grown, values=values)
+    tame, mad = (
+        [view.properties["ScalarAxis"].range.pa_array.to_pylist() for view in views(each)]
+        for each in (
+            tabs_of(blueprint([one])).contents[3] for one in (scene, replace(scene, growth=wild))
+        )
+    )
+    assert tame == mad
+
+
+def test_a_robot_of_many_joints_stays_readable() -> None:
+    """No more than eight plots one below the other."""
+    tree = random_robot(np.random.default_rng(1), 20).tree()
+    run = run_of(tree, noisy(ideal(tree, duration=5.0)))
+    tabs = tabs_of(blueprint([scene_of(run, growth(run, [4.0]))]))
+
+    def depth(part: Any) -> int:
+        inner = getattr(part, "contents", None)
+        if not isinstance(inner, list | tuple):
+            return 1
+        deep = [depth(each) for each in inner]
+        kind = type(part).__name__
+        if kind == "Vertical":
+            return sum(deep)
+        if kind == "Grid":
+            return -(-len(inner) // (part.grid_columns or round(len(inner) ** 0.5))) * max(deep)
+        return max(deep)
+
+    assert depth(tabs) <= 9
+
+
+def test_without_estimates_there_are_signals_alone() -> None:
+    tree = robot("puma")
+    run = run_of(tree, ideal(tree).part(0, 5))
+    tabs = tabs_of(blueprint([scene_of(run)]))
+    assert names(tabs.contents)[-1] == "notes"
+    assert "estimates" not in names(tabs.contents)
+
+
+def test_while_it_is_simulated_there_are_robot_wrench_and_torques(puma: tb.Tree) -> None:
+    page = live_blueprint("table6", puma, 1.5)
+    origins = [view.origin for view in views(page.root_container)]
+    assert origins[0] == "/world"
+    assert origins[1:7] == [f"/wrench/{axis}" for axis in AXES]
+    assert origins[7:] == ["/position", *(f"/torque/{name}" for name in puma.names)]
