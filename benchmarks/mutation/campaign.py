@@ -17,16 +17,13 @@ from queue import SimpleQueue
 from typing import TypeAlias, TypeVar
 
 from benchmarks.mutation.changes import Mutant
-from benchmarks.mutation.coverage import Coverage, Test, digest
+from benchmarks.mutation.coverage import HOUSE, Coverage, Test, digest
 from benchmarks.mutation.draw import draw
 from benchmarks.mutation.workshop import Bench, load_packages
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "build" / "mutation"
 EQUIVALENT = ROOT / "benchmarks" / "equivalent_mutants.toml"
-
-HOUSE = ("house",)
-"""Folders of tests that are about all rooms."""
 
 PATIENCE, START, COMPILING = 5.0, 30.0, 300.0
 """Time for tests: this much longer than they took when traced, to start, to compile [s]."""
@@ -99,7 +96,7 @@ def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
     waiting = [m for m in waiting if m.key not in kept]
     if waiting:
         load_packages()
-        rooms = {*(mutant.room for mutant in waiting), *HOUSE} if plan.own else None
+        rooms = {*(mutant.room for mutant in waiting), HOUSE} if plan.own else None
         shop = Shop(plan, rooms)
         if shop.trace(say):
             for result in shop.try_all(waiting):
@@ -141,7 +138,7 @@ class Shop:
         def judge(bench: Bench, mutant: Mutant) -> Result:
             seeing = self._coverage.seeing(mutant, tests)
             if self._plan.own:
-                seeing = [test for test in seeing if test.room in (mutant.room, *HOUSE)]
+                seeing = [test for test in seeing if test.room in (mutant.room, HOUSE)]
             compiles = self._coverage.is_compiled(mutant.module)
             bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
             by = ""
@@ -227,6 +224,17 @@ def set_aside() -> dict[tuple[str, str, str, str], str]:
         for each in [mutated] if isinstance(mutated, str) else mutated:
             place = entry["module"], entry["function"], entry["original"], each
             found[place] = entry["because"]
+    return found
+
+
+def stale() -> list[tuple[str, str, str, str]]:
+    """What is set aside of lines that are not there any more."""
+    found = []
+    for place in set_aside():
+        path = ROOT / place[0]
+        text = " ".join(path.read_text().split()) if path.is_file() else ""
+        if place[2] not in text:
+            found.append(place)
     return found
 
 

@@ -8,6 +8,7 @@ left alone: docstrings, annotations, messages of errors, imports, blocks for typ
 from __future__ import annotations
 
 import ast
+import builtins
 import copy
 import hashlib
 from collections.abc import Iterator
@@ -42,7 +43,9 @@ _ARITHMETIC: dict[type[ast.operator], type[ast.operator]] = {
     ast.Pow: ast.Mult,
     ast.BitAnd: ast.BitOr,
 }
-_SWAPPED = (ast.MatMult, ast.BitOr)  # operators whose operands change places
+_SWAPPED = (ast.MatMult, ast.BitOr)
+"""Operators whose operands change places."""
+
 _KEYED = ("get", "pop", "startswith", "endswith", "removeprefix", "removesuffix", "getattr")
 """Functions whose strings are looked up, not read by people."""
 
@@ -281,7 +284,7 @@ def _of_operator(node: ast.Compare | ast.BinOp | ast.UnaryOp | ast.BoolOp) -> It
                     yield "comparison", node, _like(node, ops=ops)
         case ast.BinOp() if type(node.op) in _ARITHMETIC:
             yield "arithmetic", node, _like(node, op=_ARITHMETIC[type(node.op)]())
-        case ast.BinOp() if isinstance(node.op, _SWAPPED):
+        case ast.BinOp() if isinstance(node.op, _SWAPPED) and not _is_flag(node.right):
             yield "arithmetic", node, _like(node, left=node.right, right=node.left)
         case ast.UnaryOp(op=ast.USub()) | ast.UnaryOp(op=ast.Not()):
             yield "sign or not dropped", node, node.operand
@@ -290,6 +293,15 @@ def _of_operator(node: ast.Compare | ast.BinOp | ast.UnaryOp | ast.BoolOp) -> It
             yield "and, or", node, _like(node, op=swapped)
         case _:
             pass
+
+
+def _is_flag(node: ast.expr) -> bool:
+    """Whether it looks like one of several bits or types: their order does not matter."""
+    if isinstance(node, ast.Name):
+        return node.id[0].isupper() or isinstance(getattr(builtins, node.id, None), type)
+    return isinstance(node, ast.Attribute) or (
+        isinstance(node, ast.Call) and ast.unparse(node.func) == "int"
+    )
 
 
 def _forced(test: ast.expr, loops: bool = False) -> Iterator[Change]:

@@ -17,6 +17,9 @@ from typing import Any
 
 from benchmarks.mutation.changes import Mutant, room_of
 
+HOUSE = "house"
+"""The folder of tests about all rooms: they look at modules without running them."""
+
 COMPILER = "testbed/kernel/compiler.py"
 """What imports it, directly or not, may hold compiled functions."""
 
@@ -117,6 +120,7 @@ class Coverage:
             found = [t for t in tests if not t.lines.get(mutant.module, _NONE).isdisjoint(lines)]
         else:
             found = self._importing(mutant.module, tests)
+            found += [t for t in tests if t.room == HOUSE and not t.slow and t not in found]
         rank: dict[str, int] = defaultdict(int)
         ranked = []
         for test in sorted(found, key=lambda test: test.seconds):
@@ -126,15 +130,19 @@ class Coverage:
         return [test for *_, test in sorted(ranked, key=lambda entry: entry[:-1])]
 
     def _importing(self, module: str, tests: Sequence[Test]) -> list[Test]:
-        """Tests that execute a function of a module or of its nearest importers that have any."""
-        near = {module}
-        while near:
-            around = near | _importers(self._imports, near)
+        """Tests that execute a function of a module or of its nearest importers that have any.
+
+        What nobody imports is started as a program: then those of what it imports itself.
+        """
+        around = {module} | _importers(self._imports, {module})
+        if around == {module}:
+            around |= self._imports[module]
+        while True:
             found = [test for test in tests if around & test.lines.keys()]
-            if found or around == near:
+            wider = around | _importers(self._imports, around)
+            if found or wider == around:
                 return found
-            near = around
-        return []
+            around = wider
 
     def _closure(self, modules: set[str]) -> set[str]:
         """Modules and all that they import within the kernel."""

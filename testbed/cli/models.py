@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
@@ -24,6 +25,7 @@ from testbed.cli.options import (
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
+    from testbed.report.minimal_tables import Findings
     from testbed.robot.tree import Tree
 
 
@@ -69,6 +71,17 @@ def minimal(
         bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
     ] = False,
     as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
+    terms: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TERM",
+            help="A term of the joints' own torques, as rotor or offset; again for more.",
+        ),
+    ] = None,
+    matrices: Annotated[
+        bool | None,
+        typer.Option("--matrices/--no-matrices", help="With --json: the sets as matrices, too."),
+    ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
@@ -79,31 +92,47 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
-    from testbed.dynamics.witnesses import verify
+    from testbed.dynamics.witnesses import verify, verify_drives
     from testbed.parameters.identifiability import identifiability
+    from testbed.parameters.joint_terms import with_joint_terms
     from testbed.parameters.minimal_set import minimal_set
     from testbed.report import terminal
-    from testbed.report.minimal import as_document, print_sets
+    from testbed.report.minimal_tables import Findings, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
-    agreements = []
-    if check:  # known zeros are struck out afterwards: the rules are verified without them
-        general = minimal_set(tree, "reaction", gravity, tared=tared)
-        agreements = [
-            verify(tree, each) for each in (minimal_set(tree, "dynamic", gravity), general)
-        ]
+    drives = with_joint_terms(tree, dynamic, terms) if terms else None
     seen = identifiability(tree, gravity, known) if show_map or as_json else ()
+    found = Findings(tree, dynamic, reaction, drives, seen)
+    if check:
+        drives_agree = None if drives is None else verify_drives(tree, drives)
+        both = [verify(tree, each) for each in (dynamic, reaction)]
+        found = replace(found, agreements=both, drives_agree=drives_agree)
+    lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
     if as_json:
-        terminal.print_json(as_document(tree, dynamic, reaction, seen, agreements))
+        _print_minimal_json(found, matrices)
+    elif as_latex:
+        print_latex(terminal.console(), found, lengths)
     else:
-        console = terminal.console()
-        terminal.print_warnings(console, tree.warnings)
-        lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
-        print_sets(console, tree, dynamic, reaction, seen, agreements, lengths, as_latex)
-    raise typer.Exit(0 if all(each.holds for each in agreements) else 1)
+        terminal.print_warnings(terminal.console(), tree.warnings)
+        print_sets(terminal.console(), found, lengths)
+    raise typer.Exit(0 if found.hold else 1)
+
+
+def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
+    """For programs; large matrices only if asked for, and otherwise with a word about it."""
+    from testbed.report import terminal
+    from testbed.report.minimal_document import BYTES, MANY, as_document, matrix_numbers
+
+    numbers = matrix_numbers(found)
+    if matrices is None and numbers > MANY:
+        size = numbers * BYTES / 1e6
+        typer.echo(
+            f"the matrices, about {size:.0f} MB, are left out: add --matrices for them", err=True
+        )
+    terminal.print_json(as_document(found, numbers <= MANY if matrices is None else matrices))
 
 
 @app.command()
@@ -132,6 +161,9 @@ def equations(
         Path | None,
         typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
     ] = None,
+    max_terms: Annotated[
+        int | None, typer.Option(min=1, help="Refuse what takes more terms; default 150000.")
+    ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
@@ -144,6 +176,7 @@ def equations(
     """
     from testbed.files import fingerprint, replacing
     from testbed.symbolic.angles import right_angles
+    from testbed.symbolic.budget import MAX_TERMS
     from testbed.symbolic.equations import equations as derived
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
@@ -152,7 +185,7 @@ def equations(
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
-    known = _known(zeros, zero)
+    known, most = _known(zeros, zero), max_terms or MAX_TERMS
     if out is not None and out.resolve() == model.resolve():
         raise typer.BadParameter(f"--out {out} is the model file itself")
     if against is not None:
@@ -160,10 +193,10 @@ def equations(
             raise typer.BadParameter(
                 "--against compares and writes nothing: leave --what, --numbers, --out, --json out"
             )
-        _compare(tree, against, form, gravity, known)
+        _compare(tree, against, form, gravity, known, most)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
-    listing = derived(tree, names, form.value, gravity, known, numbers)
+    listing = derived(tree, names, form.value, gravity, known, numbers, most)
     text = write_equations(
         listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
     )
@@ -189,13 +222,16 @@ def _compare(
     form: _Form,
     gravity: tuple[float, float, float] | None,
     zeros: bool | list[str],
+    max_terms: int,
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
+    from testbed.files import read_text
     from testbed.symbolic.compare import compare_equations
     from testbed.symbolic.languages.paper import line
+    from testbed.symbolic.parse import TERM_LENGTH
 
-    text = path.read_text(encoding="utf-8", errors="replace")
-    found = compare_equations(tree, text, form.value, gravity, zeros)
+    text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
+    found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")

@@ -97,7 +97,7 @@ def canonical(tree: Tree) -> Canonical:
 
 def _upright(axis: Array) -> Array:
     """A frame with its z along a unit vector."""
-    x = across(axis)[0]
+    x = across(axis).axes[0]
     return np.column_stack([x, np.cross(axis, x), axis])
 
 

@@ -9,19 +9,8 @@ import numpy as np
 
 from testbed.arrays import AnyArray
 from testbed.kernel.canonical import Canonical, Link
-from testbed.kernel.records import (
-    CACHE,
-    KS,
-    NB,
-    PUSHED,
-    SEEDS,
-    SLIDING,
-    TURNING,
-    USUAL,
-    Bools,
-    Ints,
-    Rows,
-)
+from testbed.kernel.constants import CACHE, KS, NB, PUSHED, SEEDS, SLIDING, TURNING, USUAL
+from testbed.kernel.records import Bools, Ints, Rows
 
 
 class Pair(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.kernel.compiler import WIDE, inline, outer, part, plain, summing
-from testbed.kernel.records import CHUNK, D
+from testbed.kernel.constants import CHUNK, D
 from testbed.kernel.rows import dot, fill
 
 
@@ -133,11 +133,12 @@ def dots(E, X, n):
 
 
 @plain
-def weigh(weights, step, centre, count, at, n, slots, flags, Y, H, Z):
+def weigh(rows, signals, work, centre, count, at, n):
     """Add what a chunk of samples gives to the filtered rows that it reaches.
 
-    centre: sample of the block's first row; at, n: the chunk's samples.
+    centre: sample of the block's first row; count: its rows; at, n: the chunk's samples.
     """
+    weights, step, Y, H, Z = signals.weights, signals.step, work.Y, work.H, work.Z
     half = len(weights) // 2
     lo = max(0, -((centre + half - at) // step)) // 4 * 4
     hi = min(count, (at + n - 1 + half - centre) // step + 1)
@@ -147,38 +148,39 @@ def weigh(weights, step, centre, count, at, n, slots, flags, Y, H, Z):
         for k in range(CHUNK):
             inside = 0 <= behind + k < len(weights) and k < n and r < count
             row[k] = weights[behind + k] if inside else 0.0
-    for s in range(0, slots, 4):
+    for s in range(0, rows.slots, 4):
         for r in range(lo, hi, 4):
             y, h = Y[s * D : (s + 4) * D], H[(r - lo) * D : (r - lo + 4) * D]
             fitting_tile(y, h, CHUNK, Z, s * D + r, D)
     now = max(0, -((centre - at) // step))  # rows whose own sample is here
     for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
-        for s in range(slots, slots + flags):
+        for s in range(rows.slots, rows.slots + len(rows.measured)):
             Z[s * D + r] = Y[s * D + centre + r * step - at]
 
 
 @plain
-def rest_joints(slots, start, width, count, Z, used):
+def rest_joints(rows, work, count, sums):
     """Zero rows of joints that rest; count the others."""
-    for c in range(len(start)):
-        U = Z[(slots + c) * D : (slots + c) * D + count]
+    Z = work.Z
+    for c in range(len(rows.start)):
+        U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
         moving = dot(U, U, count)
-        used[c] += moving
+        sums.used[c] += moving
         if moving < count:
-            for s in range(start[c], start[c] + width[c]):
+            for s in range(rows.start[c], rows.start[c] + rows.width[c]):
                 for k in range(count):
                     Z[s * D + k] *= U[k]
 
 
 @plain
-def gram(slot, size, width, place, Z, count, G):
+def gram(rows, work, count, sums):
     """Add the products of all pairs of slots, group by group of rows; lower triangles."""
-    n = -(-count // 8) * 8
-    for g in range(len(slot)):
-        p, ld = size[g], width[g]
-        X = Z[slot[g] * D : (slot[g] + ld) * D]
+    n, G = -(-count // 8) * 8, sums.products
+    for g in range(len(rows.group_slot)):
+        p, ld, slot = rows.group_size[g], rows.group_width[g], rows.group_slot[g]
+        X = work.Z[slot * D : (slot + ld) * D]
         for a in range(0, p, 4):
-            at = place[g] + a * ld
+            at = rows.group_gram[g] + a * ld
             for b in range(0, a, 4):
                 here, there = X[a * D : (a + 4) * D], X[b * D : (b + 4) * D]
                 if p - a == 1:
@@ -201,45 +203,43 @@ def add(f, X, n, Y):
 
 
 @part
-def subtract(start, width, Z, c, at, n, factors, E):
+def subtract(rows, work, c, at, n, factors, E):
     """E = residual of a channel: the sum of its slots times `factors`."""
     E[:n] = 0.0
-    for s in range(start[c], start[c] + width[c], 4):
-        add(factors[s : s + 4], Z[s * D + at : (s + 4) * D], n, E)
+    for s in range(rows.start[c], rows.start[c] + rows.width[c], 4):
+        add(factors[s : s + 4], work.Z[s * D + at : (s + 4) * D], n, E)
 
 
 @part
-def score(start, measured, unknown, Z, c, at, n, E, bin, scores):
-    """Add columns of a channel times E to a bin of scores."""
-    for s in range(start[c], measured[c], 4):
-        found = dots(E, Z[s * D + at : (s + 4) * D], n)
+def score(rows, work, c, at, n, E, scores):
+    """Add columns of a channel times E to the scores of one bin."""
+    for s in range(rows.start[c], rows.measured[c], 4):
+        found = dots(E, work.Z[s * D + at : (s + 4) * D], n)
         for i in range(4):
-            u = unknown[s + i]
+            u = rows.unknown[s + i]
             if u >= 0:
-                scores[bin, u] += found[i]
+                scores[u] += found[i]
 
 
 @plain
-def residual(
-    start, width, measured, unknown, Z, R, count, factors, weights, bins, first, moments, scores
-):  # fmt: skip
-    """Residuals, their products, and scores: columns times weighted residuals, by bins of rows.
+def residual(rows, work, count, first, question, sums):
+    """Residuals, their squares, and scores: columns times weighted residuals, by bins of rows.
 
     Bin by bin, and channel by channel where noise is not correlated across channels, so that
-    slots come from memory once.
+    slots come from memory once. first: number of the block's first row.
     """
-    channels = len(measured)
+    channels, weights, R = len(rows.measured), question.weights, work.R
     E, wait = R[channels * D :], 0
     for c in range(channels):
         for d in range(c):
             if weights[c, d] != 0.0:
                 wait = channels  # scores need the residuals of all channels
-    for at in range(0, count, bins):
-        n = min(bins, count - at)
+    for at in range(0, count, question.bins):
+        n, bin = min(question.bins, count - at), (first + at) // question.bins
         for turn in range(channels + wait):
             if turn < channels:
-                subtract(start, width, Z, turn, at, n, factors, R[turn * D :])
-                moments[turn] += dot(R[turn * D :], R[turn * D :], n)
+                subtract(rows, work, turn, at, n, question.factors, R[turn * D :])
+                sums.moments[turn] += dot(R[turn * D :], R[turn * D :], n)
             c = turn - wait
             if c >= 0:
                 E[:n] = 0.0
@@ -247,12 +247,12 @@ def residual(
                     if weights[c, d] != 0.0:
                         for k in range(n):
                             E[k] += weights[c, d] * R[d * D + k]
-                score(start, measured, unknown, Z, c, at, n, E, (first + at) // bins, scores)
+                score(rows, work, c, at, n, E, sums.scores[bin])
 
 
 @outer
-def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, scores):
-    """All rows, block by block: their products if G is given, residuals if factors are.
+def sweep(robot, rows, signals, work, question, sums):
+    """All rows, block by block: the sums that have room, products or residuals or neither.
 
     The last block stays in work.Z.
     """
@@ -267,21 +267,13 @@ def sweep(robot, rows, signals, work, used, G, factors, weights, bins, moments, 
             n = min(CHUNK, end - at) if half > 0 else count
             fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
             if half > 0:
-                weigh(
-                    signals.weights, signals.step, centre, count, at, n,
-                    rows.slots, len(rows.measured), work.Y, work.H, work.Z,
-                )  # fmt: skip
+                weigh(rows, signals, work, centre, count, at, n)
         if signals.deadband > 0.0:
-            rest_joints(rows.slots, rows.start, rows.width, count, work.Z, used)
+            rest_joints(rows, work, count, sums)
         else:
-            used += count
-        if len(G):
-            gram(
-                rows.group_slot, rows.group_size, rows.group_width, rows.group_gram,
-                work.Z, count, G,
-            )  # fmt: skip
-        if len(factors):
-            residual(
-                rows.start, rows.width, rows.measured, rows.unknown, work.Z, work.R,
-                count, factors, weights, bins, first, moments, scores,
-            )  # fmt: skip
+            for c in range(len(sums.used)):
+                sums.used[c] += count
+        if len(sums.products):
+            gram(rows, work, count, sums)
+        if len(question.factors):
+            residual(rows, work, count, first, question, sums)

@@ -8,13 +8,10 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.kernel.compiler import settings
+from testbed.kernel.constants import CHUNK, SEEDS, B, D
 from testbed.kernel.gram import sweep as compiled
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import (
-    CHUNK,
-    SEEDS,
-    B,
-    D,
     Question,
     Signals,
     Sums,
@@ -64,7 +61,7 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))
     work = work._replace(squares=sums.squares)
-    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, question))
+    _call(layout.robot, layout.rows, _fixed(signals), work, question, sums)
     return sums
 
 
@@ -79,7 +76,7 @@ def fill_only(layout: Layout, signals: Signals, work: Work) -> None:
     nothing = products_wanted(layout.width)
     sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
     sums = sums._replace(products=np.empty(0))
-    _call(layout.robot, layout.rows, _fixed(signals), work, *_arguments(sums, nothing))
+    _call(layout.robot, layout.rows, _fixed(signals), work, nothing, sums)
 
 
 def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
@@ -115,10 +112,6 @@ def _call(*arguments: object) -> None:
     else:
         with ThreadPoolExecutor(1) as pool:
             pool.submit(compiled, *arguments).result()
-
-
-def _arguments(sums: Sums, question: Question) -> tuple[object, ...]:
-    return (sums.used, sums.products, *question, sums.moments, sums.scores)
 
 
 def _fixed(signals: Signals) -> Signals:

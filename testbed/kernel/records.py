@@ -1,4 +1,4 @@
-"""The plain arrays that the kernel works on, and its constants."""
+"""The plain arrays that the kernel works on."""
 
 from __future__ import annotations
 
@@ -9,33 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-
-ORDER = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
-"""The kernel's entries, as indices of COMPONENTS; an eleventh is mbar as carriers feel it."""
-
-USUAL = 7
-"""How many entries the kernel makes at once; `rest` makes the others."""
-
-PUSHED = (0, 1, 7, 9)
-"""Entries that a force has: first moments and mass."""
-
-TURNING, SLIDING, SEEDS = 6, 7, 8
-"""Places of screws that never change, after the bedplate's six: a joint's on its own body."""
-
-NB = 64
-"""Samples of a block of the recursion: a body's slots stay in the first cache."""
-
-KS = 320
-"""Most rows of a block of the Gram matrices."""
-
-CHUNK = 128
-"""Samples taken at once by the filter."""
-
-B, D = NB + 8, KS + 8
-"""Distances of slots; powers of two would make all slots share a few cache lines."""
-
-CACHE = 1_800_000
-"""Bytes of slots that a block of rows may take; the fastest, measured."""
 
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.kernel.compiler import inline, part, plain, summing
-from testbed.kernel.records import NB, B, D
+from testbed.kernel.constants import NB, B, D
 from testbed.kernel.screws import (
     BODY,
     SCREW,

@@ -12,7 +12,7 @@ Witness   `dynamics.regressor`, which shares no code with this package
 from __future__ import annotations
 
 from testbed.kernel.compiler import inline
-from testbed.kernel.records import NB, B, D
+from testbed.kernel.constants import COSINE, NB, PER_PI, PI, ROUND, SINE, B, D
 
 # Slots of a body's motion.
 C, S = 0, B  # cosine and sine of the joint's turn
@@ -22,8 +22,6 @@ O = 15 * B  # wd~ + w~ w~, row by row
 BODY = 24 * B
 
 SCREW = 6 * B  # of a screw: turning u, sliding v at the body's origin
-
-ROUND = 6755399441055744.0  # 1.5 2^52: adding and subtracting it rounds to an integer
 
 
 @inline
@@ -43,26 +41,26 @@ def sine_cosine(q, shift, s, c):
     """Of q + shift: polynomials after taking off multiples of pi, to rounding."""
     for k in range(NB):
         x = q[k] + shift
-        n = (x * 0.3183098861837907 + ROUND) - ROUND
-        r = ((x - n * 3.1415926534682512) - n * 1.2154201012607932e-10) - n * 4.044532497591901e-21
+        n = (x * PER_PI + ROUND) - ROUND
+        r = ((x - n * PI[0]) - n * PI[1]) - n * PI[2]
         odd = n - 2.0 * ((n * 0.5 + ROUND) - ROUND)
         sign = 1.0 - 2.0 * odd * odd
         z = r * r
-        p = 2.7314447512062796e-15
-        p = p * z - 7.643970295533013e-13
-        p = p * z + 1.605897731242445e-10
-        p = p * z - 2.505210761699557e-08
-        p = p * z + 2.755731921916323e-06
-        p = p * z - 0.00019841269841254974
-        p = p * z + 0.008333333333333316
-        p = p * z - 0.16666666666666666
-        g = 4.646435932869834e-14
-        g = g * z - 1.1466252257937559e-11
-        g = g * z + 2.0876681558822446e-09
-        g = g * z - 2.7557318573365657e-07
-        g = g * z + 2.4801587298913547e-05
-        g = g * z - 0.0013888888888884767
-        g = g * z + 0.04166666666666666
+        p = SINE[0]
+        p = p * z + SINE[1]
+        p = p * z + SINE[2]
+        p = p * z + SINE[3]
+        p = p * z + SINE[4]
+        p = p * z + SINE[5]
+        p = p * z + SINE[6]
+        p = p * z + SINE[7]
+        g = COSINE[0]
+        g = g * z + COSINE[1]
+        g = g * z + COSINE[2]
+        g = g * z + COSINE[3]
+        g = g * z + COSINE[4]
+        g = g * z + COSINE[5]
+        g = g * z + COSINE[6]
         s[k] = sign * (r + r * z * p)
         c[k] = sign * (1.0 - 0.5 * z + z * z * g)
 

@@ -13,16 +13,26 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import AnyArray, Array, readonly, skew
+from testbed.parameters.symbols import Symbol
 from testbed.robot.tree import Tree
 
-COMPONENTS = ("mbar", "mbx", "mby", "mbz", "Kxx", "Kxy", "Kxz", "Kyy", "Kyz", "Kzz")
-"""Order of a body's barycentric parameters."""
+_PARTS = (
+    ("mbar", ""),
+    *(("mb", axis) for axis in "xyz"),
+    *(("K", pair) for pair in ("xx", "xy", "xz", "yy", "yz", "zz")),
+)
+
+COMPONENTS = tuple(head + tail for head, tail in _PARTS)
+"""Order of a body's barycentric parameters: mbar, mbx, mby, mbz, Kxx, Kxy, ... Kzz."""
 
 STANDARD = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 """Order of a body's standard parameters, about and along its frame (Pinocchio's order)."""
 
-UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
-"""Units of either."""
+UNIT_OF = {"mbar": "kg", "mb": "kg m", "K": "kg m^2"}
+"""Units of masses, moments and tensors."""
+
+UNITS = tuple(UNIT_OF[head] for head, _ in _PARTS)
+"""Units of a body's ten, barycentric or standard."""
 
 UPPER = np.triu_indices(3)
 """Where the six numbers of a tensor stand in it, row by row."""
@@ -90,19 +100,26 @@ def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:
     return standard
 
 
+def parameter_symbols(tree: Tree) -> tuple[Symbol, ...]:
+    """The 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2, ..."""
+    return tuple(component_symbol(body, c) for body in range(tree.n) for c in range(10))
+
+
 def parameter_names(tree: Tree) -> tuple[str, ...]:
-    """Names of the 10 n barycentric parameters, body 1 first: mbar1, mb1x, ... K1zz, mbar2, ..."""
-    return tuple(
-        parameter_name(component, body + 1) for body in range(tree.n) for component in COMPONENTS
-    )
+    """Their names."""
+    return tuple(symbol.text for symbol in parameter_symbols(tree))
 
 
-def parameter_name(component: str, body: int, star: str = "") -> str:
-    """Name of one component of body number `body` (from 1): ("mbz", 2) gives mb2z."""
-    if component == "mbar":
-        return f"mbar{star}{body}"
-    head = "mb" if component.startswith("mb") else component[0]
-    return f"{head}{star}{body}{component[len(head) :]}"
+def component_symbol(body: int, component: int, star: bool = False) -> Symbol:
+    """One of the ten parameters of a body.
+
+    Args:
+        body: Index of the body, from 0; its number is one more.
+        component: Index of COMPONENTS.
+        star: The redefined parameter; a mass is never redefined.
+    """
+    head, tail = _PARTS[component]
+    return Symbol(head, (body + 1,), tail, star and head != "mbar")
 
 
 def point_mass(offset: AnyArray) -> AnyArray:

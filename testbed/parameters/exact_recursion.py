@@ -23,7 +23,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, skew
 from testbed.parameters.barycentric import STANDARD, TENSOR, UPPER, to_standard
@@ -59,7 +59,12 @@ class Told:
 
 
 def recursive_space(
-    tree: Tree, model: Model, gravity: ArrayLike | None = None, *, tared: bool = False
+    tree: Tree,
+    model: Model,
+    gravity: ArrayLike | None = None,
+    *,
+    tared: bool = False,
+    known_zero: NDArray[np.bool_] | None = None,
 ) -> Space:
     """What a measurement can tell, by the exact recursion.
 
@@ -68,11 +73,12 @@ def recursive_space(
         model: "dynamic" for joint torques, "reaction" for the bedplate's wrench.
         gravity: (3,) [m/s^2], bedplate frame; default the model file's.
         tared: The bedplate's static wrench in one posture has been taken off.
+        known_zero: Barycentric parameters known to be zero, (n, 10); default none.
     """
     g = tree.gravity_or(gravity)
     static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
     seen = [each.whole for each in told(tree, model, g, static)]
-    return _on_barycentric(tree, seen, static)
+    return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
 
 def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[Told]:
@@ -101,8 +107,8 @@ def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[To
         known.append(_span(np.vstack([closure, here.whole])))
 
 
-def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Space:
-    """Functionals of composites as functionals of the barycentric parameters."""
+def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Array:
+    """Functionals of composites as functionals of the barycentric parameters, (k, 10 n)."""
     n = tree.n
     composite = np.zeros((n + 1, 10, 10 * n))  # at q = 0; the last is the bedplate's
     to_ours = _standard_from_barycentric(tree)
@@ -112,7 +118,7 @@ def _on_barycentric(tree: Tree, seen: list[Array], static: Array) -> Space:
         composite[tree.parents[j]] += _composite_into(tree.joints[j]) @ composite[j]
         rows.insert(0, seen[j] @ composite[j])
     rows.append(static @ composite[-1])
-    return row_space(np.vstack(rows), NEW)
+    return np.vstack(rows)
 
 
 def _standard_from_barycentric(tree: Tree) -> Array:

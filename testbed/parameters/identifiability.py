@@ -66,7 +66,7 @@ def identifiability(
     static = np.zeros((0, 10 * tree.n))
     if g.any():
         bodies = regroup(tree, "reaction", g)
-        static = dense_rows(tree, bodies, static_entries(tree, bodies, g))
+        static = dense_rows(tree, bodies, static_entries(tree, g))
         static[:, known_zeros(tree, zeros).ravel()] = 0.0
     moving = np.vstack([tared, static])
     # an unknown pedestal adds its own mass and moments to each static entry

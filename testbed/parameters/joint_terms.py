@@ -20,9 +20,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
+from testbed.parameters.elimination import INDEPENDENT
 from testbed.parameters.exact_recursion import NEW, told
+from testbed.parameters.formulas import Lengths
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
+from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_law, joint_terms
 from testbed.robot.tree import Tree
 
@@ -55,19 +58,20 @@ class DriveSet:
     @cached_property
     def regrouped(self) -> Mapping[JointTerm, Array]:
         """Terms without a column of their own: what each adds to the unknowns, (count,)."""
-        return {
-            term: self.columns[:, k] for k, term in enumerate(self.asked) if term not in self.terms
-        }
+        own = set(self.terms)
+        return {term: self.columns[:, k] for k, term in enumerate(self.asked) if term not in own}
 
     @cached_property
+    def labels(self) -> tuple[Label, ...]:
+        """Names as values: what each unknown is the sum of."""
+        own = (Label((Term(self.symbol(term)),)) for term in self.terms)
+        plain = (*self.minimal.labels, *own)
+        return tuple(Label((*label.terms, *self._added(k))) for k, label in enumerate(plain))
+
+    @property
     def names(self) -> tuple[str, ...]:
         """One an unknown: K3yy, K*1zz+rotor/waist, coulomb/waist, ..."""
-        plain = (*self.minimal.names, *(self.name(term) for term in self.terms))
-        joined = [list(self._absorbed(k)) for k in range(self.count)]
-        return tuple(
-            "+".join((name, *(self.name(term) for term, _ in terms)))
-            for name, terms in zip(plain, joined, strict=True)
-        )
+        return tuple(label.text for label in self.labels)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -83,6 +87,24 @@ class DriveSet:
         matrix[:, n:] = self.columns
         return readonly(matrix, matrix.shape, "matrix")
 
+    @cached_property
+    def formulas(self) -> tuple[Formula, ...]:
+        """How each is made up: K*1zz + rotor/waist = K1zz + K*2xx/2 + ... + rotor/waist."""
+        return self.formulas_with("symbols")
+
+    def formulas_with(self, lengths: Lengths) -> tuple[Formula, ...]:
+        """The formulas, with the model's lengths as symbols or as numbers.
+
+        Args:
+            lengths: "symbols" prints l12z, "numbers" its value.
+        """
+        own = ((Term(self.symbol(term)),) for term in self.terms)
+        plain = (*(f.right for f in self.minimal.formulas_with(lengths)), *own)
+        return tuple(
+            Formula(label, (*right, *self._added(k)))
+            for k, (label, right) in enumerate(zip(self.labels, plain, strict=True))
+        )
+
     def values(self, theta: ArrayLike, tree: Tree) -> Array:
         """The unknowns, (count,).
 
@@ -95,15 +117,15 @@ class DriveSet:
         found[: self.minimal.count] += self.minimal.values(theta)
         return found
 
-    def name(self, term: JointTerm) -> str:
-        """Name of a term: rotor/waist."""
-        return term.name(self._tree)
+    def symbol(self, term: JointTerm) -> DriveSymbol:
+        """Name of a term as a value: rotor/waist."""
+        return DriveSymbol(term.law.kind, self._tree.names[term.joint])
 
-    def _absorbed(self, unknown: int) -> Iterator[tuple[JointTerm, float]]:
-        """Terms without a column of their own that add to an unknown, with their factors."""
+    def _added(self, unknown: int) -> Iterator[Term]:
+        """Terms without a column of their own that add to an unknown."""
         for term, column in self.regrouped.items():
             if column[unknown]:
-                yield term, float(column[unknown])
+                yield Term(self.symbol(term), ((float(column[unknown]), None),))
 
 
 def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -> DriveSet:
@@ -113,6 +135,8 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
         tree: The robot; only its geometry matters.
         minimal: Its dynamic set.
         laws: Of the joints' own torque, by name or as values; each holds at every joint.
+            Laws of one's own are taken for friction: functions of the velocity that are odd
+            in it.
 
     Raises:
         UnknownName: There is no such law.
@@ -122,18 +146,91 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
         raise ValueError(f"joint terms belong to the dynamic set, this is the {minimal.model} one")
     wanted = dict.fromkeys(joint_law(law) if isinstance(law, str) else law for law in laws)
     asked = joint_terms(tree, wanted)
-    lone = _lone(tree, minimal.gravity, OFFSET in wanted)
-    terms = tuple(term for term in asked if term.law != ROTOR or term.joint not in lone)
+    lone = _lone(tree, minimal.gravity, OFFSET in wanted) if ROTOR in wanted else {}
+    merged = _merged(minimal, tuple(lone))
+    terms = tuple(t for t in asked if t.law != ROTOR or t.joint not in merged.regrouped)
+    place = {term: minimal.count + k for k, term in enumerate(terms)}
     columns = np.zeros((minimal.count + len(terms), len(asked)))
     for k, term in enumerate(asked):
-        if term in terms:
-            columns[minimal.count + terms.index(term), k] = 1.0
+        if term in place:
+            columns[place[term], k] = 1.0
         else:
-            columns[minimal.axial.index(term.joint), k] = 1.0
-            if lone[term.joint]:
-                row = minimal.count + terms.index(JointTerm(OFFSET, term.joint))
-                columns[row, k] = -lone[term.joint]
+            columns[:, k] = _holders(term.joint, merged, lone, place, len(columns))
     return DriveSet(minimal, asked, terms, readonly(columns, columns.shape, "columns"), tree)
+
+
+def _holders(
+    joint: int, merged: _Merged, lone: dict[int, float], place: dict[JointTerm, int], count: int
+) -> Array:
+    """What a regrouped rotor adds to the unknowns, (count,)."""
+    column = np.zeros(count)
+    for unknown, moving in merged.inertias.items():
+        column[unknown] = merged.share(moving, joint)
+    for moving, force in lone.items():
+        share = merged.share(moving, joint)
+        own = place.get(JointTerm(ROTOR, moving))
+        if own is not None:
+            column[own] = -share
+        if force:
+            column[place[JointTerm(OFFSET, moving)]] = -force * share
+    return column
+
+
+@dataclass(frozen=True, eq=False)
+class _Merged:
+    """Rotors against the minimal parameters that hold what they add to.
+
+    Attributes:
+        inertias: By index of a minimal parameter, the joint whose rotor it holds.
+        regrouped: Joints whose rotor has no column of its own.
+        shares: By joint, how much of each regrouped joint's rotor is told with its own.
+    """
+
+    inertias: dict[int, int]
+    regrouped: tuple[int, ...]
+    shares: dict[int, dict[int, float]]
+
+    def share(self, joint: int, of: int) -> float:
+        """How much of joint `of`'s rotor the inertia that `joint` moves holds."""
+        return self.shares[joint].get(of, 0.0)
+
+
+def _merged(minimal: MinimalSet, lone: tuple[int, ...]) -> _Merged:
+    """Which of the lone joints' rotors are regrouped.
+
+    A rotor adds to the minimal parameter that is its joint's inertia. Where known zeros make
+    this a combination of others, or others a combination of such, the rotors in it are told.
+    """
+    inertias = {k: j for k, j in enumerate(minimal.axial) if j in lone}
+    told_rotors = np.zeros((len(minimal.dependent), len(lone)))
+    for row, (joint, shares) in zip(told_rotors, minimal.dependent, strict=True):
+        if joint in lone:
+            row[lone.index(joint)] = 1.0
+        for k, share in shares.items():
+            if k in inertias:
+                row[lone.index(inertias[k])] -= share
+    own = _reduced(told_rotors)
+    regrouped = tuple(j for column, j in enumerate(lone) if column not in own)
+    held = {j: {j: 1.0} for j in regrouped}
+    for column, row in own.items():
+        with_it = {j: -float(row[lone.index(j)]) for j in regrouped}
+        held[lone[column]] = {j: share for j, share in with_it.items() if share}
+    return _Merged(inertias, regrouped, held)
+
+
+def _reduced(rows: Array) -> dict[int, Array]:
+    """The row space in reduced echelon form: by the column of its one, each row."""
+    found: dict[int, Array] = {}
+    for row in rows[rows.any(axis=1)]:
+        for column, other in found.items():
+            row = row - row[column] * other
+        row = np.where(np.abs(row) > INDEPENDENT, row, 0.0)
+        if not row.any():
+            continue
+        column = int(np.argmax(np.abs(row)))
+        row = row / row[column]
+        found = {c: other - other[column] * row for c, other in found.items()} | {column: row}
+    return found
 
 
 def _lone(tree: Tree, gravity: Array, offsets: bool) -> dict[int, float]:

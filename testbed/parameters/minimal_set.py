@@ -15,18 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import barycentric, parameter_names, standard_to_barycentric
-from testbed.parameters.entries import (
-    Entry,
-    dense_directions,
-    dense_rows,
-    dynamic_first,
-    independent_rows,
-    list_entries,
-    present_parameters,
-)
+from testbed.parameters.elimination import Elimination, eliminate
+from testbed.parameters.entries import BEDPLATE, Entry, dense_rows, dynamic_first, list_entries
 from testbed.parameters.formulas import Lengths, Namer
 from testbed.parameters.regroup import Body, regroup
-from testbed.parameters.rules import Model, across
+from testbed.parameters.rules import Model, Triad, across
+from testbed.parameters.symbols import Formula, Label
 from testbed.robot.tree import Tree
 
 NO_MATTER = 1e-12
@@ -41,25 +35,36 @@ class MinimalSet:
         model: "dynamic" (joint torques, delta_d) or "reaction" (bedplate wrench, delta_r).
         gravity: The gravity assumed, (3,) [m/s^2], bedplate frame.
         tared: Whether only changes of the bedplate's static wrench count.
+        known_zero: Barycentric parameters taken to be zero, (n, 10).
     """
 
     model: Model
     gravity: Array
     tared: bool
+    known_zero: NDArray[np.bool_]
     _tree: Tree
     _bodies: tuple[Body, ...]
-    _known_zero: NDArray[np.bool_]
     _candidates: tuple[Entry, ...]
-    _keep: tuple[int, ...]
+    _elimination: Elimination
 
     @cached_property
     def _entries(self) -> tuple[Entry, ...]:
-        return tuple(self._candidates[k] for k in self._keep)
+        return tuple(self._candidates[k] for k in self._elimination.kept)
 
     @property
+    def count(self) -> int:
+        """Number N of minimal parameters."""
+        return len(self._entries)
+
+    @cached_property
+    def labels(self) -> tuple[Label, ...]:
+        """Names as values: what each is the sum or multiple of."""
+        return tuple(entry.label for entry in self._entries)
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """One a parameter: mb*2z, K3yy, 2*K3d, ...; stars mark redefined bodies."""
-        return tuple(entry.name for entry in self._entries)
+        return tuple(label.text for label in self.labels)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -72,42 +77,55 @@ class MinimalSet:
         return tuple(entry.body for entry in self._entries)
 
     @property
-    def axial(self) -> tuple[int, ...]:
-        """Index of the body whose inertia along or about its own joint each is; else -1."""
-        return tuple(entry.body if entry.axial else -1 for entry in self._entries)
-
-    @property
     def reasons(self) -> tuple[str, ...]:
         """Table and row of the rule that keeps each parameter; `rules.REASONS` says it."""
         return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)
 
     @property
-    def known_zero(self) -> NDArray[np.bool_]:
-        """Barycentric parameters taken to be zero, (n, 10)."""
-        return self._known_zero
-
-    @property
     def never(self) -> tuple[str, ...]:
         """Barycentric parameters that are in no combination at all."""
-        unseen = ~self.matrix.any(axis=0) & ~self._known_zero.ravel()
+        unseen = ~self.matrix.any(axis=0) & ~self.known_zero.ravel()
         return tuple(np.array(parameter_names(self._tree))[unseen].tolist())
+
+    @property
+    def axial(self) -> tuple[int, ...]:
+        """The joint that itself moves the inertia each parameter is, K_ee or mbar; else -1."""
+        return tuple(_axial(entry) for entry in self._entries)
+
+    @property
+    def dependent(self) -> tuple[tuple[int, dict[int, float]], ...]:
+        """What known zeros make a combination of the minimal parameters.
+
+        Pairs of the joint that itself moves the inertia it is, or -1, and the shares of
+        minimal parameters by index.
+        """
+        place = {candidate: k for k, candidate in enumerate(self._elimination.kept)}
+        return tuple(
+            (_axial(self._candidates[c]), {place[k]: share for k, share in shares.items()})
+            for c, shares in self._elimination.dependent.items()
+        )
 
     @cached_property
     def matrix(self) -> Array:
-        """S, (N, 10 n), on the barycentric parameters in the order of `barycentric`."""
-        rows = _rows(self._tree, self._bodies, self._entries, self._known_zero)
+        """S, (N, 10 n), on the barycentric parameters in the order of `barycentric`.
+
+        Columns of parameters known to be zero are zero.
+        """
+        rows = dense_rows(self._tree, self._bodies, self._entries)
+        rows[:, self.known_zero.ravel()] = 0.0
         return readonly(rows, rows.shape, "matrix")
 
     @cached_property
     def lift(self) -> Array:
-        """(10 n, N): a theta that has given minimal parameters, eliminated ones zero.
+        """(10 n, N): a theta that has given minimal parameters, most of it zero.
 
-        S lift = 1, and the model does not change by theta -> lift S theta.
+        S lift = 1, what is known to be zero is zero, and the model does not change by
+        theta -> lift S theta.
         """
-        lift = dense_directions(self._tree, self._candidates)
-        if self._known_zero.any():
-            rows = _rows(self._tree, self._bodies, self._candidates, self._known_zero)
-            lift = lift @ _coordinates(rows, list(self._keep)).T
+        lift = np.zeros((10 * self._tree.n, self.count))
+        for k, parts in enumerate(self._elimination.directions):
+            for body, numbers in parts.items():
+                lift[10 * body : 10 * body + 10, k] = numbers
         return readonly(lift, lift.shape, "lift")
 
     @cached_property
@@ -119,64 +137,54 @@ class MinimalSet:
         rows = self.matrix @ standard_to_barycentric(self._tree)
         return readonly(rows, self.matrix.shape, "standard_matrix")
 
-    @property
-    def count(self) -> int:
-        """Number N of minimal parameters."""
-        return len(self._keep)
-
     @cached_property
-    def formulas(self) -> tuple[str, ...]:
+    def formulas(self) -> tuple[Formula, ...]:
         """How each is regrouped from the body's own and its children's parameters."""
         return self.formulas_with("symbols")
 
     @cached_property
-    def auxiliary(self) -> tuple[str, ...]:
+    def auxiliary(self) -> tuple[Formula, ...]:
         """Formulas of the starred parameters which those refer to, tips first."""
         return self.auxiliary_with("symbols")
 
-    def formulas_with(self, lengths: Lengths) -> tuple[str, ...]:
+    def formulas_with(self, lengths: Lengths) -> tuple[Formula, ...]:
         """The formulas, with the model's lengths as symbols or as numbers.
 
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
-        namer = self._namer(lengths)
-        return tuple(namer.formula(e.name, e.body, e.form) for e in self._entries)
+        namer = Namer(self._tree, self._bodies, self.known_zero, lengths)
+        return tuple(namer.formula(e.label, e.body, e.form) for e in self._entries)
 
-    def auxiliary_with(self, lengths: Lengths) -> tuple[str, ...]:
+    def auxiliary_with(self, lengths: Lengths) -> tuple[Formula, ...]:
         """The auxiliary formulas, with the model's lengths as symbols or as numbers.
 
         Args:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
-        namer = self._namer(lengths)
-        wanted = _words(self.formulas_with(lengths)) - set(self.names)
-        found: list[str] = []
-        for body in range(len(namer.bodies)):
+        namer = Namer(self._tree, self._bodies, self.known_zero, lengths)
+        said = {label.symbols[0] for label in self.labels if len(label.symbols) == 1}
+        wanted = {t.symbol for formula in self.formulas_with(lengths) for t in formula.right}
+        found: list[Formula] = []
+        for body in range(self._tree.n):
             for component in range(1, 10):
-                name = namer.component(body, component)
-                if "*" in name and name in wanted:
-                    found.insert(0, namer.formula(name, body, np.eye(10)[component]))
-                    wanted |= _words(found[:1]) - set(self.names)
+                symbol = namer.component(body, component)
+                if symbol.star and symbol in wanted - said:
+                    found.insert(0, namer.redefinition(body, component))
+                    wanted |= {term.symbol for term in found[0].right}
         return tuple(found)
 
     @property
-    def triads(self) -> dict[int, Array]:
-        """For bodies whose parameters are named along u, v, w: these, as rows, (3, 3).
+    def triads(self) -> dict[int, Triad]:
+        """For bodies whose parameters are named along u, v, w: these, in the body's frame.
 
-        By body index, in the body's frame; w is the joint axis or the only axis of rotation.
+        By body index, -1 for the bedplate; w is the joint axis, the only axis of rotation,
+        or the direction of gravity.
         """
-        found: dict[int, Array] = {}
-        for body in {e.body for e in self._entries if e.body >= 0 and set(e.name) & set("uvw")}:
-            kept = {k.tail: k.form[1:4] for k in self._bodies[body].row.kept if k.head == "mb"}
-            u, v, _ = across(self._tree.joints[body].axis)
-            u, v = kept.get("u", u), kept.get("v", v)
-            found[body] = readonly([u, v, np.cross(u, v)], (3, 3), "triad")
-        return dict(sorted(found.items()))
-
-    def _namer(self, lengths: Lengths) -> Namer:
-        present = present_parameters(self._tree, self._bodies, self._known_zero)
-        return Namer(self._tree, self._bodies, self._known_zero, present, lengths)
+        found = {b: self._bodies[b].row.triad for b in sorted(set(self.bodies)) if b >= 0}
+        if BEDPLATE in self.bodies:
+            found[BEDPLATE] = across(self.gravity / np.linalg.norm(self.gravity))
+        return {body: triad for body, triad in found.items() if triad.inclined}
 
     def values(self, theta: ArrayLike) -> Array:
         """Delta = S theta, (N,), of barycentric parameters theta, (n, 10)."""
@@ -213,10 +221,12 @@ def minimal_set(
     entries = list_entries(tree, bodies, model, g, tared)
     if model == "reaction":
         entries = dynamic_first(tree, entries, bodies, regroup(tree, "dynamic", g))
-    keep = list(range(len(entries)))
-    if known_zero.any():
-        keep = independent_rows(_rows(tree, bodies, entries, known_zero))
-    return MinimalSet(model, g, tared, tree, bodies, known_zero, tuple(entries), tuple(keep))
+    chosen = eliminate(tree, bodies, entries, known_zero)
+    return MinimalSet(model, g, tared, known_zero, tree, bodies, tuple(entries), chosen)
+
+
+def _axial(entry: Entry) -> int:
+    return entry.body if entry.axial else -1
 
 
 def selection(dynamic: MinimalSet, reaction: MinimalSet) -> Array:
@@ -263,38 +273,9 @@ def known_zeros(tree: Tree, zeros: bool | Sequence[str]) -> NDArray[np.bool_]:
 
 def _zeros_of_the_file(tree: Tree) -> NDArray[np.bool_]:
     theta = np.abs(barycentric(tree))
-    zero = np.zeros(theta.shape, dtype=bool)
-    for columns in (slice(0, 1), slice(1, 4), slice(4, 10)):
-        scale = theta[:, columns].max(axis=1, keepdims=True)
-        zero[:, columns] = theta[:, columns] <= NO_MATTER * scale
-    return zero
-
-
-def _rows(
-    tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry], known_zero: NDArray[np.bool_]
-) -> Array:
-    """Entries on the barycentric parameters, those known to be zero struck out."""
-    rows = dense_rows(tree, bodies, entries)
-    rows[:, known_zero.ravel()] = 0.0
-    return rows
-
-
-def _coordinates(rows: Array, keep: list[int]) -> Array:
-    """How much of each kept row every row holds, (kept, all): the identity on those kept."""
-    coordinates = np.zeros((len(keep), len(rows)))
-    coordinates[range(len(keep)), keep] = 1.0
-    dropped = [k for k in range(len(rows)) if k not in keep and rows[k].any()]
-    if dropped:
-        coordinates[:, dropped] = np.linalg.lstsq(rows[keep].T, rows[dropped].T, rcond=None)[0]
-    return coordinates
-
-
-def _words(formulas: Sequence[str]) -> set[str]:
-    """Every name on the right-hand sides, factors and halves taken off."""
-    words: set[str] = set()
-    for formula in formulas:
-        for term in formula.split(" = ", 1)[1].replace("(", "").replace(")", "").split():
-            bare = term.split("/")[0].lstrip("-")
-            pieces = bare.split("*")
-            words |= {"*".join(pieces[k:]) for k in range(len(pieces))}
-    return words
+    mass, moments, tensors = theta[:, :1], theta[:, 1:4], theta[:, 4:]
+    tensor = tensors.max(axis=1, keepdims=True)
+    # moments may all be rounding: a mass at a distance of the size of the body tells
+    moment = np.maximum(moments.max(axis=1, keepdims=True), np.sqrt(mass * tensor))
+    scale = np.hstack([mass, np.repeat(moment, 3, axis=1), np.repeat(tensor, 6, axis=1)])
+    return theta <= NO_MATTER * scale

@@ -41,20 +41,37 @@ REASONS = {
 
 
 @dataclass(frozen=True, eq=False)
+class Triad:
+    """Three orthonormal directions of a body, and the letters that name components along them.
+
+    Attributes:
+        axes: As rows, (3, 3); the last is the direction that the first two stand across.
+        letters: x, y, z in some order where the axes are the body's own, else u, v, w.
+    """
+
+    axes: Array
+    letters: tuple[str, str, str]
+
+    @property
+    def inclined(self) -> bool:
+        """Whether the axes are others than the body's own."""
+        return self.letters == ("u", "v", "w")
+
+
+@dataclass(frozen=True, eq=False)
 class Kept:
     """One parameter kept: a linear form of body j's ten redefined parameters.
 
     Attributes:
-        head: "mbar", "mb", "K" or "2*K".
-        tail: Its component, as in mb2`y` or K3`yz`; "d" for half a difference.
+        terms: What it is the sum of: factor, head ("mbar", "mb", "K") and component, such as
+            "y" or "yz" in the row's triad; "d" for half a difference.
         form: Coefficients on the ten parameters, (10,).
         direction: Ten parameters for which this form is 1, every other form kept for the
             joint 0, and nothing migrates, (10,).
         axial: Whether it is the inertia that the joint itself moves: K_ee, or mbar.
     """
 
-    head: str
-    tail: str
+    terms: tuple[tuple[float, str, str], ...]
     form: Array
     direction: Array
     axial: bool = False
@@ -70,12 +87,14 @@ class Row:
         passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
         tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
             the axis, K_s of eq. (37).
+        triad: What components are named after, frame j.
     """
 
     number: str
     kept: tuple[Kept, ...]
     passed: Array
     tensor: Literal["all", "mean"]
+    triad: Triad
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:
@@ -93,13 +112,13 @@ def _table2(joint: Joint, mobility: Mobility) -> Row:
     """Prismatic, joint torques."""
     mass = _mass()
     if mobility.rotation == "free":
-        return Row("2.1", (mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
+        return Row("2.1", (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
     if mobility.rotation == "across":
         assert mobility.direction is not None
         w = joint.rotation.T @ mobility.direction
-        u, v, names = across(w)
-        return Row("2.2", (mass, *_moments(np.array([u, v]), names)), np.outer(w, w), "all")
-    return Row("2.3", (mass,), np.eye(3), "all")
+        triad = across(w)
+        return Row("2.2", (mass, *_moments(triad, 2)), np.outer(w, w), "all", triad)
+    return Row("2.3", (mass,), np.eye(3), "all", _OWN)
 
 
 def _table3(joint: Joint, mobility: Mobility) -> Row:
@@ -107,103 +126,102 @@ def _table3(joint: Joint, mobility: Mobility) -> Row:
     mass = _mass()
     if mobility.rotation in ("free", "across"):
         number = "3.1" if mobility.rotation == "free" else "3.2"
-        return Row(number, (mass, *_moments(np.eye(3), "xyz")), np.zeros((3, 3)), "all")
-    u, v, names = across(joint.axis)
+        return Row(number, (mass, *_moments(_OWN, 3)), np.zeros((3, 3)), "all", _OWN)
+    triad = across(joint.axis)
     passed = np.outer(joint.axis, joint.axis)
-    return Row("3.3", (mass, *_moments(np.array([u, v]), names)), passed, "all")
+    return Row("3.3", (mass, *_moments(triad, 2)), passed, "all", triad)
 
 
 def _table4(joint: Joint, mobility: Mobility) -> Row:
     """Revolute, joint torques."""
-    moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    triad = across(joint.axis)
+    moments, axial, difference, oblique, product = _about_axis(triad)
     passed = np.outer(joint.axis, joint.axis)
     if mobility.rotation in ("none", "along"):
         if mobility.at_rest:
-            return Row("4.3", (axial,), passed, "mean")
-        return Row("4.2", (*moments, axial), passed, "mean")
+            return Row("4.3", (axial,), passed, "mean", triad)
+        return Row("4.2", (*moments, axial), passed, "mean", triad)
     if mobility.pivot is None:
-        return Row("4.1", (*moments, axial, difference, *oblique, product), passed, "mean")
+        kept = (*moments, axial, difference, *oblique, product)
+        return Row("4.1", kept, passed, "mean", triad)
     about_pivot = tuple(
         _sum(k, mobility.pivot, mb) for k, mb in zip(oblique, reversed(moments), strict=True)
     )
-    return Row("4.4", (axial, difference, *about_pivot, product), passed, "mean")
+    return Row("4.4", (axial, difference, *about_pivot, product), passed, "mean", triad)
 
 
 def _table5(joint: Joint, mobility: Mobility) -> Row:
     """Revolute, bedplate reaction."""
-    moments, axial, difference, oblique, product = _about_axis(joint.axis)
+    triad = across(joint.axis)
+    moments, axial, difference, oblique, product = _about_axis(triad)
     passed = np.outer(joint.axis, joint.axis)
     if mobility.rotation in ("none", "along"):
-        return Row("5.2", (*moments, axial, *oblique), passed, "mean")
-    return Row("5.1", (*moments, axial, difference, *oblique, product), passed, "mean")
+        return Row("5.2", (*moments, axial, *oblique), passed, "mean", triad)
+    kept = (*moments, axial, difference, *oblique, product)
+    return Row("5.1", kept, passed, "mean", triad)
 
 
 def _mass() -> Kept:
     unit = np.eye(10)[0]
-    return Kept("mbar", "", unit, unit, axial=True)
+    return Kept(((1.0, "mbar", ""),), unit, unit, axial=True)
 
 
-def _moments(directions: Array, names: str) -> tuple[Kept, ...]:
-    """Components of mb^j along orthonormal directions, (k, 3)."""
-    forms = np.pad(directions, ((0, 0), (1, 6)))
-    return tuple(Kept("mb", name, form, form) for name, form in zip(names, forms, strict=True))
+def _moments(triad: Triad, count: int) -> tuple[Kept, ...]:
+    """Components of mb^j along the first directions of a triad."""
+    forms = np.pad(triad.axes[:count], ((0, 0), (1, 6)))
+    return tuple(
+        Kept(((1.0, "mb", letter),), form, form)
+        for letter, form in zip(triad.letters[:count], forms, strict=True)
+    )
 
 
 def _about_axis(
-    axis: Array,
+    triad: Triad,
 ) -> tuple[tuple[Kept, ...], Kept, Kept, tuple[Kept, Kept], Kept]:
     """What a revolute joint with axis e can keep, in the triad (u, v, e).
 
     Returns:
         (mb_u, mb_v), K_ee, 2 K_d = K_uu - K_vv, (K_ve, K_ue), K_uv.
     """
-    u, v, letters = across(axis)
-    p, q = letters[0], letters[1]
-    e = _letter(axis)
-    between = {
-        frozenset((p, q)): (u, v),
-        frozenset((p, e)): (u, axis),
-        frozenset((q, e)): (v, axis),
-    }
-    uv, ue, ve = (_product(*pair, "".join(sorted(key))) for key, pair in between.items())
+    (u, v, e), (p, q, r) = triad.axes, triad.letters
     spread = _tensor_form(u, u) - _tensor_form(v, v)
-    difference = Kept("2*K", "d", spread, (_tensor_part(u, u) - _tensor_part(v, v)) / 2)
-    own = _tensor_form(axis, axis), _tensor_part(axis, axis)
-    axial = Kept("K", e + e, *own, axial=True)
-    return _moments(np.array([u, v]), p + q), axial, difference, (ve, ue), uv
+    half = (_tensor_part(u, u) - _tensor_part(v, v)) / 2
+    difference = Kept(((2.0, "K", "d"),), spread, half)
+    axial = Kept(((1.0, "K", r + r),), _tensor_form(e, e), _tensor_part(e, e), axial=True)
+    oblique = _product(v, e, q + r), _product(u, e, p + r)
+    return _moments(triad, 2), axial, difference, oblique, _product(u, v, p + q)
 
 
-def _product(a: Array, b: Array, tail: str) -> Kept:
-    return Kept("K", tail, _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a))
+def _product(a: Array, b: Array, letters: str) -> Kept:
+    """K_ab; its letters in the order of the alphabet."""
+    form, direction = _tensor_form(a, b), _tensor_part(a, b) + _tensor_part(b, a)
+    return Kept(((1.0, "K", "".join(sorted(letters))),), form, direction)
 
 
 def _sum(k: Kept, s: float, mb: Kept) -> Kept:
     """K_ae + s mb_a: a product of inertia about the pivot."""
     if abs(s) <= ALIGNED:
         return k
-    return Kept(k.head, f"{k.tail}{s:+.6g}*mb_{mb.tail}", k.form + s * mb.form, k.direction)
+    moment = tuple((s * factor, head, letter) for factor, head, letter in mb.terms)
+    return Kept((*k.terms, *moment), k.form + s * mb.form, k.direction)
 
 
-def across(axis: Array) -> tuple[Array, Array, str]:
-    """Two unit vectors that complete the unit vector `axis` to a triad, and their letters.
+def across(axis: Array) -> Triad:
+    """A triad whose last direction is the unit vector `axis`.
 
     Frame axes where `axis` is one, so that the parameters are the body's own components.
     """
-    letter = _letter(axis)
-    if letter in "xyz":
-        p, q = (name for name in "xyz" if name != letter)
-        return np.eye(3)["xyz".index(p)], np.eye(3)["xyz".index(q)], p + q
-    helper = np.eye(3)[np.argmin(np.abs(axis))]
-    u = np.cross(helper, axis)
-    u /= np.linalg.norm(u)
-    return u, np.cross(axis, u), "uv"
-
-
-def _letter(axis: Array) -> str:
-    """x, y or z if the unit vector is plus or minus that body axis, else w."""
     strongest = int(np.argmax(np.abs(axis)))
-    rest = np.delete(axis, strongest)
-    return "xyz"[strongest] if np.linalg.norm(rest) <= ALIGNED else "w"
+    if np.linalg.norm(np.delete(axis, strongest)) <= ALIGNED:
+        first, second = (k for k in range(3) if k != strongest)
+        axes = np.array([np.eye(3)[first], np.eye(3)[second], axis])
+        return Triad(axes, ("xyz"[first], "xyz"[second], "xyz"[strongest]))
+    u = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    u /= np.linalg.norm(u)
+    return Triad(np.array([u, np.cross(axis, u), axis]), ("u", "v", "w"))
+
+
+_OWN = Triad(np.eye(3), ("x", "y", "z"))
 
 
 def _tensor_form(a: Array, b: Array) -> Array:

@@ -66,7 +66,7 @@ def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> 
         from testbed.recordings.stored import StoredRecording
 
         return StoredRecording(what)
-    if isinstance(what, Source):
+    if isinstance(what, Recording | Source):  # asked as a Source, it is asked for its rate
         return what
     return gathered(what)
 

@@ -13,6 +13,9 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly, skew
 
+HEAVIEST = 1e12
+"""Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
+
 TRIANGLE_TOLERANCE = 1e-9
 """Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
 

@@ -24,7 +24,8 @@ def model_format(path: Path) -> Literal["mjcf", "urdf"]:
     if root.tag == "robot":
         return "urdf"
     raise ModelError(
-        f"{path}: the root element is <{root.tag}>; MJCF starts with <mujoco>, URDF with <robot>"
+        f"{path}: the root element is <{root.tag:.40}>; MJCF starts with <mujoco>, URDF with "
+        "<robot>"
     )
 
 

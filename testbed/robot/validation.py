@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import ModelError
+from testbed.robot.inertia import HEAVIEST
 from testbed.robot.model_xml import check_name
 from testbed.robot.tree import Tree
 
@@ -42,5 +43,8 @@ def check_tree(tree: Tree, path: Path) -> None:
     owners = [*(f"body '{joint.body}'" for joint in tree.joints), "the pedestal"]
     for owner, inertia in zip(owners, (*tree.inertias, tree.pedestal), strict=True):
         ten = np.concatenate([[inertia.mass], inertia.first_moment, inertia.tensor.ravel()])
-        if not (np.abs(ten) < 1e12).all():  # NaN fails too
-            raise ModelError(f"{path}: {owner} has a mass, centre or inertia that is no number")
+        if not (np.abs(ten) <= HEAVIEST).all():  # NaN fails too
+            raise ModelError(
+                f"{path}: {owner} has a mass, centre or inertia that is no number, or beyond "
+                f"{HEAVIEST:g}"
+            )

@@ -9,10 +9,11 @@ from __future__ import annotations
 import numpy as np
 
 from testbed.arrays import AnyArray
-from testbed.parameters.barycentric import COMPONENTS, UPPER, parameter_name, point_mass
-from testbed.parameters.formulas import length_name
+from testbed.parameters.barycentric import UPPER, component_symbol, point_mass
+from testbed.parameters.formulas import length_symbol
 from testbed.robot.tree import Tree
-from testbed.symbolic.expression import Expression, Nature, expression, symbol
+from testbed.symbolic.budget import Budget
+from testbed.symbolic.expression import Expression, Nature, collect, expression, symbol
 from testbed.symbolic.parameters import parameter_symbol
 from testbed.symbolic.polynomial import Ring
 from testbed.symbolic.robot import Robot
@@ -20,7 +21,7 @@ from testbed.symbolic.tidy import present
 
 
 def barycentric_definitions(
-    tree: Tree, robot: Robot, known_zero: AnyArray
+    tree: Tree, robot: Robot, known_zero: AnyArray, budget: Budget
 ) -> list[tuple[str, Expression]]:
     """Name and meaning of every barycentric parameter that is not known to be zero.
 
@@ -29,9 +30,10 @@ def barycentric_definitions(
         robot: The same on paper.
         known_zero: Which are known to be zero, (n, 10). Where a body's own are, so are the
             components of its centre of mass and central inertia that are zero in the file.
+        budget: Counts terms.
     """
-    masses = [_total_mass(tree, j) for j in range(tree.n)]
-    ring = Ring()
+    masses = _total_masses(tree)
+    ring = Ring(budget=budget)
     found = []
     for j in range(tree.n):
         values = _own(tree, j, bool(known_zero[j].any()))
@@ -39,19 +41,21 @@ def barycentric_definitions(
             mass = parameter_symbol(f"mbar{child + 1}", child)
             values[1:] = values[1:] + point_mass(robot.joints[child].offset)[1:] * mass
         values[0] = masses[j]
-        for component, value, zero in zip(COMPONENTS, values, known_zero[j], strict=True):
+        for component, (value, zero) in enumerate(zip(values, known_zero[j], strict=True)):
             if not zero:
                 shown = present(ring, ring.expand(expression(value)), frozenset())
-                found.append((parameter_name(component, j + 1), shown))
+                budget.write(len(shown.terms))
+                found.append((component_symbol(j, component).text, shown))
     return sorted(found, key=lambda pair: _order(pair[0]))
 
 
-def _total_mass(tree: Tree, j: int) -> Expression:
-    """Sum of the masses of a body and of all that it carries."""
-    total = symbol(Nature.PARAMETER, f"m{j + 1}", j)
-    for child in tree.children(j):
-        total = total + _total_mass(tree, child)
-    return total
+def _total_masses(tree: Tree) -> list[Expression]:
+    """Of each body, the sum of its mass and of all that it carries."""
+    totals = [symbol(Nature.PARAMETER, f"m{j + 1}", j) for j in range(tree.n)]
+    for j in reversed(range(tree.n)):
+        carried = (term for child in tree.children(j) for term in totals[child].terms)
+        totals[j] = collect((*totals[j].terms, *carried))
+    return totals
 
 
 def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
@@ -60,7 +64,7 @@ def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
     centre = np.zeros(3, dtype=object)
     for axis, length in zip(range(3), inertia.com, strict=True):
         if not (by_file and abs(length) < TINY):
-            centre[axis] = symbol(Nature.CONSTANT, length_name(j, j, "xyz"[axis]))
+            centre[axis] = symbol(Nature.CONSTANT, length_symbol(j, j, "xyz"[axis]).text)
     central = np.zeros(6, dtype=object)
     scale = np.abs(inertia.central).max()
     for k, (a, b) in enumerate(zip(*UPPER, strict=True)):

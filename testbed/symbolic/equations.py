@@ -21,13 +21,15 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import AnyArray, Array
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import UNITS, parameter_names
+from testbed.parameters.barycentric import UNITS, parameter_symbols
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.rules import Model
+from testbed.parameters.symbols import Label, Term
 from testbed.robot.tree import Tree
+from testbed.symbolic.budget import MAX_TERMS, Budget
 from testbed.symbolic.definitions import barycentric_definitions
 from testbed.symbolic.expression import Expression, Factor, expression, of
-from testbed.symbolic.kinds import CONTENT, KINDS, Kind
+from testbed.symbolic.kinds import CONTENT, KINDS, Draft, Kind
 from testbed.symbolic.parameters import (
     Parameter,
     all_parameters,
@@ -44,6 +46,8 @@ from testbed.symbolic.tidy import natural_angles, present
 Form = Literal["full", "reduced", "recursive"]
 ROUNDING = 1e-14
 """Numbers of the geometry are of the order of one; this is their rounding."""
+
+SHORTER = "--form recursive (form='recursive') is far shorter, "
 
 FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
 
@@ -101,6 +105,7 @@ def equations(
     gravity: ArrayLike | None = None,
     zeros: bool | Sequence[str] = False,
     numbers: bool = False,
+    max_terms: int = MAX_TERMS,
 ) -> Listing:
     """Literal equations of a robot.
 
@@ -113,10 +118,11 @@ def equations(
         zeros: Barycentric parameters known to be zero: True for those that are zero in the
             model file, or a list of names.
         numbers: Whether lengths and gravity are written as numbers.
+        max_terms: How many terms may be written, those on the way to the equations included.
 
     Raises:
         UnknownName: There is no such kind or form.
-        ExpressionError: The literal equations are too long to write.
+        ExpressionError: The equations have more terms, or numbers too large to calculate with.
     """
     what = [what] if isinstance(what, str) else what
     for name in what:
@@ -124,7 +130,10 @@ def equations(
             raise UnknownName("kind of equations", name, tuple(KINDS))
     if form not in FORMS:
         raise UnknownName("form", form, FORMS)
-    desk = _Desk(tree, form, tree.gravity_or(gravity), known_zeros(tree, zeros), zeros, numbers)
+    literal_form = form != "recursive"
+    budget = Budget(max_terms, SHORTER if literal_form else "")
+    weight, known_zero = tree.gravity_or(gravity), known_zeros(tree, zeros)
+    desk = _Desk(tree, form, weight, known_zero, zeros, numbers, budget)
     with _collector_at_rest():
         made = tuple(desk.write(KINDS[name]) for name in dict.fromkeys(what))
     shown = {} if numbers else desk.robot.values
@@ -140,15 +149,22 @@ def equations(
     )
 
 
-def writer(robot: Robot) -> Callable[[Any], Expression]:
+def writer(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
     """What multiplies expressions of a robot out, and writes them as one would.
 
     Args:
         robot: Its parallel joints are those whose angles stand together.
+        budget: Counts terms.
     """
-    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING)
+    ring = Ring([symbols for symbols, _ in robot.parallel], ROUNDING, budget)
     natural = natural_angles(ring, [a for _, chain in robot.parallel for a in chain])
-    return lambda value: present(ring, ring.expand(value), natural)
+
+    def written(value: Any) -> Expression:
+        multiplied = ring.expand(value)
+        budget.write(multiplied.size)
+        return present(ring, multiplied, natural)
+
+    return written
 
 
 @contextmanager
@@ -173,6 +189,7 @@ class _Desk:
     known_zero: AnyArray
     zeros: bool | Sequence[str]
     numbers: bool
+    budget: Budget
 
     def __post_init__(self) -> None:
         self.robot = draw(self.tree, self.gravity)
@@ -181,16 +198,17 @@ class _Desk:
     @cached_property
     def literally(self) -> Callable[[Any], Expression]:
         """Multiplies out, and writes as one would."""
-        return writer(self.robot)
+        return writer(self.robot, self.budget)
 
     def definitions(self) -> tuple[tuple[str, Expression], ...]:
         """What the barycentric parameters stand for."""
-        return tuple(barycentric_definitions(self.tree, self.robot, self.known_zero))
+        return tuple(barycentric_definitions(self.tree, self.robot, self.known_zero, self.budget))
 
     def write(self, kind: Kind) -> Equations:
         """The equations of one kind."""
         vector, parameters, theta = self._parameters(kind)
-        values = dict(CONTENT[kind.name](self.robot, theta, [p.name for p in parameters]))
+        draft = Draft(self.robot, theta, tuple(p.name for p in parameters), self.budget)
+        values = dict(CONTENT[kind.name](draft))
         rows = 6 if kind.model == "reaction" else self.tree.n
         shape: tuple[int, ...] = (rows,)
         if kind.is_regressor or kind.name == "mass-matrix":
@@ -209,14 +227,15 @@ class _Desk:
         """Name and entries of the vector, and what each barycentric parameter is, (n, 10, p)."""
         if self.form == "full":
             theta = all_parameters(self.tree, self.known_zero)
-            entries = described(parameter_names(self.tree), UNITS * self.tree.n, theta.ravel())
+            labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
+            entries = described(labels, UNITS * self.tree.n, theta.ravel())
             return "theta", entries, columns(self.known_zero) if kind.is_regressor else theta
         minimal = self.minimal.get(kind.model)
         if minimal is None:
             minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
             self.minimal[kind.model] = minimal
         delta = minimal_parameters(minimal)
-        entries = described(minimal.names, minimal.units, delta)
+        entries = described(minimal.labels, minimal.units, delta)
         given = np.eye(len(delta), dtype=int).astype(object)
         theta = lifted(minimal, given if kind.is_regressor else delta[:, None], self.tree.n)
         return f"delta_{kind.model[0]}", entries, theta

@@ -15,10 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from enum import IntEnum
+from hashlib import blake2s
 from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
 
+from testbed.errors import ExpressionError
+
 Number: TypeAlias = int | float
+LARGEST_NUMBER = 1e150
+"""The square of this is still a number."""
+LONGEST_NAME = 200
+"""Characters of a bracket's name; brackets within brackets would double it again and again."""
 Key: TypeAlias = tuple[int, int, str]
 
 
@@ -152,13 +159,13 @@ class Expression:
             return 0
         if number == 1:
             return self
-        return Expression(tuple((f, _tidy(c * number)) for f, c in self.terms))
+        return Expression(tuple((f, exact(c * number)) for f, c in self.terms))
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Number) -> Expression:
         """By a number; exact if it is a power of two."""
-        return Expression(tuple((factors, _tidy(size / other)) for factors, size in self.terms))
+        return Expression(tuple((factors, exact(size / other)) for factors, size in self.terms))
 
 
 ZERO = Expression(())
@@ -182,7 +189,7 @@ def of(factor: Factor) -> Expression:
 
 def number(value: Number) -> Expression:
     """A number as an expression."""
-    return Expression((((), _tidy(value)),)) if value else ZERO
+    return Expression((((), exact(value)),)) if value else ZERO
 
 
 def expression(value: Any) -> Expression:
@@ -195,7 +202,7 @@ def collect(terms: Iterable[Term]) -> Expression:
     sums: dict[Factors, Number] = {}
     for factors, value in terms:
         sums[factors] = sums.get(factors, 0) + value
-    kept = [(factors, _tidy(value)) for factors, value in sums.items() if value != 0]
+    kept = [(factors, exact(value)) for factors, value in sums.items() if value != 0]
     kept.sort(key=_term_order)
     return Expression(tuple(kept))
 
@@ -209,9 +216,12 @@ def replaced(value: Expression, meaning: Callable[[Factor], Expression | None]) 
     """
     terms: list[Term] = []
     for factors, size in value.terms:
+        parts = [meaning(factor) for factor in factors]
+        if all(part is None for part in parts):
+            terms.append((factors, size))
+            continue
         product = number(size)
-        for factor in factors:
-            part = meaning(factor)
+        for factor, part in zip(factors, parts, strict=True):
             product = expression(product * (of(factor) if part is None else part))
         terms += product.terms
     return collect(terms)
@@ -225,8 +235,11 @@ def bracket(inside: Expression) -> tuple[Factor, Number]:
     first = inside.terms[0][1]
     sizes = {abs(value) for _, value in inside.terms}
     out = (first if len(sizes) == 1 else 1 if first > 0 else -1) if inside.terms else 1
-    plain = inside if out == 1 else Expression(tuple((f, _tidy(c / out)) for f, c in inside.terms))
-    return Factor(Nature.BRACKET, f"({written(plain)})", plain), out
+    plain = inside if out == 1 else Expression(tuple((f, exact(c / out)) for f, c in inside.terms))
+    name = f"({written(plain)})"
+    if len(name) > LONGEST_NAME:
+        name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
+    return Factor(Nature.BRACKET, name, plain), out
 
 
 def in_order(values: Iterable[Expression]) -> list[Factor]:
@@ -281,7 +294,7 @@ def _product(a: Expression, b: Expression) -> Any:
     left, size = _single(a)
     right, other = _single(b)
     factors = sorted((*left, *right), key=_factor_order)
-    return Expression(((tuple(factors), _tidy(size * other)),))
+    return Expression(((tuple(factors), exact(size * other)),))
 
 
 def _single(value: Expression) -> Term:
@@ -303,12 +316,18 @@ def _terms(value: Any) -> tuple[Term, ...] | None:
 
 def _number(value: Any) -> Number | None:
     if isinstance(value, int):
-        return value
-    return _tidy(float(value)) if isinstance(value, float) else None
+        return exact(value)
+    return exact(float(value)) if isinstance(value, float) else None
 
 
-def _tidy(value: Number) -> Number:
-    """An integer where it is one."""
+def exact(value: Number) -> Number:
+    """The number, as an integer where it is one.
+
+    Raises:
+        ExpressionError: It is too large for two such numbers to be multiplied, or is none.
+    """
+    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:
+        raise ExpressionError(f"a number beyond {LARGEST_NUMBER:g}, too large to calculate with")
     return int(value) if value == int(value) else value
 
 

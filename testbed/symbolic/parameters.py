@@ -11,6 +11,7 @@ import numpy as np
 from testbed.arrays import AnyArray
 from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.symbols import Label
 from testbed.robot.tree import Tree
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
 
@@ -20,35 +21,41 @@ class Parameter:
     """One entry of the vector of parameters that equations take.
 
     Attributes:
-        name: As in the minimal set, such as 2*K3d; or the barycentric parameter's.
+        label: Its name as a value, such as 2*K3d.
         unit: kg, kg m or kg m^2.
-        symbol: What stands for it in the equations; None if it is known to be zero.
-        times: How many times the symbol it is.
+        symbol: What stands for it, or for what it is a multiple of, in the equations; None
+            if it is known to be zero.
     """
 
-    name: str
+    label: Label
     unit: str
     symbol: Factor | None
-    times: int
+
+    @property
+    def name(self) -> str:
+        """As in the minimal set; or the barycentric parameter's."""
+        return self.label.text
+
+    @property
+    def times(self) -> int:
+        """How many times the symbol it is."""
+        return self.label.times
 
 
 def described(
-    names: Sequence[str], units: Sequence[str], symbols: AnyArray
+    labels: Sequence[Label], units: Sequence[str], symbols: AnyArray
 ) -> tuple[Parameter, ...]:
     """The entries of a vector of parameters.
 
     Args:
-        names: As the tool prints them.
+        labels: Their names.
         units: kg, kg m or kg m^2.
         symbols: Numbers times symbols, or 0.
     """
     entries = []
-    for name, unit, value in zip(names, units, symbols, strict=True):
-        if isinstance(value, Expression):
-            (factor,), times = value.terms[0]
-            entries.append(Parameter(name, unit, factor, int(times)))
-        else:
-            entries.append(Parameter(name, unit, None, 1))
+    for label, unit, value in zip(labels, units, symbols, strict=True):
+        ((factor,), _) = value.terms[0] if isinstance(value, Expression) else ((None,), 0)
+        entries.append(Parameter(label, unit, factor))
     return tuple(entries)
 
 
@@ -73,9 +80,9 @@ def minimal_parameters(minimal: MinimalSet) -> AnyArray:
     2*K3d is twice the symbol K3d; a star becomes an s.
     """
     delta = np.zeros(minimal.count, dtype=object)
-    safe = distinct([name.removeprefix("2*") for name in minimal.names])
-    for k, (name, body) in enumerate(zip(minimal.names, minimal.bodies, strict=True)):
-        delta[k] = parameter_symbol(safe[k], body) * (2 if name.startswith("2*") else 1)
+    safe = distinct([label.stem.text for label in minimal.labels])
+    for k, (label, body) in enumerate(zip(minimal.labels, minimal.bodies, strict=True)):
+        delta[k] = parameter_symbol(safe[k], body) * label.times
     return delta
 
 

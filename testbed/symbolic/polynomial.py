@@ -9,15 +9,21 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from testbed.errors import ExpressionError
-from testbed.symbolic.expression import Expression, Factor, Nature, Number, expression, in_order
+from testbed.symbolic.budget import Budget
+from testbed.symbolic.expression import (
+    Expression,
+    Factor,
+    Nature,
+    Number,
+    exact,
+    expression,
+    in_order,
+)
 from testbed.symbolic.trigonometry import COSINE, SINE, Waves
 
 BITS = 6
 LARGEST = (1 << BITS) - 1
 """Largest degree of a polynomial: no exponent can run over into the next."""
-
-LONGEST = 300_000
-"""Terms beyond which nobody reads an expression."""
 
 
 class Polynomial:
@@ -49,21 +55,28 @@ class Ring:
         waves: The waves of this ring.
     """
 
-    def __init__(self, groups: Iterable[Iterable[Factor]] = (), rounding: float = 0.0) -> None:
+    def __init__(
+        self,
+        groups: Iterable[Iterable[Factor]] = (),
+        rounding: float = 0.0,
+        budget: Budget | None = None,
+    ) -> None:
         """An empty ring.
 
         Args:
             groups: Angles (coordinates, constants) that appear in sums, group by group.
             rounding: Numbers smaller than this are the rounding of zero.
+            budget: Counts what is multiplied.
         """
         self._rounding = rounding
+        self._budget = budget or Budget()
         self.symbols: list[Factor] = []
         self._place: dict[Factor, int] = {}
         self._known: dict[Factor, Polynomial] = {}
         together = {
             self._monomial(angle): number for number, group in enumerate(groups) for angle in group
         }
-        self.waves = Waves(together)
+        self.waves = Waves(together, self._budget)
 
     def expand(self, value: Expression | Number) -> Polynomial:
         """An expression multiplied out.
@@ -72,16 +85,17 @@ class Ring:
             value: Auxiliary variables and brackets are looked through.
 
         Raises:
-            ExpressionError: Its degree may exceed 63, or it has too many terms.
+            ExpressionError: Its degree may exceed 63, there are too many terms, or numbers
+                that are no longer finite.
         """
         for factor in in_order([expression(value)]):  # the deepest first: no deep recursion
             if factor.content is not None:
                 self._factor(factor)
         total: dict[int, dict[int, Number]] = {}
         degree = 0
-        for factors, number in expression(value).terms:
+        for factors, size in expression(value).terms:
             monomial, plain = 0, 0
-            product = Polynomial({0: {0: number}}, 0)
+            product = Polynomial({0: {0: size}}, 0)
             for factor in factors:
                 if factor.content is None:
                     monomial += self._monomial(factor)
@@ -94,9 +108,9 @@ class Ring:
                     total[wave] = part
                     continue
                 into = total.setdefault(wave, {})
-                for exponents, size in part.items():
+                for exponents, each in part.items():
                     key = exponents + monomial
-                    into[key] = into.get(key, 0) + size
+                    into[key] = into.get(key, 0) + each
         return self._clean(total, degree)
 
     def multiply(self, a: Polynomial, b: Polynomial) -> Polynomial:
@@ -104,7 +118,9 @@ class Ring:
         total: dict[int, dict[int, Number]] = {}
         for wave_a, part_a in a.parts.items():
             for wave_b, part_b in b.parts.items():
-                for wave, weight in self.waves.product(wave_a, wave_b):
+                mixture = self.waves.product(wave_a, wave_b)
+                self._budget.multiply(len(part_a) * len(part_b) * len(mixture))
+                for wave, weight in mixture:
                     into = total.setdefault(wave, {})
                     get = into.get
                     for m, u in part_a.items():
@@ -117,13 +133,11 @@ class Ring:
     def exponents(self, monomial: int) -> list[tuple[Factor, int]]:
         """The symbols of a monomial and their exponents."""
         found = []
-        place = 0
         while monomial:
-            power = monomial & LARGEST
-            if power:
-                found.append((self.symbols[place], power))
-            monomial >>= BITS
-            place += 1
+            place = ((monomial & -monomial).bit_length() - 1) // BITS  # of the lowest one there
+            power = monomial >> (place * BITS) & LARGEST
+            found.append((self.symbols[place], power))
+            monomial ^= power << (place * BITS)
         return found
 
     def angle(self, number: int) -> Factor:
@@ -131,20 +145,16 @@ class Ring:
         return self.exponents(number)[0][0]
 
     def _clean(self, parts: dict[int, dict[int, Number]], degree: int) -> Polynomial:
-        """Without zeros."""
+        """Without zeros, and with numbers that a further product leaves finite."""
         if degree > LARGEST:
             raise ExpressionError(f"an expression of degree {degree}; at most {LARGEST}")
         least = self._rounding
         for part in parts.values():
-            for key in [key for key, number in part.items() if -least <= number <= least]:
+            for key in [key for key, size in part.items() if -least <= size <= least]:
                 del part[key]
-        polynomial = Polynomial({wave: part for wave, part in parts.items() if part}, degree)
-        if polynomial.size > LONGEST:
-            raise ExpressionError(
-                f"an equation of more than {LONGEST} terms when multiplied out; the recursive "
-                "form stays short (form='recursive', --form recursive)"
-            )
-        return polynomial
+            exact(max(part.values(), default=0))
+            exact(min(part.values(), default=0))
+        return Polynomial({wave: part for wave, part in parts.items() if part}, degree)
 
     def _monomial(self, factor: Factor) -> int:
         place = self._place.get(factor)

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from testbed.arrays import AnyArray, Array
-from testbed.parameters.formulas import length_name
+from testbed.parameters.formulas import length_symbol
 from testbed.robot.tree import Tree
 from testbed.symbolic.angles import EXACT
 from testbed.symbolic.expression import Expression, Factor, Nature, symbol
@@ -84,7 +84,9 @@ def draw(tree: Tree, gravity: Array) -> Robot:
     joints = []
     for j, joint in enumerate(tree.joints):
         offset = [
-            constant(length_name(joint.parent, j, axis), length) if abs(length) > EXACT else 0
+            constant(length_symbol(joint.parent, j, axis).text, length)
+            if abs(length) > EXACT
+            else 0
             for axis, length in zip("xyz", joint.offset, strict=True)
         ]
         rotation, axis = _exact(joint.rotation), _exact(joint.axis)

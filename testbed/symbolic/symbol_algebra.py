@@ -11,14 +11,21 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import AnyArray
+from testbed.symbolic.budget import Budget
 from testbed.symbolic.expression import Expression, Factor, Nature, of
 
 
 class Symbols:
     """The algebra of expressions, for the recursions of `dynamics`."""
 
-    def __init__(self, mark: str = "") -> None:
-        """Args: mark: Put behind the names of auxiliary variables."""
+    def __init__(self, budget: Budget, mark: str = "") -> None:
+        """An algebra.
+
+        Args:
+            budget: Counts the terms of auxiliary variables.
+            mark: Put behind the names of auxiliary variables.
+        """
+        self._budget = budget
         self._mark = mark
 
     def sin(self, angle: AnyArray) -> AnyArray:
@@ -33,7 +40,10 @@ class Symbols:
         """Auxiliary variables for all components that take an operation to compute."""
         kept = np.empty(value.shape, dtype=object)
         for place in np.ndindex(value.shape):
-            kept[place] = auxiliary(component(name, place, value.shape) + self._mark, value[place])
+            one = value.item(place)
+            kept[place] = auxiliary(component(name, place, value.shape) + self._mark, one)
+            if isinstance(one, Expression):
+                self._budget.write(len(one.terms))
         return kept
 
 

@@ -16,7 +16,8 @@ from testbed.symbolic.polynomial import Polynomial, Ring
 from testbed.symbolic.symbol_algebra import cosine, sine
 from testbed.symbolic.trigonometry import COSINE, SINE, Index, combined
 
-Shape: TypeAlias = tuple[tuple[int, Index], ...]  # cosines and sines of one group
+Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
+Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
 Shapes: TypeAlias = tuple[tuple[int, Shape], ...]  # by group
 Key: TypeAlias = tuple[int, Shapes]  # monomial, shapes
 Terms: TypeAlias = dict[Key, Number]
@@ -30,14 +31,38 @@ def present(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Ex
         polynomial: What to write.
         natural: Angles that products may have, in the ring's numbers.
     """
-    terms: Terms = {}
+    sheet = _Sheet()
     for wave, part in polynomial.parts.items():
         shapes = tuple((group, ((kind, index),)) for group, kind, index in ring.waves.list[wave])
         for monomial, number in part.items():
-            terms[monomial, shapes] = number
-    for group in sorted({group for _, shapes in terms for group, _ in shapes}):
-        terms = _paired(terms, group, natural)
-    return collect(_term(ring, key, number) for key, number in terms.items())
+            sheet.put((monomial, shapes), number)
+    for group in sorted(sheet.places):
+        _pair(sheet, group, natural)
+    angles: dict[Tone, Term] = {}
+    return collect(_term(ring, key, number, angles) for key, number in sheet.terms.items())
+
+
+class _Sheet:
+    """Terms, and where each group of angles stands.
+
+    Attributes:
+        terms: Number by key.
+        places: By group, the keys of the terms in which its angles stand.
+    """
+
+    def __init__(self) -> None:
+        self.terms: Terms = {}
+        self.places: dict[int, dict[Key, None]] = {}
+
+    def put(self, key: Key, number: Number) -> None:
+        self.terms[key] = number
+        for group, _ in key[1]:
+            self.places.setdefault(group, {})[key] = None
+
+    def take(self, key: Key) -> None:
+        del self.terms[key]
+        for group, _ in key[1]:
+            del self.places[group][key]
 
 
 def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]:
@@ -50,19 +75,30 @@ def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]
     return frozenset(found)
 
 
-def _paired(terms: Terms, group: int, natural: frozenset[Index]) -> Terms:
+def _pair(sheet: _Sheet, group: int, natural: frozenset[Index]) -> None:
     """Pairs of tones of one group as products."""
     buckets: dict[Key, dict[Shape, Number]] = {}
-    for (monomial, shapes), number in terms.items():
+    for key in sheet.places[group]:
+        monomial, shapes = key
         rest = tuple(item for item in shapes if item[0] != group)
-        shape = next((shape for name, shape in shapes if name == group), ())
-        buckets.setdefault((monomial, rest), {})[shape] = number
-    result: Terms = {}
-    for (monomial, rest), tones in buckets.items():
-        for shape, number in _products(tones, natural).items():
-            shapes = tuple(sorted((*rest, (group, shape)))) if shape else rest
-            result[monomial, shapes] = number
-    return result
+        shape = next(shape for name, shape in shapes if name == group)
+        buckets.setdefault((monomial, rest), {})[shape] = sheet.terms[key]
+    for plain, tones in buckets.items():
+        if plain in sheet.terms:
+            tones[()] = sheet.terms[plain]
+        found = _products(tones, natural)
+        if found == tones:
+            continue
+        for shape in tones:
+            sheet.take(_with(plain, group, shape))
+        for shape, number in found.items():
+            sheet.put(_with(plain, group, shape), number)
+
+
+def _with(plain: Key, group: int, shape: Shape) -> Key:
+    """The key of a term with one more group's cosines and sines."""
+    monomial, rest = plain
+    return monomial, tuple(sorted((*rest, (group, shape)))) if shape else rest
 
 
 def _products(tones: dict[Shape, Number], natural: frozenset[Index]) -> dict[Shape, Number]:
@@ -123,7 +159,7 @@ def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Sh
     return shape, number
 
 
-def _tone(shape: Shape) -> tuple[int, Index]:
+def _tone(shape: Shape) -> Tone:
     """Kind and angle of a single tone; 1 is the cosine of nothing."""
     return shape[0] if shape else (COSINE, ())
 
@@ -145,16 +181,19 @@ def _positive(index: Index) -> tuple[int, Index]:
     return 1, index
 
 
-def _term(ring: Ring, key: Key, number: Number) -> Term:
+def _term(ring: Ring, key: Key, number: Number, angles: dict[Tone, Term]) -> Term:
     monomial, shapes = key
     factors: list[Factor] = []
     for factor, power in ring.exponents(monomial):
         factors += [factor] * power
     for _, shape in shapes:
-        for kind, index in shape:
-            angle = collect(((ring.angle(atom),), times) for atom, times in index)
-            made = sine(angle) if kind == SINE else cosine(angle)
-            (inside, sign), *_ = made.terms
+        for tone in shape:
+            found = angles.get(tone)
+            if found is None:
+                kind, index = tone
+                angle = collect(((ring.angle(atom),), times) for atom, times in index)
+                found = angles[tone] = (sine if kind == SINE else cosine)(angle).terms[0]
+            inside, sign = found
             factors += inside
             number *= sign
     return tuple(sorted(factors)), number if number != int(number) else int(number)

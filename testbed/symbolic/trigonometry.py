@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product as choices
+from math import prod
 from typing import TypeAlias
 
+from testbed.symbolic.budget import Budget
 from testbed.symbolic.expression import Number
 
 Index: TypeAlias = tuple[tuple[int, Number], ...]  # (angle, how many times), in order
@@ -30,10 +32,16 @@ class Waves:
         group: The group of an angle, by its number; angles that are not there are alone.
     """
 
-    def __init__(self, group: dict[int, int] | None = None) -> None:
-        """Args: group: Angles that are together, by angle."""
+    def __init__(self, group: dict[int, int], budget: Budget) -> None:
+        """No waves but 1.
+
+        Args:
+            group: Angles that are together, by angle.
+            budget: Counts what is multiplied.
+        """
+        self._budget = budget
         self.list: list[Wave] = [()]
-        self.group = group or {}
+        self.group = group
         self._number: dict[Wave, int] = {(): 0}
         self._products: dict[tuple[int, int], Mixture] = {}
 
@@ -79,6 +87,7 @@ class Waves:
                 options.append(_in_group(group, one, two))
             else:
                 options.append([((one or two or _NEVER,), 1.0)])
+        self._budget.multiply(prod(len(each) for each in options))
         mixture: dict[int, float] = {}
         for choice in choices(*options):
             weight = 1.0

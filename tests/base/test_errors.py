@@ -7,7 +7,14 @@ import inspect
 import pytest
 
 from testbed import errors
-from testbed.errors import FreeRootError, InertiaError, UnknownName, UnseenParameters
+from testbed.errors import (
+    FreeRootError,
+    InertiaError,
+    MimicError,
+    UnknownName,
+    UnseenParameters,
+    printable,
+)
 
 KINDS = [
     each for each in vars(errors).values() if inspect.isclass(each) and issubclass(each, Exception)
@@ -48,3 +55,67 @@ def test_unseen_parameters_are_counted_and_named() -> None:
     assert error.rank == 5
     assert "100 samples determine only 5 of 7 unknowns" in str(error)
     assert "K1zz, mb2x" in str(error)
+
+
+MIMICS = {f"finger{k}": f"knuckle{k}" for k in range(1, 6)}
+
+
+def test_joints_that_follow_are_named_with_all_ways_out() -> None:
+    one = MimicError("hand.urdf", {"left": "right"}, ["right", "left", "right"])
+    assert one.masters == {"left": "right"}
+    assert str(one).startswith(
+        "hand.urdf: joint 'left' follows 'right', which a tree cannot express. "
+        "--lock right --lock left holds followed and followers; --lock-mimic holds followers only"
+    )
+    assert "lock={'right': None}" in str(one)
+
+
+def test_of_many_joints_that_follow_the_first_few_are_spelled_out() -> None:
+    said = str(MimicError("hand.urdf", MIMICS, list(MIMICS)))
+    assert "joint 'finger1' follows 'knuckle1' (5 such joints), which" in said
+    assert "--lock finger1 --lock finger2 --lock finger3 --lock finger4 ... holds" in said
+    assert "--lock finger4 holds" in str(MimicError("hand.urdf", MIMICS, list(MIMICS)[:4]))
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("plain text, with ümlauts and 漢字", "plain text, with ümlauts and 漢字"),
+        ("  two\nlines\t and \u2028 more  ", "two lines and more"),
+        ("\x1b[31mred\x1b[0m", r"\x1b[31mred\x1b[0m"),
+        ("a\x9bb", r"a\x9bb"),
+        ("right\u202eleft", r"right\u202eleft"),
+        ("zero\x00byte", r"zero\x00byte"),
+        ("", ""),
+    ],
+)
+def test_what_a_terminal_would_obey_is_spelled_out(text: str, shown: str) -> None:
+    assert printable(text) == shown
+    assert printable(text).isprintable()
+
+
+def test_long_text_keeps_its_ends_and_says_how_long_it_was() -> None:
+    text = "".join(chr(ord("a") + k % 26) for k in range(10_000))
+    shown = printable(text)
+    assert len(shown) == 500
+    start, end = shown.split(" ... (10000 characters in all) ... ")
+    assert text.startswith(start)
+    assert text.endswith(end)
+    assert 0 <= len(start) - len(end) <= 1
+    assert printable(text[:500]) == text[:500]
+    assert printable(text[:501]) != text[:501]
+
+
+@pytest.mark.parametrize("limit", [20, 21, 60, 90, 100])
+def test_the_limit_holds_and_spelled_characters_stay_whole(limit: int) -> None:
+    """The result is as long as it may be, but for a spelled character that does not fit."""
+    for text in ("x" * 1000, "\x1b" * 1000, "ab\x1b" * 300):
+        shown = printable(text, limit)
+        assert limit - 6 <= len(shown) <= limit
+        assert shown.isprintable()
+        start, _, end = shown.partition("...")
+        whole = "".join(c if c.isprintable() else r"\x1b" for c in text)
+        assert whole.startswith(start.partition(" ")[0])
+        assert whole.endswith(end.rpartition(" ")[2].lstrip("."))
+        assert not start.rstrip(" ").endswith(("\\", "\\x", "\\x1"))
+    assert ("characters in all" in printable("x" * 1000, limit)) == (limit > 70)

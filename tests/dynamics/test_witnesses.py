@@ -33,17 +33,22 @@ def agreement(**changes: Any) -> Agreement:
         sampled_distance=1e-14,
         gap=1e9,
         change=1e-15,
+        inverse=1e-15,
     )
     return replace(whole, **changes)
 
 
 def test_witnesses_agree_on_equal_spaces_and_a_clear_rank() -> None:
-    """Angles up to 1e-7, singular values at least a thousand times apart."""
+    """Angles up to 1e-7, or to what sampling can tell; singular values a thousand times apart."""
     assert agreement().holds
     assert agreement(recursion_distance=1e-7, sampled_distance=1e-7, gap=1e3).holds
     assert not agreement(recursion_distance=1.01e-7).holds
     assert not agreement(sampled_distance=1.01e-7).holds
+    assert agreement(sampled_distance=0.99e-5, gap=1e5).holds
+    assert not agreement(sampled_distance=1.01e-5, gap=1e5).holds
+    assert not agreement(change=1.01e-8).holds
     assert not agreement(gap=999.0).holds
+    assert not agreement(inverse=1.01e-9).holds
 
 
 @pytest.mark.parametrize("model", MODELS)

@@ -7,7 +7,7 @@ inclined, parallel or coaxial on purpose: the places where rules break.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -113,6 +113,33 @@ def random_states(rng: np.random.Generator, samples: int, n: int) -> tuple[Array
     """Positions, velocities, accelerations of order one, (samples, n) each."""
     q, qd, qdd = (rng.uniform(-1.5, 1.5, (samples, n)) for _ in range(3))
     return q, qd, qdd
+
+
+def with_zeros(rng: np.random.Generator, robot: Robot) -> Robot:
+    """The same robot with bodies of which much is exactly zero.
+
+    Centres of mass on axes and in planes, symmetric and plane bodies, rods, point masses
+    and bodies without mass.
+    """
+    return replace(robot, links=tuple(_bared(rng, link) for link in robot.links))
+
+
+def _bared(rng: np.random.Generator, link: Link) -> Link:
+    shape = rng.choice(["any", "symmetric", "plane", "rod", "point", "massless"])
+    if shape == "any":
+        return link
+    if shape == "massless":
+        return replace(link, mass=0.0, com=np.zeros(3), central=np.zeros((3, 3)))
+    com = link.com * (rng.random(3) < 0.4)
+    a, b, c = rng.uniform(0.01, 0.1, 3) * link.mass
+    central = {
+        "symmetric": np.diag([a, a, b]),
+        "plane": np.diag([a + b, a + c, b + c]),
+        "rod": np.diag([a, a, 0.0]),
+        "point": np.zeros((3, 3)),
+    }[str(shape)]
+    order = rng.permutation(3)
+    return replace(link, com=com, central=central[np.ix_(order, order)])
 
 
 def _random_link(rng: np.random.Generator, name: str, parent: int, kind: Kind) -> Link:

@@ -48,6 +48,8 @@ def some(*shape: int) -> np.ndarray:
     return rng.normal(size=shape)
 
 
+NOTHING: Any = None  # where arrays alone matter
+
 EXAMPLES: dict[str, Any] = {
     "Motion": lambda: tb.Motion(some(4), some(4, 2), some(4, 2), some(4, 2)),
     "Fourier": lambda: Fourier(0.1, some(2), some(2, 3), some(2, 3)),
@@ -58,7 +60,10 @@ EXAMPLES: dict[str, Any] = {
     "Shape": lambda: Shape(
         0, "mesh", some(3), some(3), some(3, 3), some(4), some(5, 3), some(6, 3)
     ),
-    "Settings": lambda: tb.Settings(weights=np.diag(rng.uniform(1, 2, 6)).tolist()),
+    "Estimate": lambda: tb.Estimate(
+        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
+        some(1), some(1), (5,), 1.0, NOTHING, (), NOTHING, None, ("a",),
+    ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
         some(6),

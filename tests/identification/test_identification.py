@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
-from testbed.errors import RecordingError, SettingsError, UnknownName, UnseenParameters
+from testbed.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
 from testbed.recordings.recording import Recording
@@ -144,13 +144,6 @@ def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
         tb.identify(
             puma, ideal(puma), "external", settings=tb.Settings(position_cutoff="off", cutoff=150.0)
         )
-
-
-def test_a_filter_that_would_bias_the_estimate_is_refused() -> None:
-    with pytest.raises(SettingsError, match="less than twice"):
-        tb.Settings(position_cutoff=6.0, cutoff=5.0)
-    with pytest.raises(SettingsError, match="positive frequency"):
-        tb.Settings(cutoff=0.0)
 
 
 def test_an_unknown_method_is_refused(puma: tb.Tree) -> None:

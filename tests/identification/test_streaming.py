@@ -345,21 +345,6 @@ def test_sliding_windows_are_bartletts_weights(cuts: tuple[int, ...]) -> None:
 # The compiled code.
 
 
-def test_a_cache_that_others_can_write_to_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from testbed.kernel.compiler import cache_folder
-
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    own = cache_folder()
-    assert own.parent.parent == tmp_path
-    assert own.stat().st_mode & 0o777 == 0o700
-    own.parent.chmod(0o777)
-    assert tmp_path not in cache_folder().parents
-    own.parent.chmod(0o755)
-    assert cache_folder() == own
-
-
 def test_the_kernel_is_right_without_wide_vectors(tmp_path: Path) -> None:
     """Compiled for a processor with AVX2 only, with its own tiles."""
     from llvmlite import binding

@@ -130,7 +130,7 @@ def test_counts_of_a_puma_with_general_bodies(
 
 def test_formulas_are_those_of_the_paper(puma: tb.Tree) -> None:
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
-    said = {*minimal.formulas, *minimal.auxiliary}
+    said = {str(formula) for formula in (*minimal.formulas, *minimal.auxiliary)}
     assert {
         "K*1yz = K1yz - l12z*mb*2y",
         "mb*1y = mb1y + mb*2y",
@@ -230,11 +230,10 @@ def test_formulas_say_what_the_matrix_does(seed: int) -> None:
             known[f"l{joint.parent + 1}{j + 1}{x}"] = float(length)
     minimal = tb.minimal_set(tree, "reaction")
     for formula in minimal.auxiliary:  # tips first: each needs only those before it
-        name, right = formula.split(" = ")
-        known[name] = evaluate(right, known)
+        known[formula.left.text] = evaluate(formula.said, known)
     values = minimal.values(theta)
     for formula, value in zip(minimal.formulas, values, strict=True):
-        name, right = formula.split(" = ", 1)
+        name, right = formula.left.text, formula.said
         if name.startswith("mb*0"):
             continue  # the bedplate's static moment is said in words
         assert evaluate(right, known) == pytest.approx(value, abs=1e-4), formula  # six digits

@@ -5,6 +5,7 @@ Bodies without joints are merged into those that carry them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -22,7 +23,7 @@ from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
 from testbed.robot.formats.mjcf_spec import open_spec
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.locks import Lock
-from testbed.robot.tree import Joint, Kind, Tree
+from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtJoint.mjJNT_HINGE): "revolute",
@@ -56,20 +57,44 @@ def read_mjcf(
         raise InertiaError(path.name, flaws)
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     model = compile_spec(spec, path)
+    _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
         if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    return _tree_of(model, stated, (*flaws, *notes, *_springs(model)))
+    return _tree_of(model, stated, (*flaws, *notes, *_unmodelled(model)))
 
 
-def _springs(model: mujoco.MjModel) -> tuple[str, ...]:
-    return tuple(
-        f"joint '{model.joint(j).name}' has a spring ({model.jnt_stiffness[j].flat[0]:g} N m/rad "
-        "or N/m) that the joint model does not know"
-        for j in range(model.njnt)
-        if np.any(model.jnt_stiffness[j])
-    )
+def _check_places(model: mujoco.MjModel, path: Path) -> None:
+    """Whether bodies, joints and mass centres are near enough to be reckoned with."""
+    bodies, joints = range(1, model.nbody), range(model.njnt)
+    places = [
+        *((f"body '{model.body(b).name}'", model.body_pos[b]) for b in bodies),
+        *((f"mass centre of body '{model.body(b).name}'", model.body_ipos[b]) for b in bodies),
+        *((f"joint '{model.joint(j).name}'", model.jnt_pos[j]) for j in joints),
+    ]
+    for what, place in places:
+        if not (np.abs(place) <= FARTHEST).all():
+            raise ModelError(
+                f"{path}: the {what} is {np.abs(place).max():.3g} m away; {FARTHEST:g} m is the "
+                "limit"
+            )
+
+
+def _unmodelled(model: mujoco.MjModel) -> Iterator[str]:
+    """What acts in joints beside friction, a line each."""
+    for j in range(model.njnt):
+        name, dof = model.joint(j).name, model.jnt_dofadr[j]
+        if np.any(model.jnt_stiffness[j]) or np.any(model.jnt_stiffnesspoly[j]):
+            yield (
+                f"joint '{name}' has a spring ({model.jnt_stiffness[j].flat[0]:g} N m/rad or N/m) "
+                "that the joint model does not know"
+            )
+        if np.any(model.dof_dampingpoly[dof]):
+            yield (
+                f"joint '{name}' has damping that grows faster than its speed, which the joint "
+                "model does not know"
+            )
 
 
 def _tree_of(

@@ -16,6 +16,8 @@ from testbed.errors import ModelError
 from testbed.robot.inertia import inertia_flaw
 from testbed.robot.stderr import captured_stderr
 
+LONGEST_MESSAGE = 400
+"""Of MuJoCo's: it repeats what it found in a file."""
 MASSLESS = 1e-12
 """Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
 
@@ -95,7 +97,7 @@ def no_mujoco_warnings() -> Iterator[None]:
         mujoco.set_mju_user_warning(before)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StatedInertia:
     """An inertia as the file states it: the compiler's principal axes cost digits."""
 
@@ -135,4 +137,4 @@ def stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, StatedIne
 
 def one_line(error: Exception) -> str:
     """MuJoCo's message without its line breaks."""
-    return " ".join(str(error).removeprefix("Error: ").split())
+    return " ".join(str(error).removeprefix("Error: ").split())[:LONGEST_MESSAGE]

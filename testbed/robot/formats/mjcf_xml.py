@@ -16,12 +16,13 @@ from testbed.errors import ModelError
 from testbed.robot.decimals import decimals
 from testbed.robot.model_xml import read_xml
 
-MOST_BODIES, MOST_ELEMENTS = 5_000, 50_000
+MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
 """Bodies, and elements of all kinds, that a file may become, copies counted."""
 MOST_CELLS = 10**7
 """Of a height field: rows times columns."""
 DEEPEST_FILES = 8
 """Files that may hold each other in a row."""
+_BODIES = ("body", "composite", "flexcomp")
 _COPIED = ("replicate", "composite", "flexcomp")
 """Elements whose attribute `count` says how many copies are made."""
 
@@ -47,11 +48,11 @@ def check_files(path: Path) -> None:
         ModelError: It holds itself, or becomes too large; a file is not XML, or not UTF-8.
     """
     made = _Files(path).size(path, ())
-    if made.elements > MOST_ELEMENTS or made.bodies > MOST_BODIES:
+    if made.elements > MOST_MADE_ELEMENTS or made.bodies > MOST_MADE_BODIES:
         raise ModelError(
             f"{path}: would become {_rounded(made.bodies)} bodies, {_rounded(made.elements)} "
-            f"elements in all; {MOST_BODIES} and {MOST_ELEMENTS} are the limits (see <replicate>, "
-            "<attach>, <include>)"
+            f"elements in all; {MOST_MADE_BODIES} and {MOST_MADE_ELEMENTS} are the limits (see "
+            "<replicate>, <attach>, <include>)"
         )
 
 
@@ -93,7 +94,7 @@ class _Files:
         unnamed = max(models.values(), key=lambda size: size.elements, default=_Size())
         made = _Size()
         for element, copies in _copies(root):
-            made += _Size(1, element.tag == "body" or element.tag in _COPIED) * copies
+            made += _Size(1, element.tag in _BODIES) * copies
             if element.tag == "attach":
                 made += models.get(element.get("model", ""), unnamed) * copies
             elif element.tag in ("include", "model"):

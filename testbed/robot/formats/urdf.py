@@ -134,4 +134,4 @@ def _inertia_of(inertia: pin.Inertia) -> Inertia:
 def _first_complaint(said: str, raised: str) -> str:
     """The parser's first reason, on one line."""
     reasons: list[str] = re.findall(r"Error:\s*(.+)", said) or [raised]
-    return "not a valid URDF: " + " ".join(reasons[0].split())
+    return "not a valid URDF: " + " ".join(reasons[0].split())[:400]

@@ -13,10 +13,8 @@ from difflib import get_close_matches
 
 from testbed.errors import ModelError
 from testbed.robot.decimals import decimals
+from testbed.robot.inertia import HEAVIEST
 from testbed.robot.tree import FARTHEST
-
-HEAVIEST = 1e12
-"""Masses and inertias beyond this are a mistake [kg, kg m^2]."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from testbed.robot.formats.mjcf_compile import (
 from testbed.robot.formats.mjcf_spec import open_spec
 from testbed.robot.locks import Lock
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.shapes import DrawnShapes, Kind, Shape, in_body
+from testbed.robot.visuals.shapes import DrawnShapes, Kind, Shape, poses_at_zero
 
 _KINDS: dict[int, Kind] = {
     int(mujoco.mjtGeom.mjGEOM_BOX): "box",
@@ -61,14 +61,15 @@ def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:
     data = mujoco.MjData(model)
     data.qpos[:] = 0.0
     mujoco.mj_kinematics(model, data)
+    poses = [*poses_at_zero(tree), (np.eye(3), np.zeros(3))]  # the last is the bedplate's
     for g in range(model.ngeom):
         kind = _KINDS.get(int(model.geom_type[g]))
         if kind is None or model.geom_group[g] >= _SEEN_GROUPS:
             continue
         body = _owner(model, int(model.geom_bodyid[g]), tree)
-        rotation, position = in_body(
-            tree, body, data.geom_xmat[g].reshape(3, 3).copy(), data.geom_xpos[g].copy()
-        )
+        turn, origin = poses[body]
+        rotation = turn.T @ data.geom_xmat[g].reshape(3, 3)
+        position = turn.T @ (data.geom_xpos[g] - origin)
         vertices, faces = _mesh(model, g) if kind == "mesh" else (np.zeros((0, 3)),) * 2
         size = _size(kind, model.geom_size[g], int(model.geom_type[g]))
         yield Shape(body, kind, size, position, rotation, _colour(model, g), vertices, faces)

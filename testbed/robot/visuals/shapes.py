@@ -73,14 +73,6 @@ def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:
     return poses
 
 
-def in_body(tree: Tree, body: int, rotation: Array, position: Array) -> tuple[Array, Array]:
-    """A pose in the bedplate's frame at q = 0, in the frame of a body."""
-    if body < 0:
-        return rotation, position
-    turn, origin = poses_at_zero(tree)[body]
-    return turn.T @ rotation, turn.T @ (position - origin)
-
-
 def upright(direction: Array) -> Array:
     """A rotation that takes z to a direction, (3, 3)."""
     z = direction / np.linalg.norm(direction)

@@ -42,6 +42,7 @@ def read_shapes(
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock, keep_visuals=True)
     missing = [line for link in root.findall("link") for line in _prepared(link, path)]
     coloured = root.find("link/visual/material") is not None
+    root.set("version", "1.2")  # capsules are new in it
     try:
         model, seen = _built(root)
     except Exception:  # Pinocchio raises whatever a mesh makes it meet
@@ -67,10 +68,13 @@ def _shapes(
 def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
     """The robot, and what there is to see of it."""
     text = ET.tostring(root, encoding="unicode")
-    with captured_stderr(), warnings.catch_warnings():
+    with captured_stderr() as said, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = pin.buildModelFromXML(text)
-        return model, pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
+        seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
+        if said():  # a link with one visual that is not understood loses all of them
+            raise ValueError(said())
+        return model, seen
 
 
 def _drawn(
@@ -121,7 +125,7 @@ def _prepared(link: ET.Element, path: Path) -> Iterator[str]:
 def _without_unreadable(link: ET.Element) -> Iterator[str]:
     """Drop visuals that Pinocchio cannot read, each tried alone; a line for each."""
     for visual in link.findall("visual"):
-        alone = ET.Element("robot", name="one")
+        alone = ET.Element("robot", name="one", version="1.2")
         ET.SubElement(alone, "link", name="one").append(deepcopy(visual))
         try:
             _built(alone)

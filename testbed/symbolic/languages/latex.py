@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import re
 
-from testbed.parameters.formulas import latex as formula
+from testbed.parameters.formulas import length_symbol
+from testbed.parameters.symbols import Label
+from testbed.robot.tree import Tree
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Factor, Nature, Number
 from testbed.symbolic.languages.text import Style, definitions, fraction, header, terms
@@ -26,26 +28,39 @@ def latex(listing: Listing, source: str) -> str:
     lines = [f"% {line}".rstrip() for line in said]
     lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
     lines += [r"\begin{document}"]
+    lengths = _lengths(listing.tree)
     if listing.constants:
         values = (
-            rf"{_constant(c.name)} &= {_number(v)}" for c, v in sorted(listing.constants.items())
+            rf"{_constant(c.name, lengths)} &= {_number(v)}"
+            for c, v in sorted(listing.constants.items())
         )
         lines += [r"\begin{align*}", " \\\\\n".join(values), r"\end{align*}"]
     for each in listing.equations:
         lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
-        lines += [r"\begin{align*}", *_equations(each), r"\end{align*}"]
+        lines += [r"\begin{align*}", *_equations(each, lengths), r"\end{align*}"]
     return "\n".join([*lines, r"\end{document}"]) + "\n"
 
 
-def _equations(each: Equations) -> list[str]:
-    stars = {p.symbol: p.name.removeprefix("2*") for p in each.parameters if p.symbol}
-    style = Style(lambda factor: _name(factor, stars), _number, r"\,", power=_power)
+def _lengths(tree: Tree) -> dict[str, str]:
+    """How the lengths between bodies are written."""
+    symbols = (length_symbol(j.parent, k, a) for k, j in enumerate(tree.joints) for a in "xyz")
+    return {symbol.text: symbol.latex for symbol in symbols}
+
+
+def _equations(each: Equations, lengths: dict[str, str]) -> list[str]:
+    known = lengths | {p.symbol.name: _factor(p.label.stem) for p in each.parameters if p.symbol}
+    style = Style(lambda factor: _name(factor, known), _number, r"\,", power=_power)
     lines = []
     for label, value in each.program.lines:
         if value or len(each.shape) == 1:
             rows = _broken(terms(value, style))
-            lines.append(rf"{_name(label, stars)} ={{}}& " + " \\\\\n&".join(rows))
+            lines.append(rf"{_name(label, known)} ={{}}& " + " \\\\\n&".join(rows))
     return [" \\\\\n".join(lines) or "0 ={}& 0"]
+
+
+def _factor(label: Label) -> str:
+    """A parameter as a factor: a sum is put in brackets."""
+    return rf"\left({label.latex}\right)" if len(label.terms) > 1 else label.latex
 
 
 def _broken(pieces: list[str]) -> list[str]:
@@ -76,10 +91,10 @@ def _number(value: Number) -> str:
     return text
 
 
-def _name(factor: Factor, stars: dict[Factor, str]) -> str:
+def _name(factor: Factor, known: dict[str, str]) -> str:
     name, nature = factor.name, factor.nature
     if nature is Nature.PARAMETER:
-        return formula(stars.get(factor, name))
+        return known[name]
     if nature in (Nature.POSITION, Nature.VELOCITY, Nature.ACCELERATION):
         letters = {"q": "q", "qp": r"\dot q", "qpp": r"\ddot q"}
         head = name.rstrip("0123456789")
@@ -87,7 +102,7 @@ def _name(factor: Factor, stars: dict[Factor, str]) -> str:
     if nature in (Nature.COSINE, Nature.SINE):
         return _wave(name)
     if nature is Nature.CONSTANT:
-        return _constant(name)
+        return _constant(name, known)
     return _auxiliary(name)
 
 
@@ -98,8 +113,8 @@ def _wave(name: str) -> str:
     return rf"{letter}_{{{inside}}}"
 
 
-def _constant(name: str) -> str:
-    return formula(name) if name[0] == "l" else re.sub(r"^g(.)$", r"g_{\1}", name)
+def _constant(name: str, lengths: dict[str, str]) -> str:
+    return lengths.get(name) or re.sub(r"^g(.)$", r"g_{\1}", name)
 
 
 def _auxiliary(name: str) -> str:

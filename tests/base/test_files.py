@@ -220,3 +220,54 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
         tmp_path.chmod(0o500)
     with pytest.raises(OSError, match="may not be written there"):
         write(place, "file")
+
+
+def test_a_file_is_meant_unless_a_folder_is_said(tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="'.*folder' is a folder"), replacing(tmp_path / "folder"):
+        pass
+
+
+def test_folders_made_on_the_way_go_where_nothing_can_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object, **named: object) -> str:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkdtemp", full)
+    with pytest.raises(OSError, match=r"may not be written there: No space left"):
+        write(tmp_path / "new" / "deep" / "place", "file")
+    assert names(tmp_path) == []
+
+
+def test_writing_leaves_no_file_open(tmp_path: Path) -> None:
+    """Nor does sweeping, nor a nest that somebody else holds."""
+    own = Path("/proc/self/fd")
+    if not own.is_dir():
+        pytest.skip("this system does not list open files")
+    held, lock = files._new_nest(tmp_path)
+    before = len(names(own))
+    for k in range(10):
+        left, dead = files._new_nest(tmp_path)
+        os.close(dead)
+        write(tmp_path / "place", "file", f"w{k}")
+        assert not left.exists()
+    assert len(names(own)) == before
+    os.close(lock)
+    assert held.exists()
+
+
+def test_where_there_are_no_locks_files_are_written_and_nothing_is_swept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nobody can know there whether the writer of a nest is alive."""
+    left, dead = files._new_nest(tmp_path)
+    os.close(dead)
+
+    def without(*arguments: object) -> None:
+        raise OSError(37, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", without)
+    write(tmp_path / "place", "file")
+    assert content(tmp_path / "place") == "new"
+    assert nests(tmp_path) == [left.name]

@@ -1,0 +1,215 @@
+"""Tips to base: which entries stay independent, and a robot that has each of them alone.
+
+Where barycentric parameters are known to be zero, an entry may vanish, or be a combination
+of entries nearer the tips; and the rules' entries may hold the bedplate's static wrench
+already. Decided body by body, on directions: barycentric parameters of a body and of those
+it carries, none of them known to be zero, and the ten redefined parameters that the body
+has of them. Free directions leave every entry so far at zero. An entry is new if one of
+them changes it; this one becomes the entry's own and is taken out of all others. What
+stays free is passed on to the carrier, as parameters are that are regrouped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+from testbed.parameters.entries import BEDPLATE, Entry, passed_on
+from testbed.parameters.regroup import Body
+from testbed.robot.tree import Tree
+
+INDEPENDENT = 1e-9
+"""What unit parameters must change of an entry, or of a carrier, for it to count."""
+
+ROUNDING = 1e-13
+"""Part of a direction's largest parameter that is rounding of zero."""
+
+COMPARABLE = 0.1
+"""Of directions that change an entry, the first with this share of the greatest change is
+taken: the body's own come first."""
+
+Parts = dict[int, Array]  # body -> ten numbers
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """What came of it.
+
+    Attributes:
+        kept: Indices of the independent entries, ascending.
+        directions: For each of these, barycentric parameters by body for which it is 1
+            and all others kept are 0.
+        dependent: By index, the other entries as combinations of kept ones; empty for
+            entries that vanish.
+    """
+
+    kept: tuple[int, ...]
+    directions: tuple[Parts, ...]
+    dependent: dict[int, dict[int, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Direction:
+    """Parameters of a body and of those it carries, and the body's redefined ten, (10,)."""
+
+    value: Array
+    parts: Parts
+
+    @property
+    def size(self) -> float:
+        return max(float(np.abs(numbers).max()) for numbers in self.parts.values())
+
+    def plus(self, factor: float, other: _Direction) -> _Direction:
+        if factor == 0.0:
+            return self
+        parts = dict(self.parts)
+        for body, numbers in other.parts.items():
+            parts[body] = parts.get(body, 0.0) + factor * numbers
+        return _Direction(self.value + factor * other.value, parts)
+
+    def times(self, factor: float) -> _Direction:
+        parts = {body: factor * numbers for body, numbers in self.parts.items()}
+        return _Direction(factor * self.value, parts)
+
+
+_Bound = dict[int, _Direction]  # entry -> its direction
+
+
+def eliminate(
+    tree: Tree, bodies: Sequence[Body], entries: Sequence[Entry], known_zero: NDArray[np.bool_]
+) -> Elimination:
+    """Decide which entries are independent.
+
+    Of dependent entries of one body, those given first are kept; of several bodies, those
+    nearest the tips.
+
+    Args:
+        tree: The robot.
+        bodies: Its bodies after regrouping.
+        entries: Candidates.
+        known_zero: Barycentric parameters known to be zero, (n, 10).
+    """
+    whole = [not row.any() for row in known_zero]
+    members: dict[int, list[int]] = {body: [] for body in range(BEDPLATE, tree.n)}
+    for k, entry in enumerate(entries):
+        members[entry.body].append(k)
+    free: dict[int, list[_Direction]] = {body: [] for body in members}
+    bound: dict[int, _Bound] = {body: {} for body in members}
+    done: dict[int, Parts] = {}
+    dependent: dict[int, dict[int, float]] = {}
+    for body in reversed(range(tree.n)):
+        carrier, own = tree.parents[body], {k: entries[k] for k in members[body]}
+        if whole[body] and carrier != BEDPLATE and whole[carrier]:
+            done |= _undisturbed(body, own, bound[body])
+            continue
+        spare = [*_of_the_body(body, own, known_zero[body]), *free[body]]
+        left, taken, combined = _chosen(own, spare, bound[body])
+        dependent |= combined
+        gain = passed_on(tree, bodies, body)
+        echelon = _echelon([_Direction(gain @ each.value, each.parts) for each in left])
+        free[carrier] += list(echelon.values())
+        for k, each in taken.items():
+            passed = _settled(_Direction(gain @ each.value, each.parts), echelon)
+            if np.abs(passed.value).max() <= ROUNDING * passed.size:
+                done[k] = passed.parts
+            else:
+                bound[carrier][k] = passed
+    static = {k: entries[k] for k in members[BEDPLATE]}
+    _, taken, combined = _chosen(static, free[BEDPLATE], bound[BEDPLATE])
+    done |= {k: each.parts for k, each in taken.items()}
+    kept = tuple(sorted(done))
+    return Elimination(kept, tuple(_clean(done[k]) for k in kept), dependent | combined)
+
+
+def _undisturbed(body: int, own: dict[int, Entry], bound: _Bound) -> dict[int, Parts]:
+    """Where nothing is known of a body and its carrier: all entries, nothing passed on."""
+    found: dict[int, Parts] = {k: {body: each.parts[body]} for k, each in _alone(body, own).items()}
+    for k, each in bound.items():  # the body's own parameters make up for what it was passed
+        found[k] = each.parts | {body: -each.value}
+    return found
+
+
+def _of_the_body(
+    body: int, own: dict[int, Entry], known_zero: NDArray[np.bool_]
+) -> list[_Direction]:
+    """Directions of a body's own parameters: its entries' alone, and single parameters."""
+    alone = [each for each in _alone(body, own).values() if not each.value[known_zero].any()]
+    units = (np.eye(10)[c] for c in np.flatnonzero(~known_zero))
+    return alone + [_Direction(unit, {body: unit}) for unit in units]
+
+
+def _alone(body: int, own: dict[int, Entry]) -> _Bound:
+    return {
+        k: _Direction(entry.alone, {body: entry.alone})
+        for k, entry in own.items()
+        if entry.alone is not None
+    }
+
+
+def _chosen(
+    own: dict[int, Entry], spare: list[_Direction], bound: _Bound
+) -> tuple[list[_Direction], _Bound, dict[int, dict[int, float]]]:
+    """Directions for a body's entries, out of spare ones.
+
+    Returns:
+        What is left free; directions of this body's entries and of those before, each
+        without effect on the others; and the entries that are combinations of others.
+    """
+    taken, combined = dict(bound), {}
+    for k, entry in own.items():
+        weights = np.array([entry.form @ each.value / each.size for each in spare])
+        great = np.abs(weights).max(initial=0.0)
+        if great <= INDEPENDENT:
+            shares = {i: float(entry.form @ each.value) for i, each in taken.items()}
+            combined[k] = {i: share for i, share in shares.items() if abs(share) > INDEPENDENT}
+            continue
+        first = int(np.argmax(np.abs(weights) >= COMPARABLE * great))
+        pivot = spare.pop(first)
+        pivot = pivot.times(1.0 / float(entry.form @ pivot.value))
+        spare = [rest for each in spare if (rest := _without(entry, each, pivot)) is not None]
+        taken = {i: each.plus(-float(entry.form @ each.value), pivot) for i, each in taken.items()}
+        taken[k] = pivot
+    return spare, taken, combined
+
+
+def _without(entry: Entry, direction: _Direction, pivot: _Direction) -> _Direction | None:
+    """What is left of a direction that no longer changes an entry; None if nothing is."""
+    rest = direction.plus(-float(entry.form @ direction.value), pivot)
+    return rest if rest.size > ROUNDING * direction.size else None
+
+
+def _echelon(directions: list[_Direction]) -> dict[int, _Direction]:
+    """Independent directions for the same space: each alone has 1 at its own place.
+
+    Returns:
+        By place among a body's ten redefined parameters.
+    """
+    found: dict[int, _Direction] = {}
+    for each in directions:
+        rest = _settled(each, found)
+        place = int(np.argmax(np.abs(rest.value)))
+        if abs(rest.value[place]) <= INDEPENDENT * each.size:
+            continue
+        rest = rest.times(1.0 / float(rest.value[place]))
+        found = {
+            at: other.plus(-float(other.value[place]), rest) for at, other in found.items()
+        } | {place: rest}
+    return found
+
+
+def _settled(direction: _Direction, echelon: dict[int, _Direction]) -> _Direction:
+    """The direction with zeros at the places of an echelon."""
+    for place, each in echelon.items():
+        direction = direction.plus(-float(direction.value[place]), each)
+    return direction
+
+
+def _clean(parts: Parts) -> Parts:
+    """Without the rounding of zero."""
+    least = ROUNDING * max(np.abs(numbers).max() for numbers in parts.values())
+    tidy = {body: np.where(np.abs(n) > least, n, 0.0) for body, n in parts.items()}
+    return {body: numbers for body, numbers in sorted(tidy.items()) if numbers.any()}

@@ -1,0 +1,288 @@
+"""Minimal sets in the terminal: tables that fit it, formulas in LaTeX, the map, witnesses."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from rich.console import Console
+from rich.table import Table
+
+from testbed.dynamics.witnesses import Agreement, DriveAgreement
+from testbed.parameters.barycentric import STANDARD
+from testbed.parameters.formulas import Lengths
+from testbed.parameters.identifiability import Visibility
+from testbed.parameters.joint_terms import DriveSet
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.rules import REASONS, Model
+from testbed.parameters.symbols import Formula
+from testbed.robot.tree import Tree
+
+GLYPHS = ("·", "+", "#")
+"""Never, in combination with others, alone."""
+
+HEADINGS = ("parameter", "unit", "torques", "bedplate", "made of")
+MARKS = (6, 7, 8)
+"""Widths of the columns between name and formula."""
+
+GAP = 2
+"""Blanks between columns."""
+
+LEAST = 24
+"""Columns below which a formula goes below its parameter."""
+
+SHARE = 3
+"""A name takes no more than one part of so many of a line, and goes on below."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What is known about a robot before any data.
+
+    Attributes:
+        tree: The robot.
+        dynamic: delta_d.
+        reaction: delta_r.
+        drives: The dynamic set together with terms of the joints; None if none are asked for.
+        seen: The identifiability map; empty for none.
+        agreements: Witnesses; empty for none.
+        drives_agree: The witness of the drives; None for none.
+    """
+
+    tree: Tree
+    dynamic: MinimalSet
+    reaction: MinimalSet
+    drives: DriveSet | None = None
+    seen: Sequence[Visibility] = ()
+    agreements: Sequence[Agreement] = ()
+    drives_agree: DriveAgreement | None = None
+
+    @property
+    def hold(self) -> bool:
+        """Whether all witnesses agree."""
+        drives = self.drives_agree is None or self.drives_agree.holds
+        return drives and all(each.holds for each in self.agreements)
+
+    def formulas(self, model: Model, lengths: Lengths) -> tuple[Formula, ...]:
+        """Of one model's minimal parameters, with the terms regrouped into them."""
+        if model == "reaction":
+            return self.reaction.formulas_with(lengths)
+        if self.drives is None:
+            return self.dynamic.formulas_with(lengths)
+        return self.drives.formulas_with(lengths)[: self.dynamic.count]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """One parameter: its formula, unit, and the rule that keeps it by model."""
+
+    formula: Formula
+    unit: str
+    torques: str = "-"
+    bedplate: str = "-"
+
+
+def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
+    """Both sets side by side, body by body, then what was asked for besides.
+
+    Args:
+        console: Where to print; nothing is cut off at its width.
+        found: What to print.
+        lengths: The model's lengths as symbols or as numbers.
+    """
+    _print_bodies(console, found, lengths)
+    for line in _explained(found, lengths):
+        console.print(line, soft_wrap=True)
+    if found.seen:
+        console.print(map_table(found.tree, found.seen))
+        console.print(
+            f"{GLYPHS[2]} told alone, {GLYPHS[1]} in combination, {GLYPHS[0]} never; in the "
+            f"order {' '.join(STANDARD)} about the body frame"
+        )
+    for line in _verdicts(found):
+        console.print(line, soft_wrap=True)
+    lost = [name for name in found.reaction.never if name in found.dynamic.never]
+    if lost:
+        console.print(f"never told, not even in combination: {', '.join(lost)}", soft_wrap=True)
+    console.print(_summary(found), soft_wrap=True)
+
+
+def print_latex(console: Console, found: Findings, lengths: Lengths) -> None:
+    """The formulas as lines of an aligned display.
+
+    Args:
+        console: Where to print.
+        found: What to print.
+        lengths: The model's lengths as symbols or as numbers.
+    """
+    for each in (found.dynamic, found.reaction):
+        console.print(f"% {each.model}: {each.count}")
+        formulas = found.formulas(each.model, lengths)
+        for formula in (*formulas, *each.auxiliary_with(lengths)):
+            console.print(rf"{formula.latex('&=')} \\", soft_wrap=True)
+    for line in _verdicts(found):
+        console.print(f"% {line}", soft_wrap=True)
+    console.print(f"% {_summary(found)}", soft_wrap=True)
+
+
+def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
+    """A row a body, a column an instrument, ten glyphs for the ten standard parameters."""
+    table = Table(box=None, padding=(0, GAP, 0, 0), header_style="bold")
+    table.add_column("body", overflow="fold")
+    for each in seen:
+        table.add_column(f"{each.instrument} ({each.count})", width=len(STANDARD))
+    for j, joint in enumerate(tree.joints):
+        cells = ["".join(GLYPHS[level] for level in each.standard[j]) for each in seen]
+        table.add_row(joint.body, *cells)
+    return table
+
+
+def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
+    """Body by body, tips first and the bedplate last, under one row of headings."""
+    lines = _lines(found, lengths)
+    names = [line.formula.left.text for each in lines.values() for line in each]
+    widths = [_name_width(names, console.width), *MARKS]
+    rest = console.width - sum(widths) - GAP * (len(widths) + 1)
+    below = rest < LEAST
+    headings = HEADINGS[: len(widths)] if below else HEADINGS
+    console.print(_columns(headings, widths), style="bold", soft_wrap=True)
+    for body in sorted(lines, reverse=True):
+        for part in textwrap.wrap(
+            _heading(found, body), console.width, subsequent_indent=" " * GAP
+        ):
+            console.print(part, style="bold", soft_wrap=True)
+        for line in lines[body]:
+            name = broken_name(line.formula.left.text, widths[0])
+            said = "" if line.formula.trivial else line.formula.said
+            made = [] if below else broken_sum(said, rest)
+            for k in range(max(len(name), len(made))):
+                marks = (line.unit, line.torques, line.bedplate) if k == 0 else ("", "", "")
+                cells = ("".join(name[k : k + 1]), *marks, "".join(made[k : k + 1]))
+                console.print(_columns(cells, widths), soft_wrap=True)
+            if below and said:
+                for part in broken_sum(f"= {said}", console.width - 3 * GAP):
+                    console.print(" " * 3 * GAP + part, soft_wrap=True)
+
+
+def _name_width(names: Sequence[str], width: int) -> int:
+    """What names take: their share, or what their longest piece needs if there is room."""
+    longest = max(map(len, names), default=0)
+    piece = max((len(part) for name in names for part in _pieces(name)), default=0)
+    room = width - sum(MARKS) - GAP * (len(MARKS) + 1)
+    wanted = min(longest, max(piece, width // SHARE))
+    return max(len(HEADINGS[0]), min(wanted, room))
+
+
+def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """Cells side by side, set in; the last takes what it needs."""
+    padded = (f"{cell:{width + GAP}}" for cell, width in zip(cells, widths, strict=False))
+    return " " * GAP + ("".join(padded) + "".join(cells[len(widths) :])).rstrip()
+
+
+def broken_sum(text: str, width: int) -> list[str]:
+    """A sum in lines, broken before signs, and within a term only if that is too long."""
+    bound = re.sub(r" ([-+=]) ", " \\1\0", f" {text}").strip()  # a sign stays with its term
+    lines = textwrap.wrap(bound, width, break_on_hyphens=False)
+    return [line.replace("\0", " ") for line in lines]
+
+
+def broken_name(text: str, width: int) -> list[str]:
+    """A name in lines, broken before the signs of a sum, and elsewhere if it must be."""
+    if len(text) <= width:
+        return [text]
+    return [part for piece in _pieces(text) for part in textwrap.wrap(piece, width)]
+
+
+def _pieces(name: str) -> list[str]:
+    """The summands of a name, each with its sign."""
+    return re.sub(r"(?<!\de)([-+])", r" \1", name).split()  # 1e-05 has no sum in it
+
+
+def _lines(found: Findings, lengths: Lengths) -> dict[int, list[_Line]]:
+    """One line a parameter by body; torques and bedplate share it where they mean the same."""
+    lines: dict[int, dict[Formula, _Line]] = {}
+    for each in (found.dynamic, found.reaction):
+        formulas = found.formulas(each.model, lengths)
+        rows = zip(formulas, each.units, each.bodies, each.reasons, strict=True)
+        for formula, unit, body, reason in rows:
+            known = lines.setdefault(body, {})
+            line = known.get(formula, _Line(formula, unit))
+            torques = each.model == "dynamic"
+            known[formula] = (
+                replace(line, torques=reason) if torques else replace(line, bedplate=reason)
+            )
+    return {body: list(known.values()) for body, known in lines.items()}
+
+
+def _heading(found: Findings, body: int) -> str:
+    if body < 0:
+        return "the bedplate"
+    joint = found.tree.joints[body]
+    moves = "turns" if joint.revolute else "slides"
+    carrier = found.tree.joints[joint.parent].body if joint.parent >= 0 else "the bedplate"
+    return f"{body + 1}  {joint.body}, {moves} on {carrier}"
+
+
+def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
+    """Rules, redefinitions, directions and terms of the joints, a line each."""
+    for number in sorted({*found.dynamic.reasons, *found.reaction.reasons}):
+        yield f"{number}: {REASONS[number]}"
+    sets = {"torques": found.dynamic, "bedplate": found.reaction}
+    said = {name: each.auxiliary_with(lengths) for name, each in sets.items()}
+    other = {name: {f.left: f for f in said[name]} for name in sets}
+    for formula in dict.fromkeys((*said["torques"], *said["bedplate"])):
+        of = [name for name in sets if other[name].get(formula.left) == formula]
+        differs = len({f for name in sets if (f := other[name].get(formula.left))}) > 1
+        yield f"with {formula}{f' ({of[0]})' if differs else ''}"
+    for body, triad in (found.dynamic.triads | found.reaction.triads).items():
+        axes = (
+            f"{letter} = ({x:.6g}, {y:.6g}, {z:.6g})"
+            for letter, (x, y, z) in zip(triad.letters, triad.axes, strict=True)
+        )
+        yield f"in {f'body {body + 1}' if body >= 0 else 'the bedplate'}, {', '.join(axes)}"
+    if found.drives is not None:
+        yield from _drive_lines(found.drives, found.tree)
+
+
+def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
+    """Which terms of the joints have columns of their own, and where the others are."""
+    for law in dict.fromkeys(term.law for term in drives.asked):
+        joints = [tree.names[term.joint] for term in drives.terms if term.law == law]
+        if joints:
+            whose = "every joint" if len(joints) == tree.n else ", ".join(joints)
+            yield f"{law.kind}: a column of its own for {whose}"
+    for term, column in drives.regrouped.items():
+        holders = [name for name, share in zip(drives.names, column, strict=True) if share]
+        yield f"{drives.symbol(term).text}: told only within {' and '.join(holders)}"
+
+
+def _summary(found: Findings) -> str:
+    bedplate = f"{'tared ' if found.reaction.tared else ''}bedplate {found.reaction.count}"
+    told = f"joint torques tell {found.dynamic.count} combinations and the {bedplate}"
+    drives = found.drives
+    terms = f"; with terms of the joints, {drives.count} unknowns" if drives is not None else ""
+    return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {told}{terms}"
+
+
+def _verdicts(found: Findings) -> Iterator[str]:
+    """What the witnesses say, a line each."""
+    for each in found.agreements:
+        yield (
+            f"{each.model}: three witnesses {_agree(each.holds)}: rules {each.rules}, exact "
+            f"recursion {each.recursion} (row spaces apart by {each.recursion_distance:.0e}), "
+            f"sampled regressor {each.sampled} ({each.sampled_distance:.0e}, singular-value gap "
+            f"{each.gap:.0e}); regrouping changes the model by {each.change:.0e}"
+        )
+    drives = found.drives_agree
+    if drives is not None:
+        yield (
+            f"with terms of the joints: two witnesses {_agree(drives.holds)}: exact recursion "
+            f"{drives.count}, sampled columns {drives.sampled} (singular-value gap "
+            f"{drives.gap:.0e}); regrouping changes the model by {drives.change:.0e}"
+        )
+
+
+def _agree(holds: bool) -> str:
+    return "agree" if holds else "DISAGREE"
