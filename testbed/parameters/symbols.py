@@ -203,6 +203,6 @@ def _latex_number(over: str, under: str) -> str:
 
 @lru_cache(maxsize=4096)
 def number(value: float) -> str:
-    """A coefficient: a small fraction where it is one, else six digits."""
-    near = Fraction(float(value)).limit_denominator(12)
+    """A coefficient: whole, halves, thirds and quarters as they are, else six digits."""
+    near = Fraction(float(value)).limit_denominator(4)
     return str(near) if abs(float(near) - value) < 1e-12 else f"{value:.6g}"

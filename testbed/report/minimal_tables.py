@@ -143,17 +143,18 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     """Body by body, tips first and the bedplate last, under one row of headings."""
     lines = _lines(found, lengths)
     names = [line.formula.left.text for each in lines.values() for line in each]
-    longest = max(map(len, names), default=0)
-    name_width = max(len(HEADINGS[0]), min(longest, console.width // SHARE))
-    widths = [name_width, *MARKS]
+    widths = [_name_width(names, console.width), *MARKS]
     rest = console.width - sum(widths) - GAP * (len(widths) + 1)
     below = rest < LEAST
     headings = HEADINGS[: len(widths)] if below else HEADINGS
     console.print(_columns(headings, widths), style="bold", soft_wrap=True)
     for body in sorted(lines, reverse=True):
-        console.print(_heading(found, body), style="bold", soft_wrap=True)
+        for part in textwrap.wrap(
+            _heading(found, body), console.width, subsequent_indent=" " * GAP
+        ):
+            console.print(part, style="bold", soft_wrap=True)
         for line in lines[body]:
-            name = broken_name(line.formula.left.text, name_width)
+            name = broken_name(line.formula.left.text, widths[0])
             said = "" if line.formula.trivial else line.formula.said
             made = [] if below else broken_sum(said, rest)
             for k in range(max(len(name), len(made))):
@@ -163,6 +164,15 @@ def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
             if below and said:
                 for part in broken_sum(f"= {said}", console.width - 3 * GAP):
                     console.print(" " * 3 * GAP + part, soft_wrap=True)
+
+
+def _name_width(names: Sequence[str], width: int) -> int:
+    """What names take: their share, or what their longest piece needs if there is room."""
+    longest = max(map(len, names), default=0)
+    piece = max((len(part) for name in names for part in _pieces(name)), default=0)
+    room = width - sum(MARKS) - GAP * (len(MARKS) + 1)
+    wanted = min(longest, max(piece, width // SHARE))
+    return max(len(HEADINGS[0]), min(wanted, room))
 
 
 def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
@@ -182,8 +192,12 @@ def broken_name(text: str, width: int) -> list[str]:
     """A name in lines, broken before the signs of a sum, and elsewhere if it must be."""
     if len(text) <= width:
         return [text]
-    pieces = re.sub(r"(?<!e)([-+])", r" \1", text).split()  # not in 1e-05
-    return [part for piece in pieces for part in textwrap.wrap(piece, width)]
+    return [part for piece in _pieces(text) for part in textwrap.wrap(piece, width)]
+
+
+def _pieces(name: str) -> list[str]:
+    """The summands of a name, each with its sign."""
+    return re.sub(r"(?<!\de)([-+])", r" \1", name).split()  # 1e-05 has no sum in it
 
 
 def _lines(found: Findings, lengths: Lengths) -> dict[int, list[_Line]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, defaultdict
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping, Set
 from itertools import combinations
 from typing import Generic, TypeVar
 
@@ -26,6 +26,8 @@ from testbed.symbolic.expression import (
 Line = dict[Factors, Number]
 Place = TypeVar("Place", bound=Hashable)
 Pair = TypeVar("Pair", bound=Hashable)
+MOST_PAIRS = 1_000_000
+"""Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
 
 
 class Sheet:
@@ -180,9 +182,8 @@ class Sheet:
     def share_sums(self) -> None:
         """Two terms that stand together in several sums become one, the most frequent first."""
         pairs: Pairs[Factor, tuple[Factors, Factors, Number]] = Pairs()
-        for name, line in self.lines.items():
-            if not self.fixed(name):
-                pairs.add(name, _ratios(line))
+        for name, line in self._short_sums().items():
+            pairs.add(name, _ratios(line))
         while (found := pairs.most_frequent()) is not None:
             (a, b, ratio), places = found
             home = next((n for n in places if self._is_all(n, {a: 1, b: ratio}, a)), None)
@@ -192,12 +193,24 @@ class Sheet:
                 if name is home:
                     continue
                 line = self.lines[name]
-                pairs.remove(name, _ratios(line))
+                pairs.remove(name, _ratios(line, {a, b, (new,)}))
                 number = line.pop(a)
                 del line[b]
                 _add(line, (new,), number * sign)
-                pairs.add(name, _ratios(line))
+                pairs.add(name, _ratios(line, {(new,)}))
         self.unify()
+
+    def _short_sums(self) -> dict[Factor, Line]:
+        """The sums whose pairs of terms are few enough together; the longest ones are left out."""
+        sums = {name: line for name, line in self.lines.items() if not self.fixed(name)}
+        longest = 0
+        room = MOST_PAIRS
+        for length, count in sorted(Counter(map(len, sums.values())).items()):
+            room -= count * length * length
+            if room < 0:
+                break
+            longest = length
+        return {name: line for name, line in sums.items() if len(line) <= longest}
 
     def _is_all(self, name: Factor, whole: Line, first: Factors) -> bool:
         """Whether a line consists of these terms, up to its sign."""
@@ -272,10 +285,18 @@ def operations(line: Line) -> tuple[int, int]:
     return products, max(0, len(line) - 1)
 
 
-def _ratios(line: Line) -> list[tuple[Factors, Factors, Number]]:
-    """Every pair of terms with the ratio of their numbers."""
+def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:
+    """Every pair of terms, or those with one among some, with the ratio of their numbers."""
     terms = collect(line.items()).terms
-    return [(a, b, v / u) for (a, u), (b, v) in combinations(terms, 2)]
+    if some is None:
+        return [(a, b, v / u) for (a, u), (b, v) in combinations(terms, 2)]
+    places = [k for k, (factors, _) in enumerate(terms) if factors in some]
+    pairs = {(min(k, other), max(k, other)) for k in places for other in range(len(terms))}
+    return [
+        (terms[k][0], terms[other][0], terms[other][1] / terms[k][1])
+        for k, other in sorted(pairs)
+        if k != other
+    ]
 
 
 def _add(line: Line, factors: Factors, number: Number) -> None:
