@@ -315,6 +315,17 @@ def test_what_cannot_be_locked_is_said(what: str, form: str) -> None:
         tb.load_tree(ROOT / f"models/puma562.{form}", lock=lock)
 
 
+@pytest.mark.parametrize("axis", ["0 0 0", "1e-200 0 0"])
+def test_an_axis_without_direction_is_refused_locked_or_not(axis: str, tmp_path: Path) -> None:
+    text = random_robot(np.random.default_rng(6), 3).urdf()
+    start = text.index("<axis", text.index('<joint name="j2"'))
+    end = text.index("/>", start)
+    (tmp_path / "r.urdf").write_text(f'{text[:start]}<axis xyz="{axis}"{text[end:]}')
+    for lock in ({}, {"j2": 0.5}):
+        with pytest.raises(ModelError, match="'j2' has no direction"):
+            tb.load_tree(tmp_path / "r.urdf", lock=lock)
+
+
 def test_a_mimic_without_a_joint_is_refused(tmp_path: Path) -> None:
     text = random_robot(np.random.default_rng(6), 3).urdf()
     start = text.index("<limit", text.index('<joint name="j2"'))

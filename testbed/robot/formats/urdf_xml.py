@@ -17,6 +17,7 @@ from testbed.robot.formats.urdf_numbers import numbers_of, plain, rewrite_number
 from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 from testbed.robot.model_xml import read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
+from testbed.robot.tree import UNIT
 
 DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
@@ -73,6 +74,7 @@ def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Elem
     for joint in joints:
         _check_kind(joint, carriers, path, weld_root)
         rewrite_numbers(joint, f"{path}: joint '{joint.get('name')}'")
+        _check_axis(joint, path)
         if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
             raise ModelError(f"{path}: joint '{joint.get('name')}': <mimic> names no joint")
     for link in links:
@@ -133,7 +135,7 @@ def _move_origin(joint: ET.Element, position: float) -> None:
     if origin is None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
-    axis /= np.linalg.norm(axis) or 1.0
+    axis /= np.linalg.norm(axis)
     turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
     if joint.get("type") == "prismatic":
         place = np.array(numbers_of(origin, "xyz", "0 0 0")) + turn @ axis * position
@@ -235,4 +237,12 @@ def _check_kind(
         raise ModelError(
             f"{path}: joint '{name}' is of type '{kind:.40}', which is not supported "
             f"(supported: {', '.join(_SUPPORTED)})"
+        )
+
+
+def _check_axis(joint: ET.Element, path: Path) -> None:
+    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
+    if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
+        raise ModelError(
+            f"{path}: joint '{joint.get('name')}' has no direction: its <axis> xyz is {axis}"
         )
