@@ -6,7 +6,6 @@ SymPyBotics generating code for the minimal set; ROBOTRAN by the headers of its 
 
 from __future__ import annotations
 
-import importlib.util
 import subprocess
 import sys
 import tempfile
@@ -14,7 +13,6 @@ import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -27,6 +25,7 @@ from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint
 from testbed.symbolic.equations import Equations, equations
 from testbed.symbolic.languages import write_equations
+from tests.helpers.generated import python_module
 
 RIVALS: dict[str, dict[str, Any]] = {
     "joint-forces": {"OpenSYMORO": "319 * 266 +", "SymPyBotics": "503 * 401 +"},
@@ -83,7 +82,9 @@ def speed(rounds: int) -> dict[str, Any]:
     """Generated NumPy code on 1e5 samples against Pinocchio's regressor in a loop."""
     case = next(case for case in cases() if case.name == "puma6")
     kinds = ["dynamic-regressor", "reaction-regressor"]
-    module = loaded(write_equations(equations(case.tree, kinds, "recursive"), "python"))
+    text = write_equations(equations(case.tree, kinds, "recursive"), "python")
+    with tempfile.TemporaryDirectory() as folder:
+        module = python_module(text, Path(folder))
     rng, samples = np.random.default_rng(0), 100_000
     q, qd, qdd = rng.uniform(-2, 2, (3, samples, case.tree.n))
     line: dict[str, Any] = {"bench": "generated Python against a Pinocchio loop, ratio"}
@@ -113,19 +114,6 @@ def chain(n: int) -> tb.Tree:
         for k, offset in enumerate(rng.uniform(-0.3, 0.3, (n, 3)))
     ]
     return tb.Tree("chain", tuple(joints), (body,) * n)
-
-
-def loaded(text: str) -> ModuleType:
-    """Generated Python as a module."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "generated.py"
-        path.write_text(text)
-        spec = importlib.util.spec_from_file_location("generated", path)
-        assert spec is not None
-        assert spec.loader is not None
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-    return module
 
 
 def _process(rounds: int = 10) -> float:

@@ -15,6 +15,7 @@ from testbed.dynamics.witnesses import verify, verify_drives
 from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.robot.friction import LAWS
+from testbed.robot.load import mimic_joints
 from testbed.robot.tree import Tree
 from tests.helpers.paths import REAL
 from tests.helpers.robots import random_robot, with_zeros
@@ -64,11 +65,12 @@ def agreement(trees: int, zeros: bool) -> dict[str, Any]:
 
 
 def robots(zeros: bool) -> dict[str, Any]:
-    """The same on the robots of the package example-robot-data, free roots welded."""
+    """The same on the robots of the package example-robot-data; roots welded, followers held."""
     tally, read = Tally(), 0
     for path in sorted(REAL.rglob("*.urdf")):
         try:
-            tree = tb.load_tree(path, weld_root=True, accept_inertia=True)
+            followers = dict.fromkeys(mimic_joints(path))
+            tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=followers)
         except tb.TestbedError:  # refused with a reason, as tests/parameters checks
             continue
         read += 1

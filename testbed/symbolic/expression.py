@@ -78,6 +78,11 @@ class Factor:
             _FACTORS[label] = found
         return found
 
+    @property
+    def rank(self) -> int:
+        """Its place among factors of its nature; of a coordinate, the index of its joint."""
+        return self.key[1]
+
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError("a factor does not change")
 

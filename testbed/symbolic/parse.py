@@ -12,7 +12,14 @@ from dataclasses import dataclass
 
 from testbed.errors import ExpressionError, UnknownName
 from testbed.symbolic.budget import MAX_TERMS, Budget
-from testbed.symbolic.expression import Expression, Term, collect, expression, number
+from testbed.symbolic.expression import (
+    LARGEST_NUMBER,
+    Expression,
+    Term,
+    collect,
+    expression,
+    number,
+)
 from testbed.symbolic.polynomial import LARGEST as HIGHEST_DEGREE
 from testbed.symbolic.symbol_algebra import cosine, sine
 
@@ -124,7 +131,10 @@ class _Reader:
         if token in self.names:
             return self.names[token]
         if token[:1] in _NUMBER:
-            return number(float(token))
+            value = float(token)
+            if value > LARGEST_NUMBER:
+                raise ExpressionError(f"the number {token} is too large")
+            return number(value)
         if _WAVE.fullmatch(token):
             return wave(token, self.names)
         if _NAME.fullmatch(token):

@@ -16,6 +16,7 @@ import testbed as tb
 from testbed.dynamics.witnesses import verify, verify_drives
 from testbed.parameters.identifiability import identifiability
 from testbed.parameters.joint_terms import with_joint_terms
+from testbed.parameters.symbols import summands
 from testbed.report.minimal_document import MANY, as_document, matrix_numbers
 from testbed.report.minimal_tables import (
     Findings,
@@ -89,7 +90,7 @@ def test_no_name_and_no_number_is_cut_off(path: Path, width: int) -> None:
     dense = {re.sub(r"\s", "", line) for line in table}
     for model in ("dynamic", "reaction"):
         for formula in found.formulas(model, "symbols"):
-            for part in re.split(r"(?=[+])", formula.left.text):  # a name may go on below
+            for part in formula.left.pieces:  # a name may go on below
                 assert any(part in line for line in dense), part
             for term in formula.right if not formula.trivial else ():
                 written = term.write("text").lstrip("-")
@@ -101,16 +102,16 @@ def test_no_name_and_no_number_is_cut_off(path: Path, width: int) -> None:
 def test_breaking_a_sum_loses_nothing(seed: int) -> None:
     tree = random_robot(np.random.default_rng(seed), 5).tree()
     for formula in tb.minimal_set(tree, "reaction").formulas:
+        summed = summands(formula.right, "text")
         for width in (24, 40, 80):
-            for lines, text in (
-                (broken_sum(formula.said, width), formula.said),
-                (broken_name(formula.left.text, width // 3), formula.left.text),
+            for lines, pieces in (
+                (broken_sum(summed, width), summed),
+                (broken_name(formula.left, width // 3), formula.left.pieces),
             ):
-                assert "".join("".join(lines).split()) == "".join(text.split())
+                assert "".join("".join(lines).split()) == "".join("".join(pieces).split())
                 assert all(0 < len(line) <= width for line in lines)
-        assert all(re.search(r"[-+]$", line) is None for line in broken_sum(formula.said, 40)), (
-            formula
-        )  # a sign stays with its term
+            for piece in summed:  # a term, with its sign, stays in one line if it can
+                assert len(piece) > width or any(piece in l for l in broken_sum(summed, width))
 
 
 def test_verdicts_and_the_map_are_printed(puma: tb.Tree) -> None:

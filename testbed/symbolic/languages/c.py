@@ -9,11 +9,9 @@ from testbed.symbolic.expression import Nature, Number
 from testbed.symbolic.languages.code import COORDINATES, function_name, given
 from testbed.symbolic.languages.text import (
     Style,
-    constant_unit,
     decimal,
-    definitions,
-    header,
     own_name,
+    preface,
     terms,
     used_constants,
     wrapped,
@@ -34,12 +32,10 @@ def c(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    said = (*header(listing, source), *definitions(listing))
-    lines = ["/*", *(f" * {line}".rstrip() for line in said), " */"]
+    lines = ["/*", *(f" * {line}".rstrip() for line in preface(listing, source)), " */"]
     lines += ["#include <math.h>", ""]
-    for factor in used_constants(listing):
-        value = _number(float(listing.constants[factor]))
-        lines.append(f"static const double {factor.name} = {value}; /* {constant_unit(factor)} */")
+    for name, value, unit in used_constants(listing):
+        lines.append(f"static const double {name} = {_number(value)}; /* {unit} */")
     for each in listing.equations:
         lines += ["", *_comment(each), *_function(each, listing.tree.n)]
     return "\n".join(lines) + "\n"

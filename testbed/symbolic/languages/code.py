@@ -23,7 +23,7 @@ def given(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
     for symbol in program.symbols:
         if symbol.nature in COORDINATES:
             letter = COORDINATES[symbol.nature]
-            yield symbol.name, f"{letter}[{int(symbol.name.removeprefix(letter)) - 1}]"
+            yield symbol.name, f"{letter}[{symbol.rank}]"
     used = set(program.symbols)
     for k, parameter in enumerate(each.parameters):
         if parameter.symbol is not None and parameter.symbol in used:

@@ -6,14 +6,14 @@ import re
 
 from testbed.parameters.formulas import length_symbol
 from testbed.parameters.symbols import Label
-from testbed.robot.tree import Tree
 from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.expression import Factor, Nature, Number
-from testbed.symbolic.languages.text import Style, definitions, fraction, header, terms
+from testbed.symbolic.expression import Expression, Factor, Nature, Number
+from testbed.symbolic.languages.text import Style, fraction, preface, terms
 
 WIDTH = 60
 """Characters of a line of an equation, as printed."""
 
+_COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: r"\dot q", Nature.ACCELERATION: r"\ddot q"}
 _GREEK = {"w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
 
 
@@ -24,37 +24,35 @@ def latex(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    said = (*header(listing, source), *definitions(listing))
-    lines = [f"% {line}".rstrip() for line in said]
+    lines = [f"% {line}".rstrip() for line in preface(listing, source)]
     lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
     lines += [r"\begin{document}"]
-    lengths = _lengths(listing.tree)
+    known = _constants(listing)
     if listing.constants:
-        values = (
-            rf"{_constant(c.name, lengths)} &= {_number(v)}"
-            for c, v in sorted(listing.constants.items())
-        )
+        values = (rf"{known[c.name]} &= {_number(v)}" for c, v in sorted(listing.constants.items()))
         lines += [r"\begin{align*}", " \\\\\n".join(values), r"\end{align*}"]
     for each in listing.equations:
         lines += [rf"\section*{{{each.kind.name.replace('-', ' ').capitalize()}}}"]
-        lines += [r"\begin{align*}", *_equations(each, lengths), r"\end{align*}"]
+        lines += [r"\begin{align*}", *_equations(each, known, listing.tree.n), r"\end{align*}"]
     return "\n".join([*lines, r"\end{document}"]) + "\n"
 
 
-def _lengths(tree: Tree) -> dict[str, str]:
-    """How the lengths between bodies are written."""
-    symbols = (length_symbol(j.parent, k, a) for k, j in enumerate(tree.joints) for a in "xyz")
-    return {symbol.text: symbol.latex for symbol in symbols}
+def _constants(listing: Listing) -> dict[str, str]:
+    """How the lengths between bodies and the components of gravity are written."""
+    joints = enumerate(listing.tree.joints)
+    symbols = (length_symbol(joint.parent, k, axis) for k, joint in joints for axis in "xyz")
+    gravity = {f"g{axis}": f"g_{{{axis}}}" for axis in "xyz"}
+    return {"g": "g"} | gravity | {symbol.text: symbol.latex for symbol in symbols}
 
 
-def _equations(each: Equations, lengths: dict[str, str]) -> list[str]:
-    known = lengths | {p.symbol.name: _factor(p.label.stem) for p in each.parameters if p.symbol}
-    style = Style(lambda factor: _name(factor, known), _number, r"\,", power=_power)
+def _equations(each: Equations, constants: dict[str, str], joints: int) -> list[str]:
+    known = constants | {p.symbol.name: _factor(p.label.stem) for p in each.parameters if p.symbol}
+    style = Style(lambda factor: _name(factor, known, joints), _number, r"\,", power=_power)
     lines = []
     for label, value in each.program.lines:
         if value or len(each.shape) == 1:
             rows = _broken(terms(value, style))
-            lines.append(rf"{_name(label, known)} ={{}}& " + " \\\\\n&".join(rows))
+            lines.append(rf"{_auxiliary(label.name)} ={{}}& " + " \\\\\n&".join(rows))
     return [" \\\\\n".join(lines) or "0 ={}& 0"]
 
 
@@ -91,30 +89,21 @@ def _number(value: Number) -> str:
     return text
 
 
-def _name(factor: Factor, known: dict[str, str]) -> str:
-    name, nature = factor.name, factor.nature
-    if nature is Nature.PARAMETER:
-        return known[name]
-    if nature in (Nature.POSITION, Nature.VELOCITY, Nature.ACCELERATION):
-        letters = {"q": "q", "qp": r"\dot q", "qpp": r"\ddot q"}
-        head = name.rstrip("0123456789")
-        return rf"{letters[head]}_{{{name[len(head) :]}}}"
-    if nature in (Nature.COSINE, Nature.SINE):
-        return _wave(name)
-    if nature is Nature.CONSTANT:
-        return _constant(name, known)
-    return _auxiliary(name)
+def _name(factor: Factor, known: dict[str, str], joints: int) -> str:
+    if factor.nature in _COORDINATES:
+        return rf"{_COORDINATES[factor.nature]}_{{{factor.rank + 1}}}"
+    if factor.nature in (Nature.COSINE, Nature.SINE) and factor.content is not None:
+        return _wave("c" if factor.nature is Nature.COSINE else "s", factor.content, joints)
+    return known.get(factor.name) or _auxiliary(factor.name)
 
 
-def _wave(name: str) -> str:
-    """S223 is s_{223}, S_2_m3 is s_{2,-3}."""
-    letter, label = name[0].lower(), name[1:]
-    inside = label.strip("_").replace("_", ",").replace("m", "-")
-    return rf"{letter}_{{{inside}}}"
-
-
-def _constant(name: str, lengths: dict[str, str]) -> str:
-    return lengths.get(name) or re.sub(r"^g(.)$", r"g_{\1}", name)
+def _wave(letter: str, angle: Expression, joints: int) -> str:
+    """Sine of 2 q2 + q3 is s_{223}, of q2 - q3 s_{2,-3}; from ten joints on always commas."""
+    labels: list[str] = []
+    for (coordinate,), times in angle.terms:
+        labels += ["-" * (times < 0) + str(coordinate.rank + 1)] * int(abs(times))
+    between = "," if joints > 9 or max(map(len, labels)) > 1 else ""
+    return rf"{letter}_{{{between.join(labels)}}}"
 
 
 def _auxiliary(name: str) -> str:

@@ -35,8 +35,7 @@ def paper(listing: Listing, source: str) -> str:
         source: Where the robot comes from.
     """
     lines = [f"* {line}".rstrip() for line in header(listing, source)]
-    for factor in used_constants(listing):
-        lines.append(f"* {factor.name} = {listing.constants[factor]:.12g}")
+    lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
     lines += _definitions(listing)
     for each in listing.equations:
         lines += ["", f"* {_TITLES[each.kind.name]}", *_equations(each)]

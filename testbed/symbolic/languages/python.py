@@ -6,17 +6,18 @@ from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.languages.code import done_with, function_name, given, referred
 from testbed.symbolic.languages.text import (
     Style,
-    constant_unit,
     decimal,
-    definitions,
-    header,
     own_name,
+    preface,
     terms,
     used_constants,
     wrapped,
 )
 
 STYLE = Style(own_name, decimal, plus_first=True)
+
+_FIRST_LINES = ("# -*- coding: utf-8 -*-", "# Written by testbed.")
+"""In the first two lines Python looks for a coding: nothing from a model file stands there."""
 
 _FRAME = '''
 
@@ -47,13 +48,12 @@ def python(listing: Listing, source: str) -> str:
         listing: The equations.
         source: Where the robot comes from.
     """
-    said = (*header(listing, source), *definitions(listing))
-    lines = [f"# {line}".rstrip() for line in said]
+    lines = [*_FIRST_LINES, *(f"# {line}".rstrip() for line in preface(listing, source))]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
-    for factor in used_constants(listing):
-        value = decimal(listing.constants[factor])
-        lines.append(f"{factor.name} = {value}  # {constant_unit(factor)}")
+    lines += [
+        f"{name} = {decimal(value)}  # {unit}" for name, value, unit in used_constants(listing)
+    ]
     for each in listing.equations:
         lines += _vector(each)
     text = "\n".join(lines) + _FRAME

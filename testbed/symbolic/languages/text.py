@@ -114,10 +114,16 @@ def wrapped(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> l
 def harmless(text: str) -> str:
     """Text from a file, fit for any language's comments: letters, digits and a few signs.
 
-    Letters of other scripts become their numbers, such as u65e5; everything else an underline.
+    Letters of other scripts become their numbers, such as u65e5; everything else an underline,
+    colons among them: a comment with `coding:` tells Python how to read a file.
     """
     spelled = "".join(c if c.isascii() or not c.isalnum() else f"u{ord(c):04x}" for c in text)
-    return re.sub(r"[^A-Za-z0-9_.,:+\-() /]", "_", spelled)[:120]
+    return re.sub(r"[^A-Za-z0-9_.,+\-() /]", "_", spelled)[:120]
+
+
+def preface(listing: Listing, source: str) -> list[str]:
+    """What the equations are of and in which parameters, a line each, without comment signs."""
+    return [*header(listing, source), *definitions(listing)]
 
 
 def header(listing: Listing, source: str) -> Iterator[str]:
@@ -158,12 +164,11 @@ def operations(each: Equations) -> str:
     return f"{text}; {count.once} operations on parameters alone" if count.once else text
 
 
-def constant_unit(factor: Factor) -> str:
-    """Unit of a length, or of gravity."""
-    return "m" if factor.name.startswith("l") else "m/s^2"
-
-
-def used_constants(listing: Listing) -> list[Factor]:
-    """Constants that the equations need, in order."""
+def used_constants(listing: Listing) -> list[tuple[str, float, str]]:
+    """Name, value and unit of each constant that the equations need, in order."""
     symbols = {symbol for each in listing.equations for symbol in each.program.symbols}
-    return sorted(symbol for symbol in symbols if symbol.nature is Nature.CONSTANT)
+    return [
+        (factor.name, listing.constants[factor], "m" if factor.name.startswith("l") else "m/s^2")
+        for factor in sorted(symbols)
+        if factor.nature is Nature.CONSTANT
+    ]
