@@ -29,13 +29,22 @@ def _print(line: dict[str, Any]) -> None:
 @app.command()
 def minimal(
     trees: Annotated[int, typer.Option(help="Random trees to verify besides.")] = 0,
+    robots: Annotated[
+        bool, typer.Option("--robots", help="Verify those of example-robot-data besides.")
+    ] = False,
+    zeros: Annotated[
+        bool, typer.Option("--zeros", help="Verify with parameters that are known to be zero.")
+    ] = False,
 ) -> None:
     """Cost of a minimal set over the number of joints; and, asked, agreement of witnesses."""
     from benchmarks.minimal import agreement, scaling
+    from benchmarks.minimal import robots as real
 
     _print(scaling())
     if trees:
-        _print(agreement(trees))
+        _print(agreement(trees, zeros))
+    if robots:
+        _print(real(zeros))
 
 
 @app.command()

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 import testbed as tb
-from testbed.dynamics.witnesses import verify
-from tests.helpers.robots import random_robot
+from testbed.dynamics.witnesses import verify, verify_drives
+from testbed.parameters.barycentric import parameter_names
+from testbed.parameters.joint_terms import with_joint_terms
+from testbed.robot.friction import LAWS
+from testbed.robot.load import mimic_joints
+from testbed.robot.tree import Tree
+from tests.helpers.paths import REAL
+from tests.helpers.robots import random_robot, with_zeros
 
 JOINTS = (10, 25, 50, 100, 200, 400)
 RUNS = 5
@@ -34,29 +43,81 @@ def scaling() -> dict[str, Any]:
     return {"benchmark": "minimal", "joints": JOINTS, "seconds": times, "exponent": exponent}
 
 
-def agreement(trees: int) -> dict[str, Any]:
-    """Rules, recursion and sampled regressor on random trees of 1 to 12 joints."""
-    checked, failed, worst, change = 0, 0, 0.0, 0.0
+def agreement(trees: int, zeros: bool) -> dict[str, Any]:
+    """Rules, recursion and sampled regressor on random trees of 1 to 12 joints.
+
+    Args:
+        trees: How many.
+        zeros: Of bodies with exact zeros, taken as known: the file's, and lists of any names;
+            then gravity is one by turns, else all.
+    """
+    tally, every = Tally(), tuple(GRAVITIES.values())
     for seed in range(trees):
         rng = np.random.default_rng(seed)
-        tree = random_robot(rng, int(rng.integers(1, 13))).tree()
-        for gravity in GRAVITIES.values():
-            sets = (
-                tb.minimal_set(tree, "dynamic", gravity),
-                tb.minimal_set(tree, "reaction", gravity),
-                tb.minimal_set(tree, "reaction", gravity, tared=True),
-            )
-            for found in (verify(tree, each) for each in sets):
-                checked += 1
-                failed += not found.holds
-                worst = max(worst, found.recursion_distance, found.sampled_distance)
-                change = max(change, found.change)
-    print(f"{checked} sets of {trees} trees: {failed} disagreements")
-    return {
-        "benchmark": "agreement",
-        "trees": trees,
-        "sets": checked,
-        "disagreements": failed,
-        "largest_distance": worst,
-        "largest_change": change,
-    }
+        robot = random_robot(rng, int(rng.integers(1, 13)))
+        tree = (with_zeros(rng, robot) if zeros else robot).tree()
+        share = rng.choice([0.1, 0.5, 0.9])
+        listed = [name for name in parameter_names(tree) if rng.random() < share]
+        for gravity in every[seed % 3 : seed % 3 + 1] if zeros else every:
+            for known in (True, listed) if zeros else (False,):
+                tally.examine(f"tree {seed}", tree, gravity, known)
+    return tally.said(f"{trees} trees") | {"benchmark": "agreement", "trees": trees, "zeros": zeros}
+
+
+def robots(zeros: bool) -> dict[str, Any]:
+    """The same on the robots of the package example-robot-data; roots welded, followers held."""
+    tally, read = Tally(), 0
+    for path in sorted(REAL.rglob("*.urdf")):
+        try:
+            followers = dict.fromkeys(mimic_joints(path))
+            tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=followers)
+        except tb.TestbedError:  # refused with a reason, as tests/parameters checks
+            continue
+        read += 1
+        tally.examine(path.name, tree, tree.gravity, zeros)
+    return tally.said(f"{read} robots") | {"benchmark": "robots", "robots": read, "zeros": zeros}
+
+
+@dataclass
+class Tally:
+    """What has been checked, and the worst that was found."""
+
+    checked: int = 0
+    failed: int = 0
+    worst: dict[str, float] = field(default_factory=dict)
+
+    def examine(
+        self, name: str, tree: Tree, gravity: ArrayLike, zeros: bool | Sequence[str]
+    ) -> None:
+        """Both models, the tared plate, S between them, and the drives."""
+        dynamic = tb.minimal_set(tree, "dynamic", gravity, zeros)
+        plates = [tb.minimal_set(tree, "reaction", gravity, zeros, tared=t) for t in (False, True)]
+        for plate in plates:
+            s = tb.selection(dynamic, plate)
+            self.count(f"{name}: S", s.shape == (dynamic.count, plate.count))
+        for minimal in (dynamic, *plates):
+            found = verify(tree, minimal)
+            alone = not minimal.lift[minimal.known_zero.ravel()].any()
+            self.count(f"{name}: {found}", found.holds and alone)
+            for field_name in ("recursion_distance", "sampled_distance", "change", "inverse"):
+                self.largest(field_name, getattr(found, field_name))
+        for laws in (("rotor",), LAWS):
+            drives = verify_drives(tree, with_joint_terms(tree, dynamic, laws))
+            self.count(f"{name}: {drives}", drives.holds)
+            self.largest("drives_change", drives.change)
+
+    def count(self, what: str, holds: bool) -> None:
+        """One more check; said if it fails."""
+        self.checked += 1
+        self.failed += not holds
+        if not holds:
+            print(f"DISAGREE {what}")
+
+    def largest(self, name: str, value: float) -> None:
+        """Keep the largest value of a kind."""
+        self.worst[name] = max(self.worst.get(name, 0.0), value)
+
+    def said(self, of: str) -> dict[str, Any]:
+        """Print what came of it."""
+        print(f"{self.checked} checks of {of}: {self.failed} disagreements")
+        return {"checks": self.checked, "disagreements": self.failed, "largest": self.worst}

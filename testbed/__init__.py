@@ -28,6 +28,8 @@ if TYPE_CHECKING:
     from testbed.identification.solvers import fit as fit
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
+    from testbed.parameters.joint_terms import DriveSet as DriveSet
+    from testbed.parameters.joint_terms import with_joint_terms as with_joint_terms
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
@@ -61,6 +63,7 @@ _HOMES = {
     "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
+    "testbed.parameters.joint_terms": ("DriveSet", "with_joint_terms"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),
     "testbed.symbolic.compare": ("compare_equations",),
     "testbed.symbolic.equations": ("Listing", "equations"),

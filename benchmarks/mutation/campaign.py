@@ -227,5 +227,16 @@ def set_aside() -> dict[tuple[str, str, str, str], str]:
     return found
 
 
+def stale() -> list[tuple[str, str, str, str]]:
+    """What is set aside of lines that are not there any more."""
+    found = []
+    for place in set_aside():
+        path = ROOT / place[0]
+        text = " ".join(path.read_text().split()) if path.is_file() else ""
+        if place[2] not in text:
+            found.append(place)
+    return found
+
+
 def _saying(mutant: Mutant) -> tuple[str, str, str, str]:
     return mutant.module, mutant.function, mutant.original, mutant.mutated

@@ -8,6 +8,7 @@ left alone: docstrings, annotations, messages of errors, imports, blocks for typ
 from __future__ import annotations
 
 import ast
+import builtins
 import copy
 import hashlib
 from collections.abc import Iterator
@@ -295,7 +296,9 @@ def _of_operator(node: ast.Compare | ast.BinOp | ast.UnaryOp | ast.BoolOp) -> It
 
 
 def _is_flag(node: ast.expr) -> bool:
-    """Whether it looks like one of several bits: their order does not matter."""
+    """Whether it looks like one of several bits or types: their order does not matter."""
+    if isinstance(node, ast.Name):
+        return node.id[0].isupper() or isinstance(getattr(builtins, node.id, None), type)
     return isinstance(node, ast.Attribute) or (
         isinstance(node, ast.Call) and ast.unparse(node.func) == "int"
     )

@@ -20,11 +20,18 @@ def draw(root: Path, count: int, seed: int, only: str | None = None) -> list[Mut
         count: How many; more, where rooms would get too few.
         seed: Of the draw.
         only: All of them of this room.
+
+    Raises:
+        ValueError: There is no such room.
     """
     rooms: dict[str, list[tuple[Module, Statement]]] = defaultdict(list)
     for path in sorted((root / "testbed").rglob("*.py")):
-        module = Module(root, path)
-        rooms[room_of(module.name)] += [(module, each) for each in module.statements]
+        room = room_of(path.relative_to(root).as_posix())
+        if only in (None, room):
+            module = Module(root, path)
+            rooms[room] += [(module, each) for each in module.statements]
+    if only is not None and only not in rooms:
+        raise ValueError(f"there is no room '{only}' in testbed/")
     sizes = {room: len(found) for room, found in rooms.items() if found}
     shares = shares_of(sizes, count) if only is None else {only: count}
     drawn = []

@@ -10,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.mutation.campaign import ROOT, Plan, Result, campaign
+from benchmarks.mutation.campaign import ROOT, Plan, Result, campaign, stale
 from benchmarks.mutation.draw import draw
 
 FATES = ("killed", "set aside", "survived")
@@ -80,5 +80,7 @@ def _print(results: Sequence[Result], found: Sequence[dict[str, Any]], complete:
         counts = [str(line[name]) for name in ("drawn", *FATES)]
         table.add_row(line["room"], *counts, f"{line['share']:.0%}")
     Console().print(table)
+    for module, function, original, _ in stale():
+        print(f"set aside, but no longer there: {module} {function}: {original}")
     if not complete:
         print("not all have been tried yet: the same command goes on")

@@ -17,12 +17,12 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
-LAVAPIPE = "/usr/share/vulkan/icd.d/lvp_icd.x86_64.json"
 WIDTH = 1440
 
 
 def main() -> None:
     """Make all pictures."""
+    sys.path.insert(0, str(ROOT))
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "table6"
         testbed("run", "experiments/table6.toml", "--out", str(run))
@@ -37,34 +37,29 @@ def testbed(*words: str) -> None:
 
 
 def viewer(run: Path, folder: Path) -> None:
-    """The viewer's first look, and its friction curves."""
-    from testbed.cli.pictures import of_run
+    """What the viewer shows in three of its tabs."""
+    from testbed.experiment.growth import growth
+    from testbed.experiment.run_folder import read_run
     from testbed.viewer.log import write_rrd
+    from testbed.viewer.scene import scene_of
+    from tests.helpers.viewer import headless_viewer
 
-    os.environ |= {
-        "VK_ICD_FILENAMES": LAVAPIPE,
-        "WGPU_BACKEND": "vulkan",
-        "XDG_RUNTIME_DIR": "/tmp",
-    }
-    os.environ["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    from rerun.experimental import ViewerClient
-
-    story = of_run(run)
+    found = read_run(run)
+    scene = scene_of(found, growth(found))
     for tab in ("wrench", "friction", "estimates"):
         path = folder / f"{tab}.rrd"
-        write_rrd([story], path, tab)
-        with ViewerClient.spawn(headless=True, port=9979, hide_welcome_screen=True) as seen:
+        write_rrd([scene], path, tab)
+        with headless_viewer(folder) as (seen, _):
             seen.open(str(path))
+            time.sleep(6)
+            seen.set_time("time", duration=scene.moment, play_state="paused")
             time.sleep(4)
-            seen.set_time("time", duration=7.5, play_state="paused")
-            time.sleep(3)
             seen.save_screenshot(str(HERE / f"viewer_{tab}.png"))
         smaller(HERE / f"viewer_{tab}.png")
 
 
 def report(run: Path, folder: Path) -> None:
     """The report's head and its map of what can be told."""
-    sys.path.insert(0, str(ROOT))
     from tests.helpers.browser import browser
 
     page = folder / "report.html"

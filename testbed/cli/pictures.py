@@ -50,6 +50,7 @@ def view(
     from testbed.viewer.show import serve as served
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    _check_said(runs, model, reading)
     scenes = []
     with terminal.Progress("looking") as progress:
         for k, path in enumerate(runs):
@@ -101,6 +102,7 @@ def report(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    _check_said([run], model, reading)
     done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
         try:
@@ -119,6 +121,17 @@ def _beside(run: Path, ending: str) -> Path:
     whole = Path(os.path.realpath(run))  # links in a circle are no error yet
     name = whole.name.removesuffix(".parquet") + ending
     return (run.parent if run.name else whole.parent) / name
+
+
+def _check_said(paths: list[Path], model: Path | None, reading: Reading) -> None:
+    """Whether what was said of recordings has one to be about."""
+    from testbed.errors import ExperimentError
+
+    if all(path.is_dir() for path in paths) and (model is not None or reading != Reading()):
+        raise ExperimentError(
+            f"'{paths[0]}' is a run folder: it has its own model and settings; --model, --set and "
+            "the like are for recordings"
+        )
 
 
 def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:

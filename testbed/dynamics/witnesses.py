@@ -121,8 +121,9 @@ def verify(tree: Tree, minimal: MinimalSet, seed: int = 0) -> Agreement:
     """
     model, g, tared, zero = minimal.model, minimal.gravity, minimal.tared, minimal.known_zero
     rows = sampled_regressor(tree, model, g, tared=tared, seed=seed)
+    sampled = row_space(rows, ZERO, zero)
+    size = np.abs(rows).max(initial=1e-300)
     rows[:, zero.ravel()] = 0.0
-    sampled = row_space(rows, ZERO)
     recursion = recursive_space(tree, model, g, tared=tared, known_zero=zero)
     rules = Space(np.linalg.qr(minimal.matrix.T)[0].T, np.inf)
     regrouped = (rows @ minimal.lift) @ minimal.matrix
@@ -135,7 +136,7 @@ def verify(tree: Tree, minimal: MinimalSet, seed: int = 0) -> Agreement:
         recursion_distance=distance(rules, recursion),
         sampled_distance=distance(rules, sampled),
         gap=sampled.gap,
-        change=float(np.abs(regrouped - rows).max(initial=0.0) / np.abs(rows).max(initial=1e-300)),
+        change=float(np.abs(regrouped - rows).max(initial=0.0) / size),
         inverse=float(np.abs(inverse).max(initial=0.0)),
     )
 

@@ -24,12 +24,9 @@ def quality_warnings(estimate: Estimate) -> list[str]:
             "errors of the instrument grow by up to that factor"
         )
     base = estimate.base
-    largest = {
-        unit: max(
-            abs(value) for value, its in zip(base.values, base.units, strict=True) if its == unit
-        )
-        for unit in set(base.units)
-    }
+    largest: dict[str, float] = {}
+    for unit, value in zip(base.units, base.values, strict=True):
+        largest[unit] = max(largest.get(unit, 0.0), abs(value))
     loose = [
         f"{name} ({value:.3g} +- {sigma:.2g})"
         for name, unit, value, sigma in zip(

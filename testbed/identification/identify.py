@@ -217,7 +217,7 @@ def _estimate(
         names=equations.unknowns,
         units=minimal.units if drives is None else drives.units,
         values=found.values,
-        sigma=np.sqrt(np.diagonal(found.covariance)),
+        sigma=np.sqrt(np.maximum(np.diagonal(found.covariance), 0.0)),  # but for rounding
         covariance=found.covariance,
         gravity=tree.gravity,
         channels=equations.channels,

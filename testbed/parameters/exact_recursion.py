@@ -78,10 +78,7 @@ def recursive_space(
     g = tree.gravity_or(gravity)
     static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
     seen = [each.whole for each in told(tree, model, g, static)]
-    rows = _on_barycentric(tree, seen, static)
-    if known_zero is not None:
-        rows[:, known_zero.ravel()] = 0.0
-    return row_space(rows, NEW)
+    return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
 
 def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[Told]:

@@ -5,8 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
+
+ROUNDING = 1e-13
+"""Part of all rows that is rounding of zero, whatever is left of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,17 +32,24 @@ class Space:
         return len(self.rows)
 
 
-def row_space(rows: Array, tolerance: float) -> Space:
+def row_space(rows: Array, tolerance: float, known_zero: NDArray[np.bool_] | None = None) -> Space:
     """The space spanned by rows, (k, 10 n).
 
     Args:
         rows: Of any sizes; rows are not rescaled, so rounding of zero stays small.
         tolerance: Singular values below this share of the largest count as zero.
+        known_zero: Parameters known to be zero, (n, 10), whose columns do not count;
+            default none.
     """
+    rounding = ROUNDING * float(np.linalg.norm(rows))
+    if known_zero is not None:
+        rows = np.where(known_zero.ravel(), 0.0, rows)
     if not rows.any():
         return Space(np.zeros((0, rows.shape[1])), np.inf)
     _, spread, directions = np.linalg.svd(rows, full_matrices=False)
-    rank = int(np.sum(spread > tolerance * spread[0]))
+    rank = int(np.sum(spread > max(tolerance * spread[0], rounding)))
+    if rank == 0:
+        return Space(directions[:0], np.inf)
     dropped = spread[rank] if rank < len(spread) else 0.0
     return Space(directions[:rank], float(spread[rank - 1] / max(dropped, 1e-300)))
 

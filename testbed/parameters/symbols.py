@@ -118,7 +118,12 @@ class Label:
     @property
     def text(self) -> str:
         """In one word: mb*2z, 2*K3d, K*1zz+rotor/waist."""
-        return join(self.terms, "text").replace(" ", "")
+        return "".join(self.pieces)
+
+    @property
+    def pieces(self) -> list[str]:
+        """Its summands with their signs: K*1zz, +rotor/waist."""
+        return [piece.replace(" ", "", 1) for piece in summands(self.terms, "text")]
 
     @property
     def stem(self) -> Label:
@@ -168,16 +173,21 @@ class Formula:
 
 def join(terms: Sequence[Term], notation: Notation) -> str:
     """A sum of terms: a - l*b; "0" for none."""
-    text = ""
+    return " ".join(summands(terms, notation)) or "0"
+
+
+def summands(terms: Sequence[Term], notation: Notation) -> list[str]:
+    """The terms of a sum, each with its sign: a, - l*b."""
+    found: list[str] = []
     for term in terms:
         product = term.write(notation)
-        if not text:
-            text = product
+        if not found:
+            found.append(product)
         elif product.startswith("-"):
-            text += f" - {product[1:]}"
+            found.append(f"- {product[1:]}")
         else:
-            text += f" + {product}"
-    return text or "0"
+            found.append(f"+ {product}")
+    return found
 
 
 _TIMES = {"text": "*", "latex": r"\,"}
@@ -203,6 +213,6 @@ def _latex_number(over: str, under: str) -> str:
 
 @lru_cache(maxsize=4096)
 def number(value: float) -> str:
-    """A coefficient: a small fraction where it is one, else six digits."""
-    near = Fraction(float(value)).limit_denominator(12)
+    """A coefficient: whole, halves, thirds and quarters as they are, else six digits."""
+    near = Fraction(float(value)).limit_denominator(4)
     return str(near) if abs(float(near) - value) < 1e-12 else f"{value:.6g}"

@@ -60,9 +60,9 @@ _STYLE: dict[Any, Any] = {
     "path.simplify": True,
     "path.simplify_threshold": 0.6,
 }
-WIDTH, HEIGHT = 4.1, 1.75
+WIDTH, HEIGHT = 4.1, 1.85
 """Of a plot [inches]."""
-_MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.225, "top": 0.885}  # parts of it
+_MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.245, "top": 0.89}  # parts of it
 _WIDTHS = {"measured": 2.6}  # what hides behind the predictions
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -103,7 +103,7 @@ class Panel:
                     style |= {"linewidth": _WIDTHS.get(label, 1.1)}
                 axis.plot(x, y, **style)
             axis.set_title(self.title, loc="left")
-            axis.set_xlabel(self.x_label, labelpad=1)
+            axis.set_xlabel(self.x_label, labelpad=3)
             (_logarithmic if self.log else _linear)(axis)
             return _svg(figure, self.title)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from testbed.parameters.identifiability import Visibility
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import REASONS, Model
-from testbed.parameters.symbols import Formula
+from testbed.parameters.symbols import Formula, Label, summands
 from testbed.robot.tree import Tree
 
 GLYPHS = ("·", "+", "#")
@@ -142,27 +141,37 @@ def map_table(tree: Tree, seen: Sequence[Visibility]) -> Table:
 def _print_bodies(console: Console, found: Findings, lengths: Lengths) -> None:
     """Body by body, tips first and the bedplate last, under one row of headings."""
     lines = _lines(found, lengths)
-    names = [line.formula.left.text for each in lines.values() for line in each]
-    longest = max(map(len, names), default=0)
-    name_width = max(len(HEADINGS[0]), min(longest, console.width // SHARE))
-    widths = [name_width, *MARKS]
+    labels = [line.formula.left for each in lines.values() for line in each]
+    widths = [_name_width(labels, console.width), *MARKS]
     rest = console.width - sum(widths) - GAP * (len(widths) + 1)
     below = rest < LEAST
     headings = HEADINGS[: len(widths)] if below else HEADINGS
     console.print(_columns(headings, widths), style="bold", soft_wrap=True)
     for body in sorted(lines, reverse=True):
-        console.print(_heading(found, body), style="bold", soft_wrap=True)
+        for part in textwrap.wrap(
+            _heading(found, body), console.width, subsequent_indent=" " * GAP
+        ):
+            console.print(part, style="bold", soft_wrap=True)
         for line in lines[body]:
-            name = broken_name(line.formula.left.text, name_width)
-            said = "" if line.formula.trivial else line.formula.said
+            name = broken_name(line.formula.left, widths[0])
+            said = [] if line.formula.trivial else summands(line.formula.right, "text") or ["0"]
             made = [] if below else broken_sum(said, rest)
             for k in range(max(len(name), len(made))):
                 marks = (line.unit, line.torques, line.bedplate) if k == 0 else ("", "", "")
                 cells = ("".join(name[k : k + 1]), *marks, "".join(made[k : k + 1]))
                 console.print(_columns(cells, widths), soft_wrap=True)
             if below and said:
-                for part in broken_sum(f"= {said}", console.width - 3 * GAP):
+                for part in broken_sum(["=", *said], console.width - 3 * GAP):
                     console.print(" " * 3 * GAP + part, soft_wrap=True)
+
+
+def _name_width(labels: Sequence[Label], width: int) -> int:
+    """What names take: their share, or what their longest piece needs if there is room."""
+    longest = max((len(label.text) for label in labels), default=0)
+    piece = max((len(piece) for label in labels for piece in label.pieces), default=0)
+    room = width - sum(MARKS) - GAP * (len(MARKS) + 1)
+    wanted = min(longest, max(piece, width // SHARE))
+    return max(len(HEADINGS[0]), min(wanted, room))
 
 
 def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
@@ -171,19 +180,22 @@ def _columns(cells: Sequence[str], widths: Sequence[int]) -> str:
     return " " * GAP + ("".join(padded) + "".join(cells[len(widths) :])).rstrip()
 
 
-def broken_sum(text: str, width: int) -> list[str]:
-    """A sum in lines, broken before signs, and within a term only if that is too long."""
-    bound = re.sub(r" ([-+=]) ", " \\1\0", f" {text}").strip()  # a sign stays with its term
-    lines = textwrap.wrap(bound, width, break_on_hyphens=False)
-    return [line.replace("\0", " ") for line in lines]
+def broken_sum(pieces: Sequence[str], width: int) -> list[str]:
+    """A sum in lines, broken between its terms, and within one only if that is too long."""
+    lines: list[str] = []
+    for piece in pieces:
+        if lines and len(lines[-1]) + 1 + len(piece) <= width:
+            lines[-1] += f" {piece}"
+        else:
+            lines += textwrap.wrap(piece, width, break_on_hyphens=False)
+    return lines
 
 
-def broken_name(text: str, width: int) -> list[str]:
-    """A name in lines, broken before the signs of a sum, and elsewhere if it must be."""
-    if len(text) <= width:
-        return [text]
-    pieces = re.sub(r"(?<!e)([-+])", r" \1", text).split()  # not in 1e-05
-    return [part for piece in pieces for part in textwrap.wrap(piece, width)]
+def broken_name(label: Label, width: int) -> list[str]:
+    """A name in lines, broken between its terms, and within one only if that is too long."""
+    if len(label.text) <= width:
+        return [label.text]
+    return [line for piece in label.pieces for line in textwrap.wrap(piece, width)]
 
 
 def _lines(found: Findings, lengths: Lengths) -> dict[int, list[_Line]]:

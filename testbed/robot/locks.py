@@ -109,15 +109,15 @@ def held_positions(
         coupling, wanted = joints[name].coupling, lock.get(name)
         master = coupling.master if coupling else None
         if wanted is not None:
-            places[name] = _within(name, float(wanted), joints[name], source)
+            places[name] = _within(name, wanted, joints[name], source)
         elif coupling is not None:
-            places[name] = coupling.position(places.get(master or "", 0.0))
+            places[name] = coupling.position(0.0 if master is None else places.get(master, 0.0))
         else:
             places[name] = joints[name].rest
         taken_along = coupling is not None and (master is None or master in held)
         if name in lock or taken_along:
             held[name] = places[name]
-        elif master:
+        elif master is not None:
             free[name] = master
     if free:
         raise MimicError(source, free, tuple(m if m in joints else f for f, m in free.items()))
@@ -156,9 +156,14 @@ def _masters_first(joints: Mapping[str, Travel], source: str) -> Iterable[str]:
         done.update(chain)
 
 
-def _within(name: str, position: float, joint: Travel, source: str) -> float:
+def _within(name: str, wanted: float, joint: Travel, source: str) -> float:
+    """The position, if it is one that the joint can have."""
+    try:
+        position = float(wanted)
+    except (TypeError, ValueError, OverflowError):
+        position = math.nan
     if not math.isfinite(position):
-        raise ModelError(f"{source}: joint '{name}' cannot be held at {position}")
+        raise ModelError(f"{source}: joint '{name}' cannot be held at {wanted!r:.40}")
     if not joint.low - _SLACK <= position <= joint.high + _SLACK:
         raise ModelError(
             f"{source}: joint '{name}' cannot be held at {position:g}, out of its range "

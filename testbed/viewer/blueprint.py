@@ -16,6 +16,9 @@ from testbed.robot.tree import Tree
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import CUTOFF, Scene, root, safe
 
+MOST_ROWS = 8
+"""Plots one below the other that can still be read."""
+
 Range = tuple[float, float]
 
 SETTLED = 1 / 3
@@ -95,15 +98,16 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
     for signal in scene.predictions.signals:
         rows = _rows(signal, at, scene.window)
         if signal.kind == "wrench":
-            views.append(rrb.Vertical(*rows, name="wrench"))
+            views.append(_stack(rows, "wrench"))
         else:
             torque = rows
     views.append(_joints(at, torque, scene.window))
     if scene.predictions.unexplained_torque is not None:
         views.append(rrb.Grid(*_friction(scene, at), name="friction"))
     if scene.growth:
-        columns = [rrb.Vertical(*_growth(scene, at, method)) for method in scene.growth]
-        views.append(rrb.Horizontal(*columns, name="estimates"))
+        columns = [_stack(_growth(scene, at, method), method) for method in scene.growth]
+        many = scene.run.tree.n > MOST_ROWS
+        views.append((rrb.Tabs if many else rrb.Horizontal)(*columns, name="estimates"))
     views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
     front = next((k for k, view in enumerate(views) if view.name == tab), 0)
     return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
@@ -113,7 +117,16 @@ def _joints(
     at: str, torque: Sequence[rrb.View | rrb.Container], window: Range | None = None
 ) -> rrb.Vertical:
     positions = _plot(f"{at}/position", "joint positions [rad or m]", window)
-    return rrb.Vertical(positions, *torque, name="joints")
+    shares = [1, min(len(torque), MOST_ROWS)] if torque else [1]
+    below = [_stack(torque, "torques")] if torque else []
+    return rrb.Vertical(positions, *below, row_shares=shares, name="joints")
+
+
+def _stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container:
+    """One below the other, in as many columns as it takes."""
+    if len(rows) <= MOST_ROWS:
+        return rrb.Vertical(*rows, name=name)
+    return rrb.Grid(*rows, grid_columns=-(-len(rows) // MOST_ROWS), name=name)
 
 
 def _rows(signal: Signal, at: str, window: Range) -> list[rrb.Horizontal]:

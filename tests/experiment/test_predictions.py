@@ -20,7 +20,7 @@ from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import friction_torque
 from tests.helpers.ideal import ideal
-from tests.helpers.runs import ROBOTS, noisy, robot, run_of
+from tests.helpers.runs import ROBOTS, noisy, robot, run_of, without
 
 
 def signal_of(found: Predictions, kind: str) -> Signal:
@@ -52,7 +52,9 @@ def test_what_the_plate_leaves_unexplained_is_friction(name: str) -> None:
     true = friction_torque(tree, found.motion.qd)
     scale = np.abs(found.recording.measured("torque")).max()
     np.testing.assert_allclose(found.unexplained_torque, true, atol=1e-8 * scale)
-    np.testing.assert_allclose(found.friction(found.motion.qd), true, atol=1e-8 * scale)
+    law = found.friction(found.motion.qd)
+    assert law is not None
+    np.testing.assert_allclose(law, true, atol=1e-8 * scale)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -60,7 +62,7 @@ def test_what_the_plate_leaves_unexplained_is_friction(name: str) -> None:
 def test_only_what_was_measured_is_compared(name: str, signal: str) -> None:
     tree = robot(name)
     lacks = {"wrench": "torque", "torque": "wrench"}[signal]
-    found = predict(run_of(tree, replace(noisy(ideal(tree)), **{lacks: None})))
+    found = predict(run_of(tree, without(noisy(ideal(tree)), lacks)))
     assert [each.kind for each in found.signals] == [signal]
     assert found.unexplained_torque is None
     (method,) = [m for m in METHODS if SIGNAL_OF[m] == signal]

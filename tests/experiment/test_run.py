@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from testbed.experiment.run_warnings import close_pairs, systematic_errors
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
-from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of
+from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -25,7 +26,7 @@ def test_one_signal_is_enough_for_one_method(name: str, method: Method) -> None:
     tree = robot(name)
     recording = noisy(ideal(tree))
     lacks = next(SIGNAL_OF[m] for m in METHODS if m != method)
-    run = run_of(tree, replace(recording, **{lacks: None}), experiment())
+    run = run_of(tree, without(recording, lacks), experiment())
     assert set(run.estimates) == {method}
     assert set(run.failures) == set(METHODS) - {method}
     assert lacks in next(iter(run.failures.values()))
@@ -66,15 +67,10 @@ def test_joints_are_in_the_order_of_the_tree() -> None:
     tree = robot("puma")
     recording = noisy(ideal(tree))
     back = [2, 0, 1]
-    turned = replace(
-        recording,
-        names=tuple(tree.names[k] for k in back),
-        truth=None,
-        **{
-            s: recording.measured(s)[:, back]
-            for s in ("position", "velocity", "acceleration", "torque")
-        },
-    )
+    signals = ("position", "velocity", "acceleration", "torque")
+    moved: dict[str, Any] = {s: recording.measured(s)[:, back] for s in signals}
+    names = tuple(tree.names[k] for k in back)
+    turned = replace(recording, names=names, truth=None, **moved)
     run, same = run_of(tree, turned), run_of(tree, recording)
     assert run.recording.names == tree.names
     for method in METHODS:

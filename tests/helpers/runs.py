@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,6 +42,12 @@ def noisy(recording: Recording, seed: int = 3, size: float = 0.5) -> Recording:
         wrench=wrench + size * rng.normal(size=wrench.shape),
         torque=torque + size * rng.normal(size=torque.shape),
     )
+
+
+def without(recording: Recording, signal: str) -> Recording:
+    """The recording of an instrument that lacks a signal."""
+    lacking: dict[str, Any] = {signal: None}
+    return replace(recording, **lacking)
 
 
 def experiment(model: Path | None = None, expect: dict[str, Bound] | None = None) -> tb.Experiment:

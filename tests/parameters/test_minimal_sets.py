@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,10 @@ from testbed.parameters.identifiability import (
 )
 from testbed.parameters.row_space import distance, row_space
 from testbed.parameters.rules import REASONS, Model
+from testbed.robot.load import mimic_joints
 from testbed.robot.tree import Joint, Tree
-from tests.helpers.paths import GOLDEN
+from tests.helpers.cases import cases
+from tests.helpers.paths import GOLDEN, REAL
 from tests.helpers.robots import random_robot
 
 SLIGHTLY_INCLINED = (691, 815, 1727, 1996)  # first axes close to vertical: large lifts
@@ -33,9 +34,8 @@ FILE_ROUNDING = 1e-8  # the same, for files whose angles are rounded: an axis al
 GRAVITIES = {"down": (0.0, 0.0, -9.81), "tilted": (2.97, -4.95, -7.93), "off": (0.0, 0.0, 0.0)}
 CATALOGUE = json.loads((GOLDEN / "counts.json").read_text())
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
-REAL = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data/robots"
 LARGEST = 50  # joints of a real robot that is verified by sampling, which is the slow witness
-REFUSALS = ("mimics another joint", "no joint that moves", "not a valid URDF")
+REFUSALS = ("no joint that moves", "not a valid URDF")
 
 
 def agree(
@@ -48,7 +48,7 @@ def agree(
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
-@pytest.mark.parametrize("seed", [*range(10_000, 10_060), *SLIGHTLY_INCLINED])
+@pytest.mark.parametrize("seed", cases([*SLIGHTLY_INCLINED, *range(10_000, 10_060)], fast=8))
 def test_three_witnesses_agree_on_random_trees(seed: int, gravity: str) -> None:
     """1 to 12 joints; row spaces, not counts; `python -m benchmarks minimal` does thousands."""
     rng = np.random.default_rng(seed)
@@ -58,7 +58,7 @@ def test_three_witnesses_agree_on_random_trees(seed: int, gravity: str) -> None:
     agree(tree, "reaction", GRAVITIES[gravity], tared=True)
 
 
-@pytest.mark.parametrize("robot", CATALOGUE)
+@pytest.mark.parametrize("robot", cases(CATALOGUE, fast=6))
 def test_three_witnesses_agree_on_the_catalogue(robot: str) -> None:
     tree = tb.load_tree(GOLDEN / "robots" / CATALOGUE[robot]["urdf"])
     for entry in CATALOGUE[robot]["gravity"].values():
@@ -67,12 +67,15 @@ def test_three_witnesses_agree_on_the_catalogue(robot: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", sorted(REAL.rglob("*.urdf")), ids=lambda path: str(path.relative_to(REAL))
+    "path",
+    cases(sorted(REAL.rglob("*.urdf")), fast=4),
+    ids=lambda path: str(path.relative_to(REAL)),
 )
 def test_real_robots_are_understood_or_refused_with_a_reason(path: Path) -> None:
-    """Every URDF of example-robot-data; free roots welded, vendors' inertias accepted."""
+    """Every URDF of example-robot-data; roots welded, inertias accepted, followers held."""
+    followers = dict.fromkeys(mimic_joints(path))
     try:
-        tree = tb.load_tree(path, weld_root=True, accept_inertia=True)
+        tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=followers)
     except tb.TestbedError as error:
         refused = str(error)
         known = any(reason in refused for reason in REFUSALS) and path.name in refused
@@ -204,6 +207,7 @@ def test_the_map_of_the_puma(puma: tb.Tree) -> None:
     assert (felt["mx"], felt["Ixz"], felt["m"], felt["mz"]) == (ALONE, ALONE, COMBINED, NEVER)
 
 
+@pytest.mark.slow
 def test_the_plate_sees_whatever_torques_see() -> None:
     for seed in range(20):
         tree = random_robot(np.random.default_rng(seed), 6).tree()

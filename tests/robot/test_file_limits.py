@@ -169,6 +169,7 @@ def chain(links: int, kind: str) -> str:
 
 
 @pytest.mark.parametrize(("links", "kind"), [(9000, "fixed"), (9000, "continuous")])
+@pytest.mark.slow
 def test_endless_chains_are_refused(links: int, kind: str, tmp_path: Path) -> None:
     """Pinocchio's parser would run out of its stack."""
     (tmp_path / "r.urdf").write_text(chain(links, kind))
@@ -182,6 +183,7 @@ def test_a_long_chain_of_fixed_links_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
+@pytest.mark.slow
 def test_too_many_joints_are_refused(form: str, tmp_path: Path) -> None:
     path = tmp_path / f"r.{form}"
     bodies = "".join(f'<body name="b{k}"><joint name="k{k}"/>{MASS}</body>' for k in range(1200))
@@ -191,6 +193,7 @@ def test_too_many_joints_are_refused(form: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
 @pytest.mark.parametrize(("joints", "seconds"), [(150, 1.0), (400, 3.0)])
+@pytest.mark.slow
 def test_many_joints_are_read_at_once(
     joints: int, seconds: float, form: str, tmp_path: Path
 ) -> None:

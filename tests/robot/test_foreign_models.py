@@ -48,9 +48,10 @@ def test_fused_links_keep_what_they_weigh(tmp_path: Path) -> None:
     assert masses(tb.load_tree(path)) == [2.0, 1.5]
 
 
-def test_a_total_mass_set_by_the_compiler_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mass", ["7", "0.5"])
+def test_a_total_mass_set_by_the_compiler_is_refused(mass: str, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="settotalmass"):
-        tb.load_tree(arm(tmp_path / "r.xml", compiler='settotalmass="7"'))
+        tb.load_tree(arm(tmp_path / "r.xml", compiler=f'settotalmass="{mass}"'))
 
 
 def test_flags_of_the_file_are_those_of_the_tree(tmp_path: Path) -> None:

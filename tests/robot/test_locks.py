@@ -286,8 +286,10 @@ def test_a_tendon_goes_with_its_joints_unless_it_pulls_on_others(tmp_path: Path)
     assert tb.load_tree(path, lock={"e": 0.0}).n == 5
     path.write_text(STACKED.replace("<actuator>", TENDON.format('stiffness="3"')))
     assert tb.load_tree(path, lock={"e": 0.0, "f": 0.0}).n == 4
-    with pytest.raises(ModelError, match="tendon 't' couples held joints"):
-        tb.load_tree(path, lock={"e": 0.0})
+    for acts in ('stiffness="3"', 'range="-1 1"', 'frictionloss="1"', 'armature="1"'):
+        path.write_text(STACKED.replace("<actuator>", TENDON.format(acts)))
+        with pytest.raises(ModelError, match="tendon 't' couples held joints"):
+            tb.load_tree(path, lock={"e": 0.0})
 
 
 # what cannot be locked
@@ -296,6 +298,7 @@ WRONG: dict[str, tuple[dict[str, float | None], type[Exception], str]] = {
     "unknown": ({"weist": None}, UnknownName, "did you mean 'waist'"),
     "out of range": ({"waist": 4.0}, ModelError, "'waist' cannot be held at 4, out of its range"),
     "not a number": ({"waist": float("nan")}, ModelError, "cannot be held at nan"),
+    "text": ({"waist": "up"}, ModelError, "cannot be held at 'up'"),  # type: ignore[dict-item]
     "everything": (
         dict.fromkeys(("waist", "shoulder", "elbow")),
         ModelError,
@@ -310,6 +313,25 @@ def test_what_cannot_be_locked_is_said(what: str, form: str) -> None:
     lock, error, said = WRONG[what]
     with pytest.raises(error, match=said):
         tb.load_tree(ROOT / f"models/puma562.{form}", lock=lock)
+
+
+@pytest.mark.parametrize("axis", ["0 0 0", "1e-200 0 0"])
+def test_an_axis_without_direction_is_refused_locked_or_not(axis: str, tmp_path: Path) -> None:
+    text = random_robot(np.random.default_rng(6), 3).urdf()
+    start = text.index("<axis", text.index('<joint name="j2"'))
+    end = text.index("/>", start)
+    (tmp_path / "r.urdf").write_text(f'{text[:start]}<axis xyz="{axis}"{text[end:]}')
+    for lock in ({}, {"j2": 0.5}):
+        with pytest.raises(ModelError, match="'j2' has no direction"):
+            tb.load_tree(tmp_path / "r.urdf", lock=lock)
+
+
+def test_a_mimic_without_a_joint_is_refused(tmp_path: Path) -> None:
+    text = random_robot(np.random.default_rng(6), 3).urdf()
+    start = text.index("<limit", text.index('<joint name="j2"'))
+    (tmp_path / "r.urdf").write_text(f"{text[:start]}<mimic/>{text[start:]}")
+    with pytest.raises(ModelError, match="'j2': <mimic> names no joint"):
+        tb.load_tree(tmp_path / "r.urdf")
 
 
 def test_joints_that_follow_in_a_circle_are_refused(tmp_path: Path) -> None:

@@ -131,7 +131,8 @@ def test_a_robot_of_many_joints_stays_readable() -> None:
         if kind == "Vertical":
             return sum(deep)
         if kind == "Grid":
-            return -(-len(inner) // (part.grid_columns or round(len(inner) ** 0.5))) * max(deep)
+            columns = part.grid_columns or round(len(inner) ** 0.5)
+            return -(-len(inner) // int(columns)) * max(deep)
         return max(deep)
 
     assert depth(tabs) <= 9

@@ -19,7 +19,7 @@ from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, scene_of
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
-from tests.helpers.runs import noisy, robot, run_of
+from tests.helpers.runs import noisy, robot, run_of, without
 from tests.helpers.viewer import columns, entities, words
 
 SCALARS = "Scalars:scalars"
@@ -143,7 +143,7 @@ def test_ticks_are_round_and_within_the_axis(end: float, round_value: float) -> 
 @pytest.mark.parametrize("lacks", ["wrench", "torque"])
 @pytest.mark.parametrize("name", ["ur5", "gantry"])
 def test_what_was_not_measured_is_not_in_the_file(lacks: str, name: str, tmp_path: Path) -> None:
-    run = run_of(robot(name), replace(noisy(ideal(robot(name))), **{lacks: None}))
+    run = run_of(robot(name), without(noisy(ideal(robot(name))), lacks))
     path = tmp_path / "one.rrd"
     write_rrd([scene_of(run, growth(run, [5.0]))], path)
     there = entities(path)

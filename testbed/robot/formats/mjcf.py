@@ -5,6 +5,7 @@ Bodies without joints are merged into those that carry them.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import mujoco
@@ -61,7 +62,7 @@ def read_mjcf(
         name = model.numeric(k).name
         if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    return _tree_of(model, stated, (*flaws, *notes, *_springs(model)))
+    return _tree_of(model, stated, (*flaws, *notes, *_unmodelled(model)))
 
 
 def _check_places(model: mujoco.MjModel, path: Path) -> None:
@@ -80,13 +81,20 @@ def _check_places(model: mujoco.MjModel, path: Path) -> None:
             )
 
 
-def _springs(model: mujoco.MjModel) -> tuple[str, ...]:
-    return tuple(
-        f"joint '{model.joint(j).name}' has a spring ({model.jnt_stiffness[j].flat[0]:g} N m/rad "
-        "or N/m) that the joint model does not know"
-        for j in range(model.njnt)
-        if np.any(model.jnt_stiffness[j])
-    )
+def _unmodelled(model: mujoco.MjModel) -> Iterator[str]:
+    """What acts in joints beside friction, a line each."""
+    for j in range(model.njnt):
+        name, dof = model.joint(j).name, model.jnt_dofadr[j]
+        if np.any(model.jnt_stiffness[j]) or np.any(model.jnt_stiffnesspoly[j]):
+            yield (
+                f"joint '{name}' has a spring ({model.jnt_stiffness[j].flat[0]:g} N m/rad or N/m) "
+                "that the joint model does not know"
+            )
+        if np.any(model.dof_dampingpoly[dof]):
+            yield (
+                f"joint '{name}' has damping that grows faster than its speed, which the joint "
+                "model does not know"
+            )
 
 
 def _tree_of(

@@ -153,7 +153,8 @@ def _drop_tendons(spec: mujoco.MjSpec, held: dict[str, float], path: Path) -> No
         if not any(name in held for name in ends):
             continue
         acts = (*tendon.stiffness, *tendon.damping, tendon.armature, tendon.frictionloss)
-        if any(name not in held for name in ends) and (any(acts) or tendon.limited == 1):
+        stops = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(tendon.range)
+        if any(name not in held for name in ends) and (any(acts) or stops):
             raise ModelError(
                 f"{path}: tendon '{tendon.name}' couples held joints with others, which is not "
                 "supported; hold all joints along it"

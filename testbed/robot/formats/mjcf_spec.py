@@ -30,7 +30,7 @@ def open_spec(
         lock: Joints to be held, which are taken out, their bodies posed.
 
     Returns:
-        The model, and what was accepted although it is doubtful, a line each.
+        The model, and a line for each thing that was accepted with a warning.
 
     Raises:
         ModelError: The file is not MJCF, or holds what is not supported; FreeRootError for a
@@ -67,7 +67,7 @@ def follower_names(path: Path) -> tuple[str, ...]:
 def _parsed(path: Path) -> mujoco.MjSpec:
     """The file as MuJoCo's parser takes it, everything named."""
     check_files(path)
-    if path.suffix.lower() != ".xml":
+    if path.suffix != ".xml":
         raise ModelError(f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it")
     with no_mujoco_warnings():
         try:

@@ -16,7 +16,7 @@ from testbed.errors import ModelError
 from testbed.robot.decimals import decimals
 from testbed.robot.model_xml import read_xml
 
-MOST_BODIES, MOST_ELEMENTS = 5_000, 50_000
+MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
 """Bodies, and elements of all kinds, that a file may become, copies counted."""
 MOST_CELLS = 10**7
 """Of a height field: rows times columns."""
@@ -48,11 +48,11 @@ def check_files(path: Path) -> None:
         ModelError: It holds itself, or becomes too large; a file is not XML, or not UTF-8.
     """
     made = _Files(path).size(path, ())
-    if made.elements > MOST_ELEMENTS or made.bodies > MOST_BODIES:
+    if made.elements > MOST_MADE_ELEMENTS or made.bodies > MOST_MADE_BODIES:
         raise ModelError(
             f"{path}: would become {_rounded(made.bodies)} bodies, {_rounded(made.elements)} "
-            f"elements in all; {MOST_BODIES} and {MOST_ELEMENTS} are the limits (see <replicate>, "
-            "<attach>, <include>)"
+            f"elements in all; {MOST_MADE_BODIES} and {MOST_MADE_ELEMENTS} are the limits (see "
+            "<replicate>, <attach>, <include>)"
         )
 
 

@@ -17,6 +17,7 @@ from testbed.robot.formats.urdf_numbers import numbers_of, plain, rewrite_number
 from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 from testbed.robot.model_xml import read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
+from testbed.robot.tree import UNIT
 
 DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
@@ -46,7 +47,7 @@ def supported_xml(
         keep_visuals: Keep what is to be seen.
 
     Returns:
-        The root element, and what was accepted although it is doubtful, a line each.
+        The root element, and a line for each thing that was accepted with a warning.
 
     Raises:
         ModelError: The file is not URDF, or holds what is not supported; FreeRootError for a
@@ -73,6 +74,9 @@ def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Elem
     for joint in joints:
         _check_kind(joint, carriers, path, weld_root)
         rewrite_numbers(joint, f"{path}: joint '{joint.get('name')}'")
+        _check_axis(joint, path)
+        if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
+            raise ModelError(f"{path}: joint '{joint.get('name')}': <mimic> names no joint")
     for link in links:
         for inertial in link.findall("inertial"):
             rewrite_numbers(inertial, f"{path}: link '{link.get('name')}'", allow_nan=True)
@@ -111,15 +115,14 @@ def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
     held, warnings = held_positions(_travels(joints), lock, path.name)
     for joint in joints:
         name = joint.get("name", "")
-        if joint.get("type") == "fixed":
-            for part in ("axis", "limit", "dynamics", "mimic"):
-                _remove(joint, part)
-        elif name in held:
+        if name in held:
             if held[name]:
                 _move_origin(joint, held[name])
             joint.set("type", "fixed")
-            for part in ("axis", "limit", "dynamics", "mimic"):
-                _remove(joint, part)
+        if joint.get("type") == "fixed":
+            for part in list(joint):
+                if part.tag in ("axis", "limit", "dynamics", "mimic"):
+                    joint.remove(part)
         elif joint.get("type") != "continuous" and joint.find("limit") is None:
             zeros = dict.fromkeys(("lower", "upper", "effort", "velocity"), "0")
             ET.SubElement(joint, "limit", zeros)  # parsers want one; zeros: not known
@@ -132,18 +135,13 @@ def _move_origin(joint: ET.Element, position: float) -> None:
     if origin is None:
         origin = ET.SubElement(joint, "origin")
     axis = np.array(numbers_of(joint.find("axis"), "xyz", "1 0 0"))
-    axis /= np.linalg.norm(axis) or 1.0
+    axis /= np.linalg.norm(axis)
     turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
     if joint.get("type") == "prismatic":
         place = np.array(numbers_of(origin, "xyz", "0 0 0")) + turn @ axis * position
         origin.set("xyz", plain(list(place)))
     else:
         origin.set("rpy", plain(list(to_rpy(turn @ about(axis, position)))))
-
-
-def _remove(element: ET.Element, tag: str) -> None:
-    for part in element.findall(tag):
-        element.remove(part)
 
 
 def _keep(
@@ -239,4 +237,12 @@ def _check_kind(
         raise ModelError(
             f"{path}: joint '{name}' is of type '{kind:.40}', which is not supported "
             f"(supported: {', '.join(_SUPPORTED)})"
+        )
+
+
+def _check_axis(joint: ET.Element, path: Path) -> None:
+    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
+    if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
+        raise ModelError(
+            f"{path}: joint '{joint.get('name')}' has no direction: its <axis> xyz is {axis}"
         )

@@ -1,0 +1,107 @@
+"""view and report on the command line: run folders and recordings, and what cannot be shown."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import testbed as tb
+from testbed.experiment.run import Run
+from testbed.experiment.run_folder import write_run
+from tests.cli.test_cli import command_line
+from tests.helpers.ideal import ideal
+from tests.helpers.paths import ROOT
+from tests.helpers.runs import MODELS, noisy, robot, without
+
+PUMA = str(ROOT / "models/puma562.xml")
+
+
+@pytest.fixture(scope="module")
+def folder(puma_run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("runs") / "puma"
+    write_run(puma_run, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(puma_recording: tb.Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "mine.parquet"
+    puma_recording.save(path)
+    return path
+
+
+@pytest.mark.slow
+def test_a_run_folders_report_is_checked_on_another_motion(folder: Path, tmp_path: Path) -> None:
+    done = command_line("report", str(folder), "--out", "page.html", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    numbers = json.loads((tmp_path / "page.json").read_text())
+    assert numbers["has_truth"]
+    assert numbers["figures"][0]["title"].endswith("a motion that no estimate has seen")
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["page.html", "page.json"]
+
+
+@pytest.mark.slow
+def test_a_recordings_report_needs_a_model_and_takes_settings(
+    recording: Path, tmp_path: Path
+) -> None:
+    words = ["report", str(recording), "--model", PUMA, "--zeros", "--out", "page.html"]
+    done = command_line(*words, "--set", "identification.cutoff=8", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    numbers = json.loads((tmp_path / "page.json").read_text())
+    assert not numbers["has_truth"]
+    assert [row["name"] for row in numbers["parameters"]][:2] == ["mb3z", "K3yy"]
+    assert numbers["figures"][0]["title"].endswith("the motion that was identified")
+    assert "on rows 8 Hz" in dict(numbers["asked"])["identification"]
+
+
+@pytest.mark.slow
+def test_folders_and_recordings_are_shown_side_by_side(
+    folder: Path, recording: Path, tmp_path: Path
+) -> None:
+    words = ["view", str(folder), str(recording), "--model", PUMA, "--save", "both.rrd"]
+    done = command_line(*words, cwd=tmp_path)
+    assert done.returncode == 0
+    assert "both.rrd" in done.stdout
+    assert (tmp_path / "both.rrd").stat().st_size > 1e5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["view", "report"])
+def test_a_wrench_alone_is_shown_and_what_lacks_is_said(command: str, tmp_path: Path) -> None:
+    without(noisy(ideal(robot("gantry"))), "torque").save(tmp_path / "r.parquet")
+    model = ["--model", str(MODELS["gantry"])]
+    out = ["--save", "r.rrd"] if command == "view" else ["--out", "r.html"]
+    done = command_line(command, "r.parquet", *model, *out, cwd=tmp_path)
+    assert done.returncode == 0
+    said = done.stdout if command == "view" else (tmp_path / "r.html").read_text()
+    assert "no internal estimate: the recording has no torque" in said
+
+
+@pytest.mark.parametrize("command", ["view", "report"])
+def test_what_cannot_be_shown_is_said(
+    command: str, folder: Path, recording: Path, tmp_path: Path
+) -> None:
+    """One line, exit code 2, nothing written."""
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "text.parquet").write_text("no recording")
+    faults = {
+        ("nothing",): "there is no run folder or recording 'nothing'",
+        ("empty",): "is no run folder",
+        (str(recording),): "a recording needs --model",
+        (str(recording), "--model", "none.urdf"): "none.urdf",
+        (str(recording), "--model", str(MODELS["ur5"])): "of another robot",
+        ("text.parquet", "--model", PUMA): "text.parquet",
+        (str(folder), "--model", PUMA): "is a run folder: it has its own model",
+        (str(folder), "--set", "identification.cutoff=8"): "is a run folder: it has its own model",
+        (str(recording), "--model", PUMA, "--set", "identification.cut=8"): "did you mean 'cutoff'",
+    }
+    before = sorted(p.name for p in tmp_path.iterdir())
+    for words, said in faults.items():
+        done = command_line(command, *words, cwd=tmp_path)
+        assert done.returncode == 2, words
+        assert said in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert done.stdout == ""
+    assert sorted(p.name for p in tmp_path.iterdir()) == before
