@@ -75,7 +75,7 @@ class Passes:
         self.progress = progress
         self.checked = False
         self.done = 0
-        self.surveyor = Surveyor.of(plan.source.samples)
+        self.surveyor = Surveyor(plan.source.samples)
         self._rooms: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[numpy_engine.Block]] = {}
         self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT

@@ -76,6 +76,7 @@ def possibility(estimate: Estimate) -> Possibility:
         scale[same] = np.maximum(scale[same], SMALL * scale[same].max())
     covariance = base.covariance + np.diag((MODEL_ERROR * scale) ** 2)
     spread, axes = np.linalg.eigh(covariance)
+    spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
     white = (axes / np.sqrt(spread)).T
     limit = float(np.sqrt(stats.chi2.isf(2 * stats.norm.sf(SIGMAS), len(scale))))
     cone = _Cone(white @ estimate.minimal.standard_matrix, white @ _rotors(estimate))

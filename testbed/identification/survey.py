@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,21 +27,13 @@ class Survey:
     measured: Array
 
 
-@dataclass(eq=False)
 class Surveyor:
-    """Gathers a survey from windows, in whatever order they come.
+    """Gathers a survey from windows, in whatever order they come."""
 
-    Attributes:
-        stride: Samples from one that is kept to the next.
-    """
-
-    stride: int
-    _kept: dict[int, tuple[Array, Array]] = field(default_factory=dict)
-
-    @staticmethod
-    def of(samples: int) -> Surveyor:
-        """For a recording of that many samples."""
-        return Surveyor(max(1, samples // SAMPLES))
+    def __init__(self, samples: int) -> None:
+        """Nothing yet, of a recording of that many samples."""
+        self.stride = max(1, samples // SAMPLES)
+        self._kept: dict[int, tuple[Array, Array]] = {}
 
     def look(self, signals: Signals, first: int, count: int) -> None:
         """Keep some of a window's samples.
