@@ -101,6 +101,9 @@ def _told(error: BaseException) -> int:
         _say("the input is nested too deeply")
     elif isinstance(error, UnicodeDecodeError):
         _say(f"a file that should be text is not UTF-8: {error.reason} at byte {error.start}")
+    elif isinstance(error, ImportError):  # an installation that is broken, or no memory for it
+        _say(f"a library cannot be loaded: {error}")
+        code = OUR_FAULT
     elif hasattr(error, "format_message"):  # what the option parser found
         if message := error.format_message():  # none where it has printed the help instead
             _say(f"{message} (testbed --help tells more)")

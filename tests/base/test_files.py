@@ -73,6 +73,7 @@ def write(place: Path, kind: str, word: str = "new") -> None:
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
+@pytest.mark.slow
 def test_at_every_instant_one_of_them_is_there(kind: str, tmp_path: Path) -> None:
     place = tmp_path / "place"
     write(place, kind, "old")
@@ -98,6 +99,7 @@ def test_three_writers_at_once(kind: str, steps: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("steps", ["one step", "two steps"])
 @pytest.mark.parametrize("kind", ["file", "folder"])
+@pytest.mark.slow
 def test_what_a_killed_writer_leaves_is_swept_by_the_next(
     kind: str, steps: str, tmp_path: Path
 ) -> None:

@@ -13,16 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
+from tests.helpers.command import command_line
 from tests.helpers.paths import GOLDEN, ROOT
 
 QUICK = ["motion.duration=4", "simulation.step=5e-4", "motion.candidates=2"]
 PUMA = str(ROOT / "models/puma562.xml")
 TABLE6 = str(ROOT / "experiments/table6.toml")
-
-
-def command_line(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "testbed.cli", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
 
 
 def sets(*settings: str) -> list[str]:
@@ -49,6 +45,7 @@ def test_run_prints_the_table_and_obeys_the_claim(tmp_path: Path) -> None:
     assert "FAILS" in failed.stdout
 
 
+@pytest.mark.slow
 def test_run_speaks_json(tmp_path: Path) -> None:
     done = command_line("run", TABLE6, "--json", *sets(), cwd=tmp_path)
     result = json.loads(done.stdout)
@@ -57,6 +54,7 @@ def test_run_speaks_json(tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
+@pytest.mark.slow
 def test_simulate_then_identify_is_run(recording: Path, tmp_path: Path) -> None:
     done = command_line(
         "identify", str(recording), "--model", PUMA, "--zeros", "--json", cwd=tmp_path
@@ -92,6 +90,7 @@ def damaged(recording: Path, path: Path, column: str, value: float | None) -> st
     return str(path)
 
 
+@pytest.mark.slow
 def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
     recording: Path, tmp_path: Path
 ) -> None:
@@ -139,6 +138,7 @@ def test_wrong_input_is_one_line_exit_code_two_and_nothing_left(
         assert list(empty.iterdir()) == [], arguments
 
 
+@pytest.mark.slow
 def test_a_recording_without_an_estimate_is_kept(tmp_path: Path) -> None:
     done = command_line("run", TABLE6, *sets("motion.duration=0.5"), "--out", "short", cwd=tmp_path)
     assert done.returncode == 2
@@ -147,6 +147,7 @@ def test_a_recording_without_an_estimate_is_kept(tmp_path: Path) -> None:
     assert tb.Recording.load(tmp_path / "short/recording.parquet").samples == 500
 
 
+@pytest.mark.slow
 def test_a_run_of_another_experiment_is_replaced_by_force_only(tmp_path: Path) -> None:
     place = ("--out", "place")
     assert command_line("run", TABLE6, *sets(), *place, cwd=tmp_path).returncode in (0, 1)
@@ -164,6 +165,7 @@ def test_a_run_of_another_experiment_is_replaced_by_force_only(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kept", ["torque", "wrench"])
+@pytest.mark.slow
 def test_half_a_recording_gives_its_half_of_the_answer(
     kept: str, recording: Path, tmp_path: Path
 ) -> None:
@@ -183,6 +185,7 @@ def test_half_a_recording_gives_its_half_of_the_answer(
 
 
 @pytest.mark.parametrize("columns", ["60", "72", "80", "110", "140"])
+@pytest.mark.slow
 def test_no_number_is_cut_off_at_any_width(
     columns: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -196,6 +199,7 @@ def test_no_number_is_cut_off_at_any_width(
         assert max(map(len, table)) <= int(columns)
 
 
+@pytest.mark.slow
 def test_gravity_is_a_vector_however_it_is_written(tmp_path: Path) -> None:
     ways = (("0,0,-1.62",), ("0", "0", "-1.62"))
     said = [

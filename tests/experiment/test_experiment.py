@@ -118,6 +118,7 @@ def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experimen
     assert not tb.carry_out(strict).as_expected
 
 
+@pytest.mark.slow
 def test_a_run_folder_repeats_the_run(quick: tb.Experiment, tmp_path: Path) -> None:
     write_run(tb.carry_out(quick), tmp_path / "run")
     assert sorted(p.name for p in (tmp_path / "run").iterdir()) == [

@@ -23,6 +23,7 @@ def blocks(heading: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", part, re.DOTALL)
 
 
+@pytest.mark.slow
 def test_every_example_runs_as_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     """One after the other, as a reader would type them."""
     monkeypatch.chdir(ROOT)

@@ -78,6 +78,7 @@ def test_torques_are_far_worse_than_the_plate(puma: tb.Tree, puma_recording: Rec
     assert errors[1] > 50 * errors[0]
 
 
+@pytest.mark.slow
 def test_with_exact_torque_constants_friction_is_found(puma: tb.Tree) -> None:
     settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
     settings += [f"measurement.torque_constant_error.{j}=0.0" for j in puma.names]
@@ -105,6 +106,7 @@ def coverage(draws: int, correlation: float) -> Array:
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])
+@pytest.mark.slow
 def test_sigma_is_honest(correlation: float) -> None:
     """White and coloured plate noise: 95 % intervals hold the truth about 95 % of the time."""
     found = coverage(120, correlation)
@@ -160,6 +162,7 @@ def test_a_recording_without_a_tare_takes_the_pedestal_from_the_model(
     assert any("pedestal" in warning for warning in silent.warnings)
 
 
+@pytest.mark.slow
 def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     """Recorded on the moon, identified with a model file that says earth."""
     settings = ["motion.duration=10", "motion.candidates=3", "gravity=[0.0, 0.0, -1.62]"]

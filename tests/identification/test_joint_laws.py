@@ -15,6 +15,7 @@ from testbed.arrays import Array
 from testbed.identification.predict import own_torque, predictions
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import COULOMB, LAWS, ROTOR, VISCOUS, JointLaw
+from tests.helpers.cases import cases
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot
@@ -66,7 +67,7 @@ def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
 
 
 @pytest.mark.parametrize("kinds", COMBINATIONS, ids="+".join)
-@pytest.mark.parametrize("robot", [*ROBOTS, *range(8)])
+@pytest.mark.parametrize("robot", cases([*ROBOTS, *range(8)], fast=2))
 def test_no_combination_of_terms_fails_for_a_structural_reason(
     robot: str | int, kinds: tuple[str, ...]
 ) -> None:
@@ -91,6 +92,7 @@ def test_no_combination_of_terms_fails_for_a_structural_reason(
 
 
 @pytest.mark.parametrize("kinds", [("rotor",), KINDS], ids="+".join)
+@pytest.mark.slow
 def test_a_humanoid_knows_which_rotors_it_cannot_tell(kinds: tuple[str, ...]) -> None:
     tree = without(geared(golden("humanoid_pelvis")), kinds)
     recording = ideal(tree, duration=20.0)

@@ -144,6 +144,7 @@ def test_what_is_no_number_is_named_wherever_it_is(
 
 
 @pytest.mark.parametrize("settings", [EXACT, FILTERED])
+@pytest.mark.slow
 def test_a_gap_in_time_is_named_wherever_it_is(
     settings: Settings, tree: tb.Tree, recording: Recording
 ) -> None:
@@ -178,6 +179,7 @@ def test_parts_that_do_not_belong_together_are_refused(
         tb.identify(tree, [])
 
 
+@pytest.mark.slow
 def test_small_jobs_do_not_load_the_compiler() -> None:
     """Sixty seconds of three joints at 1 kHz: what table6 is."""
     code = (
@@ -252,6 +254,7 @@ def correlated(tree: tb.Tree) -> tuple[Recording, Array]:
     return plus(clean, wrench=noise), root @ root.T
 
 
+@pytest.mark.slow
 def test_the_full_covariance_of_the_plate_is_worth_knowing(tree: tb.Tree) -> None:
     recording, covariance = correlated(tree)
     truth = true_values(tree, "external")
@@ -345,6 +348,7 @@ def test_sliding_windows_are_bartletts_weights(cuts: tuple[int, ...]) -> None:
 # The compiled code.
 
 
+@pytest.mark.slow
 def test_the_kernel_is_right_without_wide_vectors(tmp_path: Path) -> None:
     """Compiled for a processor with AVX2 only, with its own tiles."""
     from llvmlite import binding

@@ -114,6 +114,7 @@ def in_a_process(home: Path, **environment: str) -> tuple[Path, bool]:
     return place, place.exists()
 
 
+@pytest.mark.slow
 def test_numba_keeps_its_code_there_and_passing_folders_pass(tmp_path: Path) -> None:
     home = tmp_path / "cache"
     kept, there = in_a_process(home)

@@ -24,6 +24,7 @@ from testbed.parameters.row_space import distance, row_space
 from testbed.parameters.rules import REASONS, Model
 from testbed.robot.load import mimic_joints
 from testbed.robot.tree import Joint, Tree
+from tests.helpers.cases import cases
 from tests.helpers.paths import GOLDEN, REAL
 from tests.helpers.robots import random_robot
 
@@ -47,7 +48,7 @@ def agree(
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
-@pytest.mark.parametrize("seed", [*range(10_000, 10_060), *SLIGHTLY_INCLINED])
+@pytest.mark.parametrize("seed", cases([*SLIGHTLY_INCLINED, *range(10_000, 10_060)], fast=8))
 def test_three_witnesses_agree_on_random_trees(seed: int, gravity: str) -> None:
     """1 to 12 joints; row spaces, not counts; `python -m benchmarks minimal` does thousands."""
     rng = np.random.default_rng(seed)
@@ -57,7 +58,7 @@ def test_three_witnesses_agree_on_random_trees(seed: int, gravity: str) -> None:
     agree(tree, "reaction", GRAVITIES[gravity], tared=True)
 
 
-@pytest.mark.parametrize("robot", CATALOGUE)
+@pytest.mark.parametrize("robot", cases(CATALOGUE, fast=6))
 def test_three_witnesses_agree_on_the_catalogue(robot: str) -> None:
     tree = tb.load_tree(GOLDEN / "robots" / CATALOGUE[robot]["urdf"])
     for entry in CATALOGUE[robot]["gravity"].values():
@@ -66,7 +67,9 @@ def test_three_witnesses_agree_on_the_catalogue(robot: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "path", sorted(REAL.rglob("*.urdf")), ids=lambda path: str(path.relative_to(REAL))
+    "path",
+    cases(sorted(REAL.rglob("*.urdf")), fast=4),
+    ids=lambda path: str(path.relative_to(REAL)),
 )
 def test_real_robots_are_understood_or_refused_with_a_reason(path: Path) -> None:
     """Every URDF of example-robot-data; roots welded, inertias accepted, followers held."""
@@ -204,6 +207,7 @@ def test_the_map_of_the_puma(puma: tb.Tree) -> None:
     assert (felt["mx"], felt["Ixz"], felt["m"], felt["mz"]) == (ALONE, ALONE, COMBINED, NEVER)
 
 
+@pytest.mark.slow
 def test_the_plate_sees_whatever_torques_see() -> None:
     for seed in range(20):
         tree = random_robot(np.random.default_rng(seed), 6).tree()

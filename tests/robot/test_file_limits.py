@@ -169,6 +169,7 @@ def chain(links: int, kind: str) -> str:
 
 
 @pytest.mark.parametrize(("links", "kind"), [(9000, "fixed"), (9000, "continuous")])
+@pytest.mark.slow
 def test_endless_chains_are_refused(links: int, kind: str, tmp_path: Path) -> None:
     """Pinocchio's parser would run out of its stack."""
     (tmp_path / "r.urdf").write_text(chain(links, kind))
@@ -182,6 +183,7 @@ def test_a_long_chain_of_fixed_links_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
+@pytest.mark.slow
 def test_too_many_joints_are_refused(form: str, tmp_path: Path) -> None:
     path = tmp_path / f"r.{form}"
     bodies = "".join(f'<body name="b{k}"><joint name="k{k}"/>{MASS}</body>' for k in range(1200))
@@ -191,6 +193,7 @@ def test_too_many_joints_are_refused(form: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
 @pytest.mark.parametrize(("joints", "seconds"), [(150, 1.0), (400, 3.0)])
+@pytest.mark.slow
 def test_many_joints_are_read_at_once(
     joints: int, seconds: float, form: str, tmp_path: Path
 ) -> None:
@@ -201,6 +204,22 @@ def test_many_joints_are_read_at_once(
     start = time.process_time()
     assert tb.load_tree(path).n == joints
     assert time.process_time() - start < seconds
+
+
+@pytest.mark.parametrize("form", ["xml", "urdf"])
+def test_too_many_elements_are_refused(form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"r.{form}"
+    inside = "<a/>" * 200_001
+    path.write_text(f"<mujoco>{inside}</mujoco>" if form == "xml" else f"<robot>{inside}</robot>")
+    assert "more than 200000 elements" in refusal(path)
+
+
+@pytest.mark.parametrize("what", ["link", "joint"])
+def test_names_that_stand_twice_are_told(what: str, tmp_path: Path) -> None:
+    old = {"link": '<link name="l2"', "joint": '<joint name="j2"'}[what]
+    text = chain(3, "continuous").replace(old, old.replace("2", "1"))
+    (tmp_path / "r.urdf").write_text(text)
+    assert f"two {what}s have the name '{what[0]}1'" in refusal(tmp_path / "r.urdf")
 
 
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:

@@ -283,6 +283,7 @@ def test_shapes_of_locked_bodies_stay_where_they_are_held(
             np.testing.assert_allclose(a, b, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_panda_with_held_fingers_shows_them() -> None:
     path = REAL / "panda_description/urdf/panda.urdf"
     lock = {"panda_finger_joint1": 0.02}

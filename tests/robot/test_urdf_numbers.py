@@ -133,6 +133,7 @@ def edited(draw: st.DrawFn) -> tuple[ET.Element, Place, int, str]:
 @settings(
     max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
+@pytest.mark.slow
 def test_edited_numbers_are_read_as_they_stand_or_refused(
     case: tuple[ET.Element, Place, int, str], tmp_path: Path
 ) -> None:

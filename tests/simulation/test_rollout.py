@@ -43,6 +43,7 @@ def test_the_acceleration_of_an_averaged_sample_is_the_gain_of_velocity(puma: tb
     np.testing.assert_allclose(gained, middle, atol=0.01)
 
 
+@pytest.mark.slow
 def test_the_same_experiment_gives_the_same_bits(puma_recording: tb.Recording) -> None:
     settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
     again = tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))

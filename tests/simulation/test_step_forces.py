@@ -101,6 +101,7 @@ def test_forces_know_time_and_state(robot: tuple[tb.Tree, Path, Fourier]) -> Non
     np.testing.assert_allclose(mean, found.truth.position[0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_friction_that_an_experiment_states_goes_before_the_model_files(
     puma: tb.Tree,
 ) -> None:

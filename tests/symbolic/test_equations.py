@@ -21,12 +21,13 @@ from testbed.symbolic.kinds import KINDS
 from testbed.symbolic.languages import as_document, write_equations
 from testbed.symbolic.parse import read_listing, wave
 from testbed.symbolic.polynomial import same
+from tests.helpers.cases import cases
 from tests.helpers.generated import c_call, c_library, python_module
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_robot, random_states
 
-ROBOTS = sorted((GOLDEN / "robots").glob("*.urdf"))
+ROBOTS = sorted((GOLDEN / "robots").glob("*.urdf"), key=lambda path: (path.stat().st_size, path))
 LONG = ("humanoid_pelvis", "kuka_lwr4")
 """All kinds of their literal forms take minutes to write and compile."""
 SECTIONS = dict(
@@ -73,7 +74,7 @@ def check(listing: Listing, urdf: str, tree: tb.Tree, folder: Path, seed: int = 
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("path", ROBOTS, ids=lambda p: p.stem)
+@pytest.mark.parametrize("path", cases(ROBOTS, fast=3), ids=lambda p: p.stem)
 def test_generated_code_agrees_with_pinocchio(path: Path, form: Form, tmp_path: Path) -> None:
     tree = tb.load_tree(path)
     short = form == "recursive" or path.stem not in LONG
@@ -81,7 +82,7 @@ def test_generated_code_agrees_with_pinocchio(path: Path, form: Form, tmp_path: 
     check(equations(tree, kinds, form), path.read_text(), tree, tmp_path)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", cases(range(20), fast=2))
 def test_random_trees_agree_with_pinocchio(seed: int, tmp_path: Path) -> None:
     """Branches, sliding joints, inclined axes, any gravity; lengths as symbols and as numbers."""
     rng = np.random.default_rng(seed)
@@ -93,6 +94,7 @@ def test_random_trees_agree_with_pinocchio(seed: int, tmp_path: Path) -> None:
     check(listing, robot.urdf(), tree, tmp_path, seed)
 
 
+@pytest.mark.slow
 def test_known_zeros_are_left_out_and_the_rest_agrees(tmp_path: Path) -> None:
     path = ROOT / "models/puma562.urdf"
     tree = tb.load_tree(path)
@@ -221,6 +223,7 @@ def test_latex_is_well_formed(puma: tb.Tree) -> None:
             assert line.count("&") <= 1, line
 
 
+@pytest.mark.slow
 def test_the_same_bits_in_every_process() -> None:
     """Nothing depends on the order of hashes."""
     code = (
@@ -307,7 +310,7 @@ def test_its_own_listings_read_back_as_equal(name: str, form: Form) -> None:
     assert not any(found.values())
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", cases(range(12), fast=2))
 def test_recursive_listings_are_complete(seed: int) -> None:
     """No line uses what no line defines; read as text, they are the literal equations."""
     rng = np.random.default_rng(100 + seed)

@@ -11,6 +11,7 @@ import pytest
 import testbed as tb
 from testbed.symbolic.equations import FORMS, Form, equations
 from testbed.symbolic.languages import write_equations
+from tests.helpers.cases import cases
 from tests.helpers.paths import GOLDEN
 
 COUNTS: dict[str, dict[str, list[int]]] = json.loads((GOLDEN / "operations.json").read_text())
@@ -36,7 +37,7 @@ def counted(text: str, name: str) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("name", ["puma560_6", "gantry_ppp_rrr", "random_tree_00"])
+@pytest.mark.parametrize("name", cases(["random_tree_00", "gantry_ppp_rrr", "puma560_6"], fast=1))
 def test_operations_are_those_of_the_code(name: str, form: Form) -> None:
     tree = tb.load_tree(GOLDEN / f"robots/{name}.urdf")
     listing = equations(tree, ["joint-forces", "dynamic-regressor"], form)
