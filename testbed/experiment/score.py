@@ -15,8 +15,12 @@ from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.tree import Tree
 
 SMALL = 0.01
-"""Errors are relative to the truth, or to this share of what is usual if that is more: of the
-largest parameter of the same unit, of a joint's rms torque."""
+"""A parameter below this share of the largest of its unit is small: its error is relative to that
+share."""
+
+FAINT = 0.1
+"""A joint's term that makes less than this share of the joint's rms torque is faint: its error is
+relative to that share."""
 
 NOTHING = 1e-12
 """A unit whose true values are all below this share of the largest of any unit has no scale."""
@@ -31,7 +35,7 @@ class Errors:
         truth: (p,).
         relative: Errors over their scales, (p,); not a number where there is none. Of a minimal
             parameter, abs(truth), or 1 % of the largest true value of the same unit if that is
-            more; of a joint's term, abs(truth), or what makes 1 % of the joint's rms torque.
+            more; of a joint's term, abs(truth), or what makes 10 % of the joint's rms torque.
         z: (estimate - truth) / sigma, (p,).
     """
 
@@ -153,7 +157,7 @@ def _of_terms(
         makes, all_of_it = _root_mean_square(column), 0.0
         if torque is not None and makes > 0:
             all_of_it = _root_mean_square(torque[:, j]) / makes
-        scale = max(abs(float(true)), SMALL * all_of_it)
+        scale = max(abs(float(true)), FAINT * all_of_it)
         yield np.array([scale if scale > 0 else np.nan])
 
 
