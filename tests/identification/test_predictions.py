@@ -14,7 +14,6 @@ from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.identification.predict import (
     friction,
-    growth,
     motion_in,
     own_torque,
     parameters_of,
@@ -230,18 +229,3 @@ def test_parameters_have_the_estimates_minimal_ones(method: Method) -> None:
     null = np.eye(10 * tree.n) - np.linalg.pinv(estimate.base.matrix) @ estimate.base.matrix
     kept = null @ (parameters_of(estimate, others) - others).ravel()
     assert np.abs(kept).max() <= 1e-9
-
-
-def test_estimates_grow_with_the_data() -> None:
-    """The last is the whole recording's; where the data do not suffice there is no number."""
-    tree = robot(1)
-    recording = noisy(tree, 1)
-    found = growth(tree, recording, "external", [0.001, 5.0, 20.0], settings=EXACT)
-    whole = tb.identify(tree, recording, "external", settings=EXACT)
-    assert np.isnan(found.values[0]).all()
-    np.testing.assert_array_equal(found.values[2], whole.values)
-    assert (found.sigma[1] > found.sigma[2]).mean() > 0.8
-    half = recording.part(0, np.searchsorted(recording.time, 5.0, "right").item())
-    np.testing.assert_array_equal(
-        found.values[1], tb.identify(tree, half, "external", settings=EXACT).values
-    )
