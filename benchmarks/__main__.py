@@ -147,6 +147,20 @@ def hostile(
     raise typer.Exit(int(found))
 
 
+@app.command()
+def faults(
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    seeds: Annotated[int, typer.Option(help="Clean recordings of each of three robots.")] = 0,
+) -> None:
+    """Wrong data: errors of the estimates, and who says so; clean data, about which nobody may."""
+    from benchmarks.faults import clean, results
+
+    for line in results(seconds):
+        _print(line)
+    for line in clean(seeds, min(seconds, 20.0)) if seeds else ():
+        _print(line)
+
+
 @app.command(name="all")
 def everything() -> None:
     """All of them."""

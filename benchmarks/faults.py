@@ -6,18 +6,26 @@ recordings of other robots, about which nothing must be said.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import testbed as tb
 from testbed.arrays import AnyArray, Array
-from testbed.identification.estimate import METHODS, Method
+from testbed.errors import TestbedError
+from testbed.identification.cross_check import cross_check
+from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording
+
+ROOT = Path(__file__).parent.parent
+MODEL = ROOT / "models/puma562.xml"
+CLEAN = tuple(ROOT / f"tests/golden/robots/{name}.urdf" for name in ("ur5", "gantry_ppp_rrr"))
+"""Robots, besides, of which nothing wrong is to be found."""
 
 POUND = 4.4482216152605
 """Of force [N]."""
@@ -46,6 +54,80 @@ def trials(tree: tb.Tree) -> Iterator[Trial]:
             yield Trial(fault, method, change, tree)
         for fault, change, other in _of_the_model(tree):
             yield Trial(fault, method, change, other)
+
+
+def results(seconds: float) -> Iterator[dict[str, Any]]:
+    """Every trial: the worst error, in sigmas too, and what is said about it.
+
+    Args:
+        seconds: Duration of the recording.
+    """
+    tree = tb.load_tree(MODEL)
+    recording = recorded(MODEL, 1996, seconds)
+    told = {m: tb.identify(tree, recording, m, zeros=True) for m in METHODS}
+    yield from (_line("none", tree, told[m], told) for m in METHODS)
+    for trial in trials(tree):
+        changed = trial.change(recording)
+        try:
+            both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in METHODS}
+        except TestbedError as error:
+            yield {"fault": trial.fault, "method": trial.method, "refused": str(error)}
+            continue
+        yield _line(trial.fault, tree, both[trial.method], both)
+
+
+def clean(seeds: int, seconds: float) -> Iterator[dict[str, Any]]:
+    """Recordings without a fault, of several robots: nothing may be found.
+
+    Args:
+        seeds: Recordings of each robot.
+        seconds: Duration of each.
+    """
+    for model in (MODEL, *CLEAN):
+        said: list[str] = []
+        for seed in range(seeds):
+            tree, recording = tb.load_tree(model), recorded(model, seed, seconds)
+            for zeros in (False, True):
+                both = {m: tb.identify(tree, recording, m, zeros=zeros) for m in METHODS}
+                said += _said(both["external"], both) + _said(both["internal"], {})
+        yield {"clean": Path(model).stem, "recordings": seeds, "false_alarms": said}
+
+
+def recorded(model: Path, seed: int, seconds: float) -> Recording:
+    """A recording with the noise of table6 and exact torque constants."""
+    settings = [
+        f"seed={seed}",
+        f"motion.duration={seconds}",
+        "motion.candidates=5",
+        "measurement.torque_constant_error={}",
+    ]
+    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
+    found = tb.simulate(experiment.model_copy(update={"model": str(model)}))
+    return found.blind()
+
+
+def _line(
+    fault: str, tree: tb.Tree, estimate: Estimate, both: Mapping[Method, Estimate]
+) -> dict[str, Any]:
+    theta, drives = tb.barycentric(tree), estimate.drives
+    minimal = estimate.minimal
+    truth = minimal.values(theta) if drives is None else drives.values(theta, tree)
+    error = np.abs(estimate.values - truth)
+    return {
+        "fault": fault,
+        "method": estimate.method,
+        "error": float(f"{(error / np.abs(truth))[: minimal.count].max():.3g}"),
+        "sigmas": float(f"{(error / estimate.sigma).max():.3g}"),
+        "warned": _said(estimate, both),
+    }
+
+
+def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[str]:
+    """What is found in one method's data, and by holding both methods against each other."""
+    found = [*estimate.findings]
+    if len(both) == 2:
+        found += cross_check(both["external"], both["internal"])
+    return [f"{each.subject} {each.found}" for each in found]
 
 
 def _of_the_plate() -> Iterator[tuple[str, Change]]:

@@ -7,11 +7,13 @@ offset; beside these the drive's report must be the foretold torque times one.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.estimate import Estimate
-from testbed.identification.finding import Finding
+from testbed.identification.estimate import METHODS, Estimate
+from testbed.identification.finding import Finding, in_lines
 from testbed.parameters.minimal_set import selection
 
 LEAST, MOST = 0.77, 1.3
@@ -64,6 +66,18 @@ def cross_check(external: Estimate, internal: Estimate) -> tuple[Finding, ...]:
         for name, factor in factors.items()
         if factor is not None and not LEAST < factor < MOST
     )
+
+
+def warnings_between(estimates: Iterable[Estimate]) -> list[str]:
+    """What two estimates of one recording say against each other, a line each; else nothing.
+
+    Args:
+        estimates: Of one recording, by both methods or by one.
+    """
+    by_method = {estimate.method: estimate for estimate in estimates}
+    if len(by_method) < len(METHODS):
+        return []
+    return in_lines(cross_check(by_method["external"], by_method["internal"]))
 
 
 def _finding(joint: str, factor: float) -> Finding:

@@ -6,14 +6,14 @@ file: data are held against themselves, against limits, and against what rigid b
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import Finding, together
+from testbed.identification.finding import Finding
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
@@ -42,13 +42,13 @@ UNLIKE = 0.5
 """Relative difference of two weights that should be the same."""
 
 UNEXPLAINED = 0.2
-"""Residual of a channel, relative to its signal and the largest like signal, that is too large."""
+"""Residual of a channel, relative to its signal and to like signals, that is too large."""
 
-OUTLIER = 10.0
+OUTLIER = 5.0
 """Times the least residual of like channels: noise differs by less."""
 
 NEGLIGIBLE = 0.01
-"""Part of the moments that the forces could have within the robot's reach."""
+"""Part of the weight's moment at the robot's reach that noise may be."""
 
 ALIKE = 0.9
 """Squared correlation of a signal and its prediction that differ by a factor only."""
@@ -94,14 +94,6 @@ def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tup
     if not negative:
         found += _impossible(estimate)
     return tuple(found)
-
-
-def lines(found: Sequence[Finding]) -> list[str]:
-    """Findings as warnings, a line for all that have the same causes."""
-    groups: dict[tuple[tuple[str, ...], str], list[Finding]] = {}
-    for each in found:
-        groups.setdefault((each.causes, each.remedy), []).append(each)
-    return [together(group) for group in groups.values()]
 
 
 def quality_warnings(estimate: Estimate) -> list[str]:
@@ -223,16 +215,17 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:
 
 
 def _large(estimate: Estimate, tree: Tree) -> Array:
-    """Residuals that are too large beside what the plate carries, (C,) [N, N m].
+    """Residuals that are too large beside like channels' signals, (C,) [N, N m].
 
-    Nothing carries joint torques: where all of them are small, noise may be most of them.
+    The weight is among the plate's forces, and all moments could be less than its moment. Joint
+    torques have no such measure: where all of them are small, noise may be most of them.
     """
     equations = estimate.normal_equations
-    rms = np.sqrt(equations.squares / np.maximum(equations.used, 1.0))
     if estimate.method == "internal":
-        return np.full(len(rms), np.inf)
+        return np.full(len(equations.channels), np.inf)
+    rms = np.sqrt(equations.squares / np.maximum(equations.used, 1.0))
+    force, moment = float(rms[:3].max()), float(rms[3:].max())
     reach = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
-    force, moment = rms[:3].max(), rms[3:].max()
     moment = max(UNEXPLAINED * moment, NEGLIGIBLE * reach * force)
     return np.repeat([UNEXPLAINED * force, moment], 3)
 

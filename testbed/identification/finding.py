@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -27,10 +27,16 @@ class Finding:
     @property
     def text(self) -> str:
         """All in one line."""
-        return together([self])
+        return in_lines([self])[0]
 
 
-def together(findings: Sequence[Finding]) -> str:
-    """Findings that share causes and remedy, in one line."""
-    said = "; ".join(f"{each.subject} {each.found}" for each in findings)
-    return f"{said}; likely {', or '.join(findings[0].causes)}; {findings[0].remedy}"
+def in_lines(findings: Iterable[Finding]) -> list[str]:
+    """Findings as text, one line for all that share causes and remedy."""
+    groups: dict[tuple[tuple[str, ...], str], list[str]] = {}
+    for each in findings:
+        same = groups.setdefault((each.causes, each.remedy), [])
+        same.append(f"{each.subject} {each.found}")
+    return [
+        f"{'; '.join(said)}; likely {', or '.join(causes)}; {remedy}"
+        for (causes, remedy), said in groups.items()
+    ]

@@ -17,8 +17,9 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
-from testbed.identification.diagnosis import findings, lines, quality_warnings
+from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
+from testbed.identification.finding import in_lines
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
@@ -98,7 +99,7 @@ def identify(
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = _estimate(method, tree, equations, found, minimal, drives)
         wrong = findings(estimate, tree, passes.surveyor.survey(), plan.tare)
-    warnings += lines(wrong) + quality_warnings(estimate)
+    warnings += in_lines(wrong) + quality_warnings(estimate)
     return replace(estimate, findings=wrong, warnings=tuple(warnings))
 
 
