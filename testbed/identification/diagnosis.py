@@ -44,6 +44,9 @@ UNLIKE = 0.5
 UNEXPLAINED = 0.2
 """Residual of a channel, relative to its signal and to like signals, that is too large."""
 
+WORSE = 1.2
+"""Relative residual of a prediction that is worse than none."""
+
 OUTLIER = 5.0
 """Times the least residual of like channels: noise differs by less."""
 
@@ -203,8 +206,9 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:
         zip(estimate.relative_residual, estimate.residual, strict=True)
     ):
         like = [unit == estimate.channel_units[c] for unit in estimate.channel_units]
-        apart = residual > OUTLIER * estimate.residual[like].min() and estimate.matters[c]
-        if share > UNEXPLAINED and (apart or residual > large[c]):
+        apart = residual > OUTLIER * estimate.residual[like].min()
+        wrong = share > WORSE or (share > UNEXPLAINED and apart)
+        if (wrong and estimate.matters[c]) or (share > UNEXPLAINED and residual > large[c]):
             yield Finding(
                 estimate.label(c),
                 f"is explained poorly (the residual is {share:.0%} of the signal)",

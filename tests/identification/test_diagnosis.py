@@ -1,0 +1,323 @@
+"""Wrong data say so; right data are left in peace."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from benchmarks.faults import trials
+from testbed.arrays import Array
+from testbed.identification.cross_check import cross_check, torque_factor, warnings_between
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.finding import Finding, in_lines
+from testbed.identification.survey import Survey
+from testbed.parameters.minimal_set import selection
+from testbed.recordings.recording import Recording
+from testbed.robot.inertia import NOTHING
+from tests.helpers.measured import measured
+from tests.helpers.paths import GOLDEN, ROOT
+
+PUMA = ROOT / "models/puma562.xml"
+ROBOTS = {
+    name: GOLDEN / f"robots/{name}.urdf"
+    for name in ("ur5", "gantry_ppp_rrr", "stanford", "scara_rrpr", "two_trunks", "kuka_lwr4")
+} | {"puma": PUMA}
+
+
+def both(tree: tb.Tree, recording: Recording, zeros: bool = True) -> dict[Method, Estimate]:
+    return {m: tb.identify(tree, recording, m, zeros=zeros) for m in METHODS}
+
+
+def found(estimates: dict[Method, Estimate]) -> list[Finding]:
+    """All that is found in both methods' data and by holding them against each other."""
+    alone = [each for estimate in estimates.values() for each in estimate.findings]
+    return [*alone, *cross_check(estimates["external"], estimates["internal"])]
+
+
+@pytest.fixture(scope="module")
+def recording(puma: tb.Tree) -> Recording:
+    return measured(puma)
+
+
+# Right data.
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.98], ids=["white", "coloured"])
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_nothing_is_found_in_clean_recordings(robot: str, memory: float) -> None:
+    """With known zeros and without."""
+    tree = tb.load_tree(ROBOTS[robot])
+    for zeros in (False, True):
+        assert found(both(tree, measured(tree, memory=memory), zeros)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [{}, {"speed": 0.2}, {"noise": 10.0}, {"noise": 1e-9}], ids=str)
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_nothing_is_found_in_twenty_clean_recordings(robot: str, case: dict[str, float]) -> None:
+    """Slow motions, poor instruments, and perfect ones."""
+    tree = tb.load_tree(ROBOTS[robot])
+    for seed in range(20):
+        assert found(both(tree, measured(tree, seed, **case))) == []
+
+
+@pytest.mark.parametrize("robot", ["gantry_ppp_rrr", "scara_rrpr", "pendulum", "coaxial2"])
+def test_channels_that_a_motion_leaves_at_rest_are_no_fault(robot: str) -> None:
+    """Some forces of these robots are constant, and exactly so without noise."""
+    tree = tb.load_tree(GOLDEN / f"robots/{robot}.urdf")
+    assert found(both(tree, measured(tree, noise=0.0), zeros=False)) == []
+
+
+def test_a_simulated_recording_is_left_in_peace(puma: tb.Tree, puma_recording: Recording) -> None:
+    """Torque constants a few percent off are no fault of the data's units."""
+    assert cross_check(*both(puma, puma_recording).values()) == ()
+    assert tb.identify(puma, puma_recording, zeros=True).findings == ()
+
+
+# Wrong data.
+
+TOLD = {
+    "wrench and tare negated": "total mass is negative",
+    "tare 0": "the tare's force is -?0 -?0 -?0 N",
+    "wrench in lbf": "total mass is negative",
+    "moments in N mm": "is of no rigid bodies|is explained poorly",
+    "Fx of opposite sign": r"channel Fx .* the opposite sign \(it is -(1|0\.99)",
+    "Fz of opposite sign": "total mass is negative",
+    "Mx of opposite sign": r"channel Mx .* the opposite sign \(it is -(1|0\.99)",
+    "Mz of opposite sign": "channel Mz is explained poorly|is of no rigid bodies",
+    "Fy dead": "channel Fy is always 0 N",
+    "My saturated at half": "channel My stays at its extreme value",
+    "Fx and Fz exchanged": "total mass is negative",
+    "Mx and My exchanged": "channel M[xy] is explained poorly",
+    "plate turned 5 deg about x": "is explained poorly",
+    "moment point off by 20 cm along x": "is explained poorly",
+    "torques of opposite sign": "the friction coulomb/waist is negative",
+    "torques in N mm": "reaches .* N mm instead of N m",
+    "torque of elbow of opposite sign": "the friction coulomb/elbow is negative",
+    "torque of elbow saturated at half": "the torque of 'elbow' stays at its extreme value",
+    "torque of waist dead": "the torque of 'waist' is always 0 N m",
+    "torques of shoulder and elbow exchanged": "is explained poorly",
+    "encoders in degrees": "reads .* likely degrees instead of rad",
+    "encoder of shoulder in degrees": "encoder of 'shoulder' reads .* likely degrees",
+    "encoder of shoulder of opposite sign": "is of no rigid bodies|is explained poorly",
+    "Moon's gravity": "is explained poorly",
+    "gravity upwards": "total mass is negative",
+}
+
+
+@pytest.mark.parametrize("fault", TOLD)
+def test_a_fault_is_told_with_its_cause(fault: str, puma: tb.Tree, recording: Recording) -> None:
+    (trial, *_) = (each for each in trials(puma) if each.fault == fault)
+    estimate = tb.identify(trial.tree, trial.change(recording), trial.method, zeros=True)
+    said = "\n".join(estimate.warnings)
+    assert any(re.search(TOLD[fault], line) for line in estimate.warnings), said
+    assert estimate.findings
+    assert all("\n" not in line for line in estimate.warnings)
+
+
+@pytest.mark.slow
+def test_hardly_a_fault_that_ruins_an_estimate_passes_in_silence(
+    puma: tb.Tree, recording: Recording
+) -> None:
+    """Of all trials that make an error above 50 %, at most one in twenty leaves no word."""
+    ruined, silent = 0, []
+    theta = tb.barycentric(puma)
+    for trial in trials(puma):
+        estimates = both(trial.tree, trial.change(recording))
+        estimate = estimates[trial.method]
+        truth = estimate.minimal.values(theta)
+        if np.abs(estimate.base.values / truth - 1).max() > 0.5:
+            ruined += 1
+            silent += [trial.fault] if not found(estimates) else []
+    assert ruined > 50
+    assert len(silent) <= ruined / 20, silent
+
+
+def test_causes_are_named_once_for_all_that_share_them(puma: tb.Tree, recording: Recording) -> None:
+    estimate = tb.identify(puma, _linear(recording, "torque", -1.0), "internal", zeros=True)
+    negative = [each for each in estimate.findings if "negative" in each.found]
+    assert len(negative) == 6
+    (line,) = in_lines(negative)
+    assert line in estimate.warnings
+    assert line.count("likely") == 1
+    for each in negative:
+        assert f"{each.subject} {each.found}" in line
+    assert in_lines(negative[:1]) == [negative[0].text]
+
+
+def _linear(recording: Recording, signal: str, factor: float) -> Recording:
+    return replace(recording, **{signal: factor * recording.measured(signal)})  # type: ignore[arg-type]
+
+
+def test_poorly_determined_parameters_fill_one_line(puma: tb.Tree) -> None:
+    """The worst are named, the others counted."""
+    noisy = measured(puma, noise=300.0, duration=10.0)
+    (line,) = (w for w in tb.identify(puma, noisy).warnings if "poorly determined" in w)
+    assert line.count("+-") == 6
+    assert " more" in line
+
+
+# The raw signals.
+
+
+def test_encoders_outside_their_range_have_likely_causes(puma: tb.Tree) -> None:
+    recording = measured(puma)
+    cases: dict[str, Callable[[Array], Array]] = {
+        "degrees instead of rad": np.rad2deg,
+        "another zero": lambda q: q + np.array([0.0, 2.5, 0.0]),
+    }
+    for cause, change in cases.items():
+        wrong = replace(recording, position=change(recording.position))
+        first = tb.identify(puma, wrong, zeros=True).findings[0]
+        assert first.causes[0] == cause
+    joints = [replace(j, position_range=np.array([0.2, 3.0])) for j in puma.joints]
+    flipped = replace(puma, joints=tuple(joints))
+    forward = replace(recording, position=np.abs(recording.position) + 0.25)
+    back = replace(forward, position=-forward.position)
+    assert not _of_encoders(tb.identify(flipped, forward, zeros=True))
+    assert _of_encoders(tb.identify(flipped, back, zeros=True))[0].causes[0] == "the opposite sign"
+
+
+def _of_encoders(estimate: Estimate) -> list[Finding]:
+    return [each for each in estimate.findings if "encoder of" in each.subject]
+
+
+def test_a_joint_that_hardly_moves_is_named(puma: tb.Tree) -> None:
+    recording = measured(puma, noise=1e-6)
+    still = np.array([1.0, 1.0, 5e-3])
+    (said,) = _of_encoders(
+        tb.identify(puma, replace(recording, position=recording.position * still), zeros=True)
+    )
+    assert said.subject == "the encoder of 'elbow'"
+    assert "moves by only" in said.found
+
+
+def test_a_crest_is_no_stop(puma: tb.Tree, recording: Recording) -> None:
+    """Twelve bits of a smooth signal pile up at its crests; a stop piles up ten times more."""
+    quiet = measured(puma, noise=1e-9)
+    wrench = quiet.measured("wrench")
+    step = np.ptp(wrench, axis=0) / 4096
+    coarse = replace(quiet, wrench=step * np.round(wrench / step))
+    assert not [f for f in tb.identify(puma, coarse, zeros=True).findings if "extreme" in f.found]
+    top = 0.9 * coarse.measured("wrench").max(axis=0)
+    cut = replace(coarse, wrench=np.minimum(coarse.measured("wrench"), top))
+    stops = [f.subject for f in tb.identify(puma, cut, zeros=True).findings if "extreme" in f.found]
+    assert len(stops) >= 4
+
+
+def test_a_survey_is_the_same_for_any_cut_and_any_number_of_threads(
+    puma: tb.Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from testbed.identification import identify as module
+
+    monkeypatch.setattr("testbed.identification.passes.SMALL", 0.0)
+    recording = measured(puma, duration=400.0, noise=1e-3)
+    recording.save(tmp_path / "recording.parquet")
+    surveys: list[Survey] = []
+
+    def keep(estimate: Estimate, tree: tb.Tree, survey: Survey, tare: Array) -> tuple[()]:
+        surveys.append(survey)
+        return ()
+
+    monkeypatch.setattr(module, "findings", keep)
+    cuts = (recording.part(k, min(k + 7777, 80_000)) for k in range(0, 80_000, 7777))
+    for source, threads in ((recording, 1), (recording, 3), (tmp_path / "recording.parquet", 2)):
+        tb.identify(puma, source, threads=threads)
+    tb.identify(puma, cuts)
+    one, *others = surveys
+    stride, seen = 80_000 // 20_000, len(one.position)
+    assert seen >= 20_000 - 5  # rows do not reach the last samples
+    expected = recording.measured("wrench") - tb.pedestal_wrench(puma)
+    np.testing.assert_array_equal(one.position, recording.position[::stride][:seen])
+    np.testing.assert_array_equal(one.measured, expected[::stride][:seen])
+    for other in others:
+        np.testing.assert_array_equal(other.position, one.position)
+        np.testing.assert_array_equal(other.measured, one.measured)
+
+
+# The plate.
+
+
+def test_a_tare_is_held_against_the_pedestal(puma: tb.Tree, recording: Recording) -> None:
+    assert recording.tare is not None
+    for factor, told in ((1.0, False), (1.3, False), (0.7, False), (0.2, True), (-1.0, True)):
+        wrong = replace(recording, tare=factor * recording.tare)
+        said = [f for f in tb.identify(puma, wrong, zeros=True).findings if "tare" in f.subject]
+        assert bool(said) == told
+    bolted = replace(puma, pedestal=NOTHING)
+    fresh = measured(bolted)
+    heavy = replace(fresh, tare=np.array([0, 0, 50.0, 0, 0, 0]), wrench=_loaded(fresh))
+    assert tb.identify(bolted, heavy).findings == ()
+
+
+def _loaded(recording: Recording) -> Array:
+    loaded: Array = recording.measured("wrench") + np.array([0, 0, 50.0, 0, 0, 0])
+    return loaded
+
+
+def test_weightlessness_has_no_weight(puma: tb.Tree) -> None:
+    free = puma.with_gravity([0.0, 0.0, 0.0])
+    assert tb.identify(free, measured(free)).findings == ()
+
+
+# Both methods.
+
+
+@pytest.mark.parametrize("factor", [1.1, 0.92])
+def test_torque_constants_may_be_wrong_by_a_little(
+    factor: float, puma: tb.Tree, recording: Recording
+) -> None:
+    assert warnings_between(both(puma, _linear(recording, "torque", factor)).values()) == []
+
+
+@pytest.mark.parametrize(
+    ("signal", "factor", "cause"),
+    [
+        ("torque", -1.0, "the opposite sign of torque, encoder or wrench"),
+        ("torque", 1e3, "torques in N mm"),
+        ("torque", 0.7376, "torques in lbf ft"),
+        ("torque", 1 / 53.7, "torques on the motor's side of the gear"),
+    ],
+)
+def test_a_factor_between_the_methods_names_the_unit(
+    signal: str, factor: float, cause: str, puma: tb.Tree, recording: Recording
+) -> None:
+    (line,) = warnings_between(both(puma, _linear(recording, signal, factor)).values())
+    assert f"likely {cause}" in line
+    assert line.count("times what the bedplate's estimate foretells") == 3
+
+
+@pytest.mark.parametrize("robot", ["puma", "ur5", "gantry_ppp_rrr"])
+def test_the_factor_is_the_torque_constant_whatever_rubs(robot: str) -> None:
+    """Friction, offsets and rotors, asked for or hidden in a body's inertia."""
+    tree = tb.load_tree(ROBOTS[robot])
+    joints = [replace(j, coulomb=3.0, viscous=2.0, rotor_inertia=0.5) for j in tree.joints]
+    geared = replace(tree, joints=tuple(joints))
+    gain = np.linspace(0.5, 2.0, tree.n)
+    recording = measured(geared)
+    wrong = replace(recording, torque=gain * recording.measured("torque") + 2.0)
+    settings = tb.Settings(terms=("coulomb", "viscous", "offset", "rotor"))
+    external, internal = (tb.identify(geared, wrong, m, settings=settings) for m in METHODS)
+    s = selection(internal.minimal, external.minimal)
+    known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
+    factors = [torque_factor(internal, known, spread, j) for j in range(tree.n)]
+    clear = [j for j, factor in enumerate(factors) if factor is not None]
+    assert len(clear) >= 2
+    for j in clear:
+        assert factors[j] == pytest.approx(gain[j], rel=0.02)
+
+
+def test_one_method_alone_has_nothing_to_be_held_against(
+    puma: tb.Tree, recording: Recording
+) -> None:
+    estimates = both(puma, recording)
+    for estimate in estimates.values():
+        assert warnings_between([estimate]) == []
+    other = tb.identify(puma, recording, "internal", gravity=[0, 0, -1.62])
+    assert cross_check(estimates["external"], other) == ()
