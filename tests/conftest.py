@@ -6,6 +6,7 @@ import json
 import os
 from typing import Any
 
+import hypothesis
 import pytest
 
 # before NumPy: on matrices this small, BLAS threads only wait for each other
@@ -15,6 +16,9 @@ import testbed as tb
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
 from tests.helpers.paths import GOLDEN, ROOT
+
+hypothesis.settings.register_profile("patient", deadline=None)  # machines are noisy
+hypothesis.settings.load_profile("patient")
 
 
 @pytest.fixture(scope="session")

@@ -163,13 +163,12 @@ class MinimalSet:
             lengths: "symbols" prints l12z, "numbers" its value.
         """
         namer = Namer(self._tree, self._bodies, self.known_zero, lengths)
-        said = {label.symbols[0] for label in self.labels if len(label.symbols) == 1}
         wanted = {t.symbol for formula in self.formulas_with(lengths) for t in formula.right}
         found: list[Formula] = []
         for body in range(self._tree.n):
             for component in range(1, 10):
                 symbol = namer.component(body, component)
-                if symbol.star and symbol in wanted - said:
+                if symbol.star and symbol in wanted:  # what migrates is never kept
                     found.insert(0, namer.redefinition(body, component))
                     wanted |= {term.symbol for term in found[0].right}
         return tuple(found)

@@ -8,8 +8,12 @@ import pytest
 import testbed as tb
 from testbed.dynamics.witnesses import verify, verify_drives
 from testbed.parameters.barycentric import parameter_names
+from testbed.parameters.elimination import eliminate
+from testbed.parameters.entries import dense_rows, list_entries
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.regroup import regroup
+from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Joint, Tree
 from tests.helpers.paths import REAL
@@ -17,6 +21,7 @@ from tests.helpers.robots import random_robot, with_zeros
 
 UNCHANGED = 1e-11  # relative change of the model by regrouping; lifts of short lengths are large
 FILE_ROUNDING = 1e-8  # the same, for files whose angles are rounded: an axis almost vertical
+MODELS: tuple[Model, ...] = ("dynamic", "reaction")
 GRAVITIES = ((0.0, 0.0, -9.81), (2.97, -4.95, -7.93), (0.0, 0.0, 0.0))
 HANDFUL = (
     "ur_description/urdf/ur3_robot.urdf",
@@ -100,6 +105,23 @@ def test_zeros_tell_nothing_new(seed: int) -> None:
     for nothing in all_sets(tree, None, parameter_names(tree)):
         assert nothing.count == 0
         assert nothing.lift.shape == (10 * tree.n, 0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_is_dropped_is_the_combination_that_it_is_said_to_be(seed: int) -> None:
+    """Of kept entries, on all parameters that are not known; the bedplate's entries, too."""
+    rng = np.random.default_rng(seed)
+    tree = with_zeros(rng, random_robot(rng, int(rng.integers(1, 9)))).tree()
+    for model in MODELS:
+        known = tb.minimal_set(tree, model, zeros=True).known_zero
+        bodies = regroup(tree, model, tree.gravity)
+        entries = list_entries(tree, bodies, model, tree.gravity, tared=False)
+        found = eliminate(tree, bodies, entries, known)
+        assert {*found.kept, *found.dependent} == set(range(len(entries)))
+        rows = np.where(known.ravel(), 0.0, dense_rows(tree, bodies, entries))
+        for dropped, shares in found.dependent.items():
+            made = sum((share * rows[k] for k, share in shares.items()), np.zeros(10 * tree.n))
+            np.testing.assert_allclose(rows[dropped], made, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))
