@@ -156,7 +156,10 @@ class Bench:
             target=self._inside, args=(run, compiled, limit)
         )
         new.start()
-        new.join(None if limit is None else WAITING * limit)
+        waited = 0.0
+        while new.is_alive() and (limit is None or waited < WAITING * limit):
+            new.join(1.0)
+            waited += 1.0  # a machine that slept meanwhile has waited no longer
         assert new.pid is not None
         with suppress(ProcessLookupError):  # with all that it started
             os.killpg(new.pid, signal.SIGKILL)
