@@ -6,8 +6,10 @@ compare ratios.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
+from pathlib import Path
 from typing import Annotated, Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one core against one core
@@ -119,6 +121,44 @@ def mutation(
 
     plan = Plan(mutants, seed, room, own, jobs, minutes)
     raise typer.Exit(run(plan, show=show, as_json=as_json))
+
+
+@app.command()
+def hostile(
+    models: Annotated[int, typer.Option(help="Mutated model files.")] = 4000,
+    recordings: Annotated[int, typer.Option(help="Mutated recordings.")] = 2500,
+    experiments: Annotated[int, typer.Option(help="Mutated experiments and settings.")] = 2000,
+    listings: Annotated[int, typer.Option(help="Mutated listings.")] = 1500,
+    kills: Annotated[int, typer.Option(help="Writers that are killed.")] = 60,
+    seed: Annotated[int, typer.Option(help="Of all choices.")] = 0,
+    jobs: Annotated[int, typer.Option(help="Workers at a time.")] = 1,
+    keep: Annotated[Path, typer.Option(help="Folder for failing inputs.")] = Path("hostile"),
+) -> None:
+    """Hostile inputs through the real commands; exit code 1 if one is not treated well."""
+    from benchmarks.hostile.kills import kills as killed
+    from benchmarks.hostile.program import MAKERS, campaign
+
+    counts = dict(zip(MAKERS, (models, recordings, experiments, listings), strict=True))
+    lines = (campaign(kind, n, seed, jobs, keep) for kind, n in counts.items() if n)
+    found = False
+    for line in itertools.chain(lines, (killed(n, seed) for n in (kills,) if n)):
+        _print(line)
+        found = found or bool(line["not treated well"])
+    raise typer.Exit(int(found))
+
+
+@app.command()
+def faults(
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    seeds: Annotated[int, typer.Option(help="Clean recordings of each of three robots.")] = 0,
+) -> None:
+    """Wrong data: errors of the estimates, and who says so; clean data, about which nobody may."""
+    from benchmarks.faults import clean, results
+
+    for line in results(seconds):
+        _print(line)
+    for line in clean(seeds, min(seconds, 20.0)) if seeds else ():
+        _print(line)
 
 
 @app.command(name="all")

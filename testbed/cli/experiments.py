@@ -129,6 +129,7 @@ def identify(
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
     from testbed.experiment.results import estimate_as_json
+    from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.recordings.source import open_source
@@ -157,6 +158,7 @@ def identify(
     if as_json:
         terminal.print_json({e.method: estimate_as_json(e) for e in estimates})
     else:
+        warnings += warnings_between(estimates)
         terminal.print_estimates(estimates, [*tree.warnings, *warnings])
 
 

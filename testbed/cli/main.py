@@ -33,24 +33,40 @@ def main() -> None:
         code = INTERRUPTED
     if code == INTERRUPTED:
         _say("interrupted")
-    sys.exit(_flushed(code))
+    code = _flushed(code)
+    interrupts.ignore()
+    sys.exit(code)
 
 
 class _Interrupts:
     """The first Ctrl-C is an exception and the work is tidied up; the next one ends at once.
 
-    An import that is interrupted may raise any other exception instead: `seen` tells.
+    An import that is interrupted may raise any other exception instead: `seen` tells. Where
+    Python swallows an exception, in callbacks of its own, it is raised again a moment later.
     """
 
     def __init__(self) -> None:
         self.seen = False
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not under nohup
             signal.signal(signal.SIGINT, self._interrupt)
+            sys.unraisablehook = self._swallowed
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.seen = True
         self.default()
         raise KeyboardInterrupt
+
+    def _swallowed(self, what: sys.UnraisableHookArgs) -> None:
+        """Python has caught an exception that nobody can catch."""
+        if self.seen and what.exc_type is KeyboardInterrupt and hasattr(signal, "setitimer"):
+            signal.signal(signal.SIGALRM, self._interrupt)
+            signal.setitimer(signal.ITIMER_REAL, 0.01)
+        else:
+            sys.__unraisablehook__(what)
+
+    def ignore(self) -> None:
+        """Everything is done and said: Ctrl-C no longer matters."""
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def default(self) -> None:
         """From now on Ctrl-C ends the process without a word."""
@@ -101,6 +117,9 @@ def _told(error: BaseException) -> int:
         _say("the input is nested too deeply")
     elif isinstance(error, UnicodeDecodeError):
         _say(f"a file that should be text is not UTF-8: {error.reason} at byte {error.start}")
+    elif isinstance(error, ImportError):  # an installation that is broken, or no memory for it
+        _say(f"a library cannot be loaded: {error}")
+        code = OUR_FAULT
     elif hasattr(error, "format_message"):  # what the option parser found
         if message := error.format_message():  # none where it has printed the help instead
             _say(f"{message} (testbed --help tells more)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -117,7 +118,7 @@ def report(
 
 def _beside(run: Path, ending: str) -> Path:
     """A file of the run's name beside it."""
-    whole = run.resolve()
+    whole = Path(os.path.realpath(run))  # links in a circle are no error yet
     name = whole.name.removesuffix(".parquet") + ending
     return (run.parent if run.name else whole.parent) / name
 

@@ -11,12 +11,11 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
-from testbed.errors import RecordingError
 from testbed.experiment.run import Run
+from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.estimate import Method
 from testbed.identification.filters import row_weights
-from testbed.identification.predict import friction, motion_in, predictions
-from testbed.identification.settings import Settings
+from testbed.identification.predict import friction, predictions
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording
 
@@ -130,19 +129,3 @@ def predict(run: Run, recording: Recording | None = None) -> Predictions:
         units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
         signals.append(Signal("torque", tree.names, units, recording.torque[inner], torque))
     return Predictions(run, recording, motion, tuple(signals))
-
-
-def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
-    """A recording's motion, and the samples it covers; unfiltered where filters do not fit.
-
-    Args:
-        recording: Two samples or more.
-        settings: Whose filter on positions to use.
-    """
-    try:
-        return motion_in(recording, settings)
-    except RecordingError:
-        step = 1 / recording.rate
-        speed = np.gradient(recording.position, step, axis=0)
-        rates = speed, np.gradient(speed, step, axis=0)
-        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)

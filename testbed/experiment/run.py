@@ -13,6 +13,7 @@ from testbed.errors import RecordingError, UnseenParameters
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
+from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
@@ -116,7 +117,10 @@ def assemble_run(
             failures[method] = str(error)
     judged = None
     if experiment is not None:
-        judged = score(tree, estimates, settings.zeros, experiment.simulation.friction)
+        motion, inner = shown_motion(recording, settings)
+        torque = None if recording.torque is None else recording.torque[inner]
+        friction = experiment.simulation.friction
+        judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
     return Run(
         name=name,

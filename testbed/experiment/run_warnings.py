@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from testbed.experiment.score import Errors
+from testbed.identification.cross_check import warnings_between
 from testbed.identification.estimate import Estimate, Method
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
@@ -46,6 +47,7 @@ def warnings_of(
         lines += [*estimate.warnings, *close_pairs(estimate)]
         if method in errors:
             lines += systematic_errors(estimate, errors[method])
+    lines += warnings_between(estimates.values())
     return tuple(dict.fromkeys(lines))
 
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.dynamics.motion import Motion
 from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.tree import Tree
 
 SMALL = 0.01
-"""Errors of parameters below this share of the largest of their unit are taken relative to it."""
+"""A parameter below this share of the largest of its unit is small: its error is relative to that
+share."""
+
+FAINT = 0.1
+"""A joint's term that makes less than this share of the joint's rms torque is faint: its error is
+relative to that share."""
 
 NOTHING = 1e-12
 """A unit whose true values are all below this share of the largest of any unit has no scale."""
@@ -27,8 +33,9 @@ class Errors:
     Attributes:
         names: Of the parameters, (p,), as the estimate has them.
         truth: (p,).
-        relative: (estimate - truth) / abs(truth), or over 1 % of the largest true value of the
-            same unit if that is more, (p,); not a number where all of that unit are zero.
+        relative: Errors over their scales, (p,); not a number where there is none. Of a minimal
+            parameter, abs(truth), or 1 % of the largest true value of the same unit if that is
+            more; of a joint's term, abs(truth), or what makes 10 % of the joint's rms torque.
         z: (estimate - truth) / sigma, (p,).
     """
 
@@ -66,6 +73,8 @@ def score(
     estimates: Mapping[Method, Estimate],
     zeros: bool | Sequence[str],
     friction: bool,
+    motion: Motion,
+    torque: Array | None,
 ) -> Score:
     """Compare the estimates of one run with the truth.
 
@@ -77,9 +86,11 @@ def score(
         estimates: By method.
         zeros: Which zeros were taken as known, as in `minimal_set`.
         friction: Whether the plant had the file's friction.
+        motion: That was identified, M samples.
+        torque: Motor torques along it, (M, n) [N m or N]; None where there are none.
     """
     errors = {
-        method: _errors(estimate, _truth(tree, estimate, friction))
+        method: _errors(estimate, _truth(tree, estimate, friction), motion, torque)
         for method, estimate in estimates.items()
     }
     metrics: dict[str, float | None] = {}
@@ -91,7 +102,11 @@ def score(
         metrics |= _inertial("internal", errors, estimates)
         count = estimates["internal"].minimal.count
         metrics["internal_rms_relative_error"] = _rms(errors["internal"].relative[:count])
-        metrics["friction_max_relative_error"] = _largest(errors["internal"].relative[count:])
+        terms = zip(
+            estimates["internal"].joint_terms, errors["internal"].relative[count:], strict=True
+        )
+        resisting = np.array([error for term, error in terms if term.law.resists])
+        metrics["friction_max_relative_error"] = _largest(resisting)
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
     if ours is not None and theirs is not None:
         metrics["internal_to_external"] = ours / max(theirs, np.finfo(float).tiny)
@@ -124,34 +139,58 @@ def _inertial(
     }
 
 
-def _errors(estimate: Estimate, truth: Array) -> Errors:
+def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | None) -> Errors:
     error = estimate.values - truth
     sigma = np.maximum(estimate.sigma, np.finfo(float).tiny)
-    relative = relative_errors(estimate.values, truth, estimate.units)
-    return Errors(estimate.names, truth, relative, error / sigma)
+    base, count = estimate.base, estimate.minimal.count
+    scales = [_usual(truth[:count], base.units), *_of_terms(estimate, truth, motion, torque)]
+    return Errors(estimate.names, truth, error / np.concatenate(scales), error / sigma)
 
 
-def relative_errors(values: Array, truth: Array, units: tuple[str, ...]) -> Array:
-    """Errors over their scale, (..., p); not a number where a unit has none.
+def _of_terms(
+    estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
+) -> Iterator[Array]:
+    """Scales of the joints' terms, (1,) each: what would make a small part of the torque."""
+    for term, true in zip(estimate.joint_terms, truth[estimate.minimal.count :], strict=True):
+        j = estimate.joints.index(term.joint)
+        column = term.law.columns(motion.qd[:, j], motion.qdd[:, j])
+        makes, all_of_it = _root_mean_square(column), 0.0
+        if torque is not None and makes > 0:
+            all_of_it = _root_mean_square(torque[:, j]) / makes
+        scale = max(abs(float(true)), FAINT * all_of_it)
+        yield np.array([scale if scale > 0 else np.nan])
 
-    Args:
-        values: (..., p).
-        truth: (p,).
-        units: (p,).
-    """
+
+def _usual(truth: Array, units: Sequence[str]) -> Array:
+    """Scales of minimal parameters, (p,); not a number where all of a unit are zero."""
     scale = np.abs(truth)
     least = NOTHING * scale.max(initial=0.0)
     for unit in set(units):
         same = np.array([u == unit for u in units])
         largest = scale[same].max()
         scale[same] = np.maximum(scale[same], SMALL * largest) if largest > least else np.nan
-    relative: Array = (values - truth) / scale
+    return scale
+
+
+def relative_errors(values: Array, truth: Array, units: Sequence[str]) -> Array:
+    """Errors of minimal parameters over their scales, (..., p), as in `Errors.relative`.
+
+    Args:
+        values: (..., p).
+        truth: (p,).
+        units: (p,).
+    """
+    relative: Array = (values - truth) / _usual(truth, units)
     return relative
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _rms(errors: Array) -> float | None:
     there = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(there**2))) if there.size else None
+    return _root_mean_square(there) if there.size else None
 
 
 def _largest(errors: Array) -> float | None:

@@ -7,7 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
+
 from testbed.arrays import Array, readonly
+from testbed.identification.finding import Finding
 from testbed.identification.normal_equations import NormalEquations
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
@@ -24,6 +27,10 @@ MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic
 
 SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
 """What a method needs of a recording besides positions."""
+
+
+MATTERS = 1e-4
+"""Part of the like channels' signals below which a residual is of no matter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +95,14 @@ class Estimate:
         covariance: (p, p).
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         channels: The measured channels.
+        channel_units: One each, N or N m.
         residual: Rms of their residuals, (channels,) [N, N m].
         relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.
         normal_equations: Of all rows: other weights and subsets of channels need no other pass.
-        warnings: What a careful reader should know, one line each.
+        findings: What is wrong with the data, as far as they show it themselves.
+        warnings: What a careful reader should know, findings among it, one line each.
         minimal: The minimal set that comes first.
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
@@ -107,11 +116,13 @@ class Estimate:
     covariance: Array
     gravity: Array
     channels: tuple[str, ...]
+    channel_units: tuple[str, ...]
     residual: Array
     relative_residual: Array
     samples: tuple[int, ...]
     condition: float
     normal_equations: NormalEquations
+    findings: tuple[Finding, ...]
     warnings: tuple[str, ...]
     minimal: MinimalSet
     drives: DriveSet | None
@@ -123,6 +134,20 @@ class Estimate:
         shapes |= {"residual": (c,), "relative_residual": (c,)}
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @cached_property
+    def matters(self) -> tuple[bool, ...]:
+        """Whether each channel's residual is large enough to matter among like channels."""
+        equations = self.normal_equations
+        rms = np.sqrt(equations.squares / np.maximum(equations.used, 1.0))
+        like = [[other == unit for other in self.channel_units] for unit in self.channel_units]
+        largest = [rms[same].max() for same in like]
+        return tuple(bool(r > MATTERS * s) for r, s in zip(self.residual, largest, strict=True))
+
+    def label(self, c: int) -> str:
+        """What a channel is called in a sentence."""
+        name = self.channels[c]
+        return f"channel {name}" if self.method == "external" else f"the torque of '{name}'"
 
     @cached_property
     def base(self) -> BaseEstimate:

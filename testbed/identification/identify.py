@@ -17,8 +17,9 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
-from testbed.identification.diagnosis import quality_warnings
+from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
+from testbed.identification.finding import in_lines
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
@@ -94,9 +95,12 @@ def identify(
         full = settings.joined and settings.covariance is None
         weights = noise_weights(equations, settings.covariance, full)
         found = _refined(plan, solve(equations, weights, passes.rows), passes)
-    if not np.isfinite(found.covariance).all():
-        raise RecordingError("the recording holds numbers too large to compute with")
-    return _estimate(method, tree, equations, found, minimal, drives, warnings)
+        if not np.isfinite(found.covariance).all():
+            raise RecordingError("the recording holds numbers too large to compute with")
+        estimate = _estimate(method, tree, equations, found, minimal, drives)
+        wrong = findings(estimate, tree, passes.surveyor.survey(), plan.tare)
+    warnings += in_lines(wrong) + quality_warnings(estimate)
+    return replace(estimate, findings=wrong, warnings=tuple(warnings))
 
 
 def _check_signal(source: Source, method: Method) -> None:
@@ -209,10 +213,10 @@ def _estimate(
     found: _Refined,
     minimal: MinimalSet,
     drives: DriveSet | None,
-    warnings: Sequence[str],
 ) -> Estimate:
     square = equations.squares
-    estimate = Estimate(
+    units = ("N m" if joint.revolute else "N" for joint in tree.joints)
+    return Estimate(
         method=method,
         names=equations.unknowns,
         units=minimal.units if drives is None else drives.units,
@@ -221,14 +225,15 @@ def _estimate(
         covariance=found.covariance,
         gravity=tree.gravity,
         channels=equations.channels,
+        channel_units=("N",) * 3 + ("N m",) * 3 if drives is None else tuple(units),
         residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
         samples=tuple(int(n) for n in equations.used),
         condition=found.fit.condition,
         normal_equations=equations,
-        warnings=tuple(warnings),
+        findings=(),
+        warnings=(),
         minimal=minimal,
         drives=drives,
         joints=tree.names,
     )
-    return replace(estimate, warnings=(*warnings, *quality_warnings(estimate)))

@@ -47,6 +47,11 @@ class NormalEquations:
         """Sum of the squares of each channel's measurements, (C,)."""
         return np.diagonal(self.square) if self.joined else self.square
 
+    def of_channel(self, c: int) -> tuple[Array, Array, float]:
+        """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
+        at = (c, c) if self.joined else (c,)
+        return self.normal[at], self.right[at], float(self.square[at])
+
     def matrix(self, weights: Array) -> Array:
         """X' W X, (p, p).
 

@@ -19,6 +19,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from testbed.arrays import Array
+from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
 from testbed.kernel.records import Question, Signals, Sums
@@ -74,6 +75,7 @@ class Passes:
         self.progress = progress
         self.checked = False
         self.done = 0
+        self.surveyor = Surveyor(plan.source.samples)
         self._rooms: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[numpy_engine.Block]] = {}
         self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT
@@ -126,7 +128,10 @@ class Passes:
     def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
         if check:
             check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
-        found = self._answer(self.plan.signals(part, window), window, question)
+        signals = self.plan.signals(part, window)
+        found = self._answer(signals, window, question)
+        if check:
+            self.surveyor.look(signals, window.first, self.plan.own(window))
         if check and not found.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)
         return found

@@ -89,6 +89,11 @@ class Plan:
             # one more, so that every step of time is within some window
             yield Window(row, rows, first, min(last + 1, self.source.samples))
 
+    def own(self, window: Window) -> int:
+        """How many of a window's samples come before the next window's first."""
+        last = window.row + window.rows == self.rows
+        return window.last - window.first if last else window.rows * self.step
+
     def signals(self, part: Recording, window: Window) -> Signals:
         """What the kernel needs of a window's samples."""
         if part.names != self.layout.tree.names:

@@ -68,7 +68,7 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
     return {
         "id": "prediction",
         "title": f"Measured and predicted, on {motion}",
-        "says": "To the left what was measured, grey, and what the estimates predict; to the right "
+        "says": "What was measured, grey, and what the estimates predict; beside it, or below, "
         "what is left over. The external estimate knows no friction, so its joint torques are "
         "those of a robot without; the internal one takes from the external what joint torques "
         "cannot tell.",

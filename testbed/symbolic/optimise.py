@@ -20,8 +20,8 @@ from testbed.symbolic.expression import (
     Nature,
     Number,
     collect,
-    in_order,
 )
+from testbed.symbolic.traversal import in_order
 
 Line = dict[Factors, Number]
 Place = TypeVar("Place", bound=Hashable)

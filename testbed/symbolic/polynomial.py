@@ -17,8 +17,8 @@ from testbed.symbolic.expression import (
     Number,
     exact,
     expression,
-    in_order,
 )
+from testbed.symbolic.traversal import in_order
 from testbed.symbolic.trigonometry import COSINE, SINE, Waves
 
 BITS = 6

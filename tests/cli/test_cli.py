@@ -13,16 +13,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
+from tests.helpers.command import command_line
 from tests.helpers.paths import GOLDEN, ROOT
 
 QUICK = ["motion.duration=4", "simulation.step=5e-4", "motion.candidates=2"]
 PUMA = str(ROOT / "models/puma562.xml")
 TABLE6 = str(ROOT / "experiments/table6.toml")
-
-
-def command_line(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "testbed.cli", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
 
 
 def sets(*settings: str) -> list[str]:

@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import write_run
-from tests.cli.test_cli import command_line
+from tests.helpers.command import command_line
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS, noisy, robot, without

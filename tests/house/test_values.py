@@ -62,7 +62,7 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Estimate": lambda: tb.Estimate(
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
-        some(1), some(1), (5,), 1.0, NOTHING, (), NOTHING, None, ("a",),
+        ("N",), some(1), some(1), (5,), 1.0, NOTHING, (), (), NOTHING, None, ("a",),
     ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),

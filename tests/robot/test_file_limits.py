@@ -206,6 +206,22 @@ def test_many_joints_are_read_at_once(
     assert time.process_time() - start < seconds
 
 
+@pytest.mark.parametrize("form", ["xml", "urdf"])
+def test_too_many_elements_are_refused(form: str, tmp_path: Path) -> None:
+    path = tmp_path / f"r.{form}"
+    inside = "<a/>" * 200_001
+    path.write_text(f"<mujoco>{inside}</mujoco>" if form == "xml" else f"<robot>{inside}</robot>")
+    assert "more than 200000 elements" in refusal(path)
+
+
+@pytest.mark.parametrize("what", ["link", "joint"])
+def test_names_that_stand_twice_are_told(what: str, tmp_path: Path) -> None:
+    old = {"link": '<link name="l2"', "joint": '<joint name="j2"'}[what]
+    text = chain(3, "continuous").replace(old, old.replace("2", "1"))
+    (tmp_path / "r.urdf").write_text(text)
+    assert f"two {what}s have the name '{what[0]}1'" in refusal(tmp_path / "r.urdf")
+
+
 def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "r.urdf").open("wb") as file:
         file.write(b'<robot name="r">')

@@ -326,6 +326,15 @@ def test_an_axis_without_direction_is_refused_locked_or_not(axis: str, tmp_path:
             tb.load_tree(tmp_path / "r.urdf", lock=lock)
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_the_ends_of_a_range_are_within_it_but_for_rounding(side: int, tmp_path: Path) -> None:
+    (tmp_path / "r.urdf").write_text(random_robot(np.random.default_rng(6), 3).urdf())
+    for beyond in (0.0, 1e-7):
+        assert tb.load_tree(tmp_path / "r.urdf", lock={"j2": side * (3.0 + beyond)}).n == 2
+    with pytest.raises(ModelError, match=r"out of its range -3 \.\.\. 3"):
+        tb.load_tree(tmp_path / "r.urdf", lock={"j2": side * 3.001})
+
+
 def test_a_mimic_without_a_joint_is_refused(tmp_path: Path) -> None:
     text = random_robot(np.random.default_rng(6), 3).urdf()
     start = text.index("<limit", text.index('<joint name="j2"'))

@@ -17,7 +17,7 @@ from tests.helpers.robots import random_robot
 
 VALUES: dict[str, Any] = {
     "position_range": [-0.5, 1.5],
-    "max_velocity": 2.0,
+    "max_velocity": 0.2,
     "max_effort": 30,
     "coulomb": 0.7,
     "viscous": 0.0,
@@ -115,6 +115,12 @@ def test_gravity_is_replaced_and_checked(puma: tb.Tree) -> None:
     assert moon.joints is puma.joints
     np.testing.assert_array_equal(puma.with_gravity(None).gravity, puma.gravity)
     assert not puma.with_gravity((0, 0, 0)).gravity.any()
+
+
+def test_gravity_points_down_where_nothing_is_said() -> None:
+    tree = random_robot(np.random.default_rng(1), 2).tree()
+    bare = tb.Tree("bare", tree.joints, tree.inertias)
+    np.testing.assert_array_equal(bare.gravity, [0.0, 0.0, -9.81])
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,12 @@ BOMBS = {
 }
 
 
-SHORT = ("a chain of 20 000 definitions", "many terms of a short listing")
+SHORT = (
+    "a chain of 20 000 definitions",
+    "many terms of a short listing",
+    "signs",
+    "empty lines",
+)
 """What is compared; all else is refused."""
 
 

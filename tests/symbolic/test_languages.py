@@ -230,10 +230,10 @@ def test_numbers_are_written_as_people_do_and_read_back(over: int, shift: int) -
 
 
 def test_halves_stand_in_listings() -> None:
-    """(K3xx - K3zz)/2 C2: an angle that is none between bodies leaves a half."""
-    tree = tb.load_tree(ROOT / "models/puma562.urdf")
+    """A product of sine and cosine leaves a half where no parameter takes it up."""
+    tree = tb.load_tree(GOLDEN / "robots/spherical_wrist.urdf")
     robot = draw(tree, tree.gravity)
-    text = write_equations(equations(tree, ["base-wrench"], "reduced"), "paper")
+    text = write_equations(equations(tree, ["joint-forces"], "full"), "paper")
     assert "1/2*" in text
     assert "0.5" not in text
     assert line(writer(robot, Budget())(robot.q[0] * 0.5)) == "1/2*q1"

@@ -1,0 +1,293 @@
+"""Wrong data on purpose: how wrong the estimates become, and whether anybody says so.
+
+A minute of table6 with exact torque constants, one physical fault at a time; and clean
+recordings of other robots, about which nothing must be said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import AnyArray, Array
+from testbed.errors import TestbedError
+from testbed.identification.cross_check import cross_check
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
+
+ROOT = Path(__file__).parent.parent
+MODEL = ROOT / "models/puma562.xml"
+CLEAN = tuple(ROOT / f"tests/golden/robots/{name}.urdf" for name in ("ur5", "gantry_ppp_rrr"))
+"""Robots, besides, of which nothing wrong is to be found."""
+
+POUND = 4.4482216152605
+"""Of force [N]."""
+
+Change = Callable[[Recording], Recording]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fault, and which method suffers from it."""
+
+    fault: str
+    method: Method
+    change: Change
+    tree: tb.Tree
+
+
+def trials(tree: tb.Tree) -> Iterator[Trial]:
+    """All faults at every joint and channel where they can be."""
+    for fault, change in _of_the_plate():
+        yield Trial(fault, "external", change, tree)
+    for fault, change in _of_the_drives(tree.names):
+        yield Trial(fault, "internal", change, tree)
+    for method in METHODS:
+        for fault, change in _of_the_encoders(tree.names):
+            yield Trial(fault, method, change, tree)
+        for fault, change, other in _of_the_model(tree):
+            yield Trial(fault, method, change, other)
+
+
+def results(seconds: float) -> Iterator[dict[str, Any]]:
+    """Every trial: the worst error, in sigmas too, and what is said about it.
+
+    Args:
+        seconds: Duration of the recording.
+    """
+    tree = tb.load_tree(MODEL)
+    recording = recorded(MODEL, 1996, seconds)
+    told = {m: tb.identify(tree, recording, m, zeros=True) for m in METHODS}
+    yield from (_line("none", tree, told[m], told) for m in METHODS)
+    for trial in trials(tree):
+        changed = trial.change(recording)
+        try:
+            both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in METHODS}
+        except TestbedError as error:
+            yield {"fault": trial.fault, "method": trial.method, "refused": str(error)}
+            continue
+        yield _line(trial.fault, tree, both[trial.method], both)
+
+
+def clean(seeds: int, seconds: float) -> Iterator[dict[str, Any]]:
+    """Recordings without a fault, of several robots: nothing may be found.
+
+    Args:
+        seeds: Recordings of each robot.
+        seconds: Duration of each.
+    """
+    for model in (MODEL, *CLEAN):
+        said: list[str] = []
+        for seed in range(seeds):
+            tree, recording = tb.load_tree(model), recorded(model, seed, seconds)
+            for zeros in (False, True):
+                both = {m: tb.identify(tree, recording, m, zeros=zeros) for m in METHODS}
+                said += _said(both["external"], both) + _said(both["internal"], {})
+        yield {"clean": Path(model).stem, "recordings": seeds, "false_alarms": said}
+
+
+def recorded(model: Path, seed: int, seconds: float) -> Recording:
+    """A recording with the noise of table6 and exact torque constants."""
+    settings = [
+        f"seed={seed}",
+        f"motion.duration={seconds}",
+        "motion.candidates=5",
+        "measurement.torque_constant_error={}",
+    ]
+    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
+    found = tb.simulate(experiment.model_copy(update={"model": str(model)}))
+    return found.blind()
+
+
+def _line(
+    fault: str, tree: tb.Tree, estimate: Estimate, both: Mapping[Method, Estimate]
+) -> dict[str, Any]:
+    theta, drives = tb.barycentric(tree), estimate.drives
+    minimal = estimate.minimal
+    truth = minimal.values(theta) if drives is None else drives.values(theta, tree)
+    error = np.abs(estimate.values - truth)
+    return {
+        "fault": fault,
+        "method": estimate.method,
+        "error": float(f"{(error / np.abs(truth))[: minimal.count].max():.3g}"),
+        "sigmas": float(f"{(error / estimate.sigma).max():.3g}"),
+        "warned": _said(estimate, both),
+    }
+
+
+def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[str]:
+    """What is found in one method's data, and by holding both methods against each other."""
+    found = [*estimate.findings]
+    if len(both) == 2:
+        found += cross_check(both["external"], both["internal"])
+    return [f"{each.subject} {each.found}" for each in found]
+
+
+def _of_the_plate() -> Iterator[tuple[str, Change]]:
+    eye = np.eye(6)
+    yield "wrench and tare negated", lambda r: _tared(_mixed(r, -eye), -1.0)
+    yield "tare 0", lambda r: _tared(r, 0.0)
+    yield "wrench in lbf", lambda r: _mixed(r, eye / POUND)
+    yield "wrench in kgf", lambda r: _mixed(r, eye / 9.80665)
+    yield "moments in N mm", lambda r: _mixed(r, np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
+    for k, axis in enumerate(AXES):
+        unit = np.outer(eye[k], eye[k])
+        size = 20.0 if k < 3 else 4.0
+        yield f"{axis} of opposite sign", _linear("wrench", eye - 2 * unit)
+        yield f"{axis} x 1.05", _linear("wrench", eye + 0.05 * unit)
+        yield f"{axis} drifts by {size:g}", _drift(size * eye[k])
+        yield f"{axis} saturated at half", _saturated("wrench", k)
+        yield f"{axis} dead", _linear("wrench", eye - unit)
+    for a, b in combinations(range(6), 2):
+        yield f"{AXES[a]} and {AXES[b]} exchanged", _linear("wrench", _exchanged(6, a, b))
+    for late in (5, 20):
+        yield f"wrench {late} ms late", _late("wrench", late)
+    for degrees, axes in ((5, "xyz"), (1, "xy")):
+        for k, axis in enumerate(axes):
+            yield f"plate turned {degrees} deg about {axis}", _turned(np.deg2rad(degrees), k)
+    for far in (0.02, 0.2):
+        for k, axis in enumerate("xyz"):
+            yield f"moment point off by {100 * far:g} cm along {axis}", _moved(far * np.eye(3)[k])
+
+
+def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, Change]]:
+    n = len(names)
+    eye = np.eye(n)
+    yield "torques of opposite sign", _linear("torque", -eye)
+    yield "torques in N mm", _linear("torque", 1e3 * eye)
+    yield "torques in lbf ft", _linear("torque", eye / (POUND * 0.3048))
+    for k, name in enumerate(names):
+        unit = np.outer(eye[k], eye[k])
+        yield f"torque of {name} of opposite sign", _linear("torque", eye - 2 * unit)
+        yield f"torque of {name} x 1.1", _linear("torque", eye + 0.1 * unit)
+        yield f"torque of {name} in N mm", _linear("torque", eye + 999 * unit)
+        yield f"torque of {name} saturated at half", _saturated("torque", k)
+        yield f"torque of {name} dead", _linear("torque", eye - unit)
+    for a, b in combinations(range(n), 2):
+        swapped = _linear("torque", _exchanged(n, a, b))
+        yield f"torques of {names[a]} and {names[b]} exchanged", swapped
+    for late in (5, 20):
+        yield f"torques {late} ms late", _late("torque", late)
+
+
+def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, Change]]:
+    n = len(names)
+    eye = np.eye(n)
+    degrees = 180 / np.pi
+    yield "encoders in degrees", _linear("position", degrees * eye)
+    for k, name in enumerate(names):
+        unit = np.outer(eye[k], eye[k])
+        yield f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
+        yield f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
+        yield f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
+        yield f"encoder of {name} in degrees", _linear("position", eye + (degrees - 1) * unit)
+        yield f"encoder of {name} 20 ms late", _late("position", 20, k)
+    for a, b in combinations(range(n), 2):
+        swapped = _linear("position", _exchanged(n, a, b))
+        yield f"encoders of {names[a]} and {names[b]} exchanged", swapped
+    yield "1 % of samples lost", _lossy
+    yield "clock 1 % fast", lambda r: replace(r, time=r.time / 1.01)
+
+
+def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, Change, tb.Tree]]:
+    longer = [replace(j, offset=j.offset * (0.45 / 0.4318)) for j in tree.joints[2:]]
+    wrong = replace(tree, joints=(*tree.joints[:2], *longer))
+    yield "upper arm 0.45 m for 0.4318 m", _of_no_robot, wrong
+    for fault, gravity in (("Moon's gravity", [0, 0, -1.62]), ("gravity upwards", [0, 0, 9.81])):
+        yield fault, _under(gravity), tree
+
+
+def _linear(signal: str, matrix: AnyArray) -> Change:
+    """A signal's channels mixed; the wrench's tare is what it was."""
+    return lambda r: replace(r, **{signal: r.measured(signal) @ np.asarray(matrix).T})
+
+
+def _mixed(recording: Recording, matrix: AnyArray) -> Recording:
+    return _linear("wrench", matrix)(recording)
+
+
+def _tared(recording: Recording, factor: float) -> Recording:
+    assert recording.tare is not None
+    return replace(recording, tare=factor * recording.tare)
+
+
+def _exchanged(n: int, a: int, b: int) -> Array:
+    order = list(range(n))
+    order[a], order[b] = b, a
+    return np.eye(n)[order]
+
+
+def _drift(size: Array) -> Change:
+    return lambda r: replace(
+        r, wrench=r.measured("wrench") + np.linspace(0, 1, r.samples)[:, None] * size
+    )
+
+
+def _saturated(signal: str, channel: int) -> Change:
+    """Beyond half of what it reaches from its mean, nothing."""
+
+    def change(recording: Recording) -> Recording:
+        values = recording.measured(signal).copy()
+        mean = values[:, channel].mean()
+        far = 0.5 * np.abs(values[:, channel] - mean).max()
+        values[:, channel] = np.clip(values[:, channel], mean - far, mean + far)
+        return replace(recording, **{signal: values})  # type: ignore[arg-type]
+
+    return change
+
+
+def _late(signal: str, milliseconds: int, channel: int | None = None) -> Change:
+    """A whole signal, or one channel of it, comes later than the others."""
+
+    def change(recording: Recording) -> Recording:
+        values = recording.measured(signal).copy()
+        lag = round(1e-3 * milliseconds * recording.rate)
+        late = np.vstack([values[:1].repeat(lag, 0), values[:-lag]])
+        which = slice(None) if channel is None else channel
+        values[:, which] = late[:, which]
+        return replace(recording, **{signal: values})  # type: ignore[arg-type]
+
+    return change
+
+
+def _turned(angle: float, axis: int) -> Change:
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.roll(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), (axis, axis), (0, 1))
+    return _linear("wrench", np.kron(np.eye(2), turn))
+
+
+def _moved(off: Array) -> Change:
+    lever = np.eye(6)
+    lever[3:, :3] = np.cross(off, np.eye(3)).T  # moments about a point that is `off` elsewhere
+    return _linear("wrench", lever)
+
+
+def _shifted(by: Array) -> Change:
+    return lambda r: replace(r, position=r.position + by)
+
+
+def _lossy(recording: Recording) -> Recording:
+    """What is lost leaves no gap in the time stamps."""
+    kept = np.flatnonzero(np.random.default_rng(0).random(recording.samples) > 0.01)
+    signals = {s: recording.measured(s)[kept] for s in recording.signals if s != "time"}
+    return replace(recording, time=recording.time[: len(kept)], **signals)  # type: ignore[arg-type]
+
+
+def _of_no_robot(recording: Recording) -> Recording:
+    """Without the geometry that would give another robot away."""
+    return replace(recording, facts=_without(recording, "geometry"))
+
+
+def _under(gravity: list[float]) -> Change:
+    return lambda r: replace(r, facts=dict(r.facts) | {"gravity": gravity})
+
+
+def _without(recording: Recording, *facts: str) -> dict[str, Any]:
+    return {key: value for key, value in recording.facts.items() if key not in facts}

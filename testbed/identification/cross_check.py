@@ -1,0 +1,127 @@
+"""The two methods held against each other: torques that the plate's estimate foretells.
+
+The bedplate's parameters contain those of the joint torques (delta_d = S delta_r). What they
+foretell of a joint's torque and what its drive reports differ by friction, a rotor, an
+offset; beside these the drive's report must be the foretold torque times one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.estimate import METHODS, Estimate
+from testbed.identification.finding import Finding, in_lines
+from testbed.parameters.minimal_set import selection
+
+LEAST, MOST = 0.77, 1.3
+"""Factors between which a torque constant may be wrong."""
+
+CLEAR = 10.0
+"""Times the unexplained rest of a torque, in power, that must follow the foretold one."""
+
+KNOWN = 0.05
+"""Relative error up to which the foretold torque is known well enough."""
+
+APART = 1e-3
+"""Part of the foretold torque, in power, that a rotor, friction or an offset cannot replace."""
+
+UNITS = {
+    1e3: "torques in N mm",
+    1e-3: "moments of the plate in N mm",
+    0.7376: "torques in lbf ft",
+    1.3558: "a wrench in lbf and lbf ft",
+    4.4482: "a wrench in lbf",
+    0.2248: "torques in units of lbf",
+    9.8067: "a wrench in kgf",
+    0.10197: "torques in kgf m",
+    180 / np.pi: "encoders in degrees",
+}
+"""What a factor may mean."""
+
+ALIKE = 0.15
+"""Relative difference up to which factors are the same."""
+
+
+def cross_check(external: Estimate, internal: Estimate) -> tuple[Finding, ...]:
+    """Joints whose torques are not what the plate's estimate foretells.
+
+    Args:
+        external: From the plate.
+        internal: From the torques of the same recording, with the same zeros and gravity.
+    """
+    try:
+        s = selection(internal.minimal, external.minimal)
+    except ValueError:  # not of one robot, gravity and list of zeros
+        return ()
+    known, spread = s @ external.base.values, s @ external.base.covariance @ s.T
+    factors = {
+        name: torque_factor(internal, known, spread, joint)
+        for joint, name in enumerate(internal.joints)
+    }
+    return tuple(
+        _finding(name, factor)
+        for name, factor in factors.items()
+        if factor is not None and not LEAST < factor < MOST
+    )
+
+
+def warnings_between(estimates: Iterable[Estimate]) -> list[str]:
+    """What two estimates of one recording say against each other, a line each; else nothing.
+
+    Args:
+        estimates: Of one recording, by both methods or by one.
+    """
+    by_method = {estimate.method: estimate for estimate in estimates}
+    if len(by_method) < len(METHODS):
+        return []
+    return in_lines(cross_check(by_method["external"], by_method["internal"]))
+
+
+def _finding(joint: str, factor: float) -> Finding:
+    unit = [said for u, said in UNITS.items() if abs(abs(factor) / u - 1) < ALIKE]
+    sign = [] if factor > 0 else ["the opposite sign of torque, encoder or wrench"]
+    return Finding(
+        f"the torque of '{joint}'",
+        f"is {factor:.3g} times what the bedplate's estimate foretells",
+        factor,
+        (*sign, *unit, "torques on the motor's side of the gear", "exchanged joints or channels"),
+        "trust neither estimate before they agree",
+    )
+
+
+def torque_factor(internal: Estimate, known: Array, spread: Array, joint: int) -> float | None:
+    """Factor between a joint's reported torque and the foretold one.
+
+    Args:
+        internal: From the torques.
+        known: The dynamic minimal parameters from elsewhere, (N_d,).
+        spread: Their covariance, (N_d, N_d).
+        joint: Index of the joint.
+
+    Returns:
+        None where the joint's torque does not say: it is mostly friction, rotor or noise, or
+        it is not foretold well.
+    """
+    normal, right, square = internal.normal_equations.of_channel(joint)
+    count = internal.minimal.count
+    own = [k for k, body in enumerate(internal.minimal.axial) if body == joint]
+    terms = () if internal.drives is None else internal.drives.terms
+    own += [count + k for k, term in enumerate(terms) if term.joint == joint]
+    foretold = np.zeros(len(right))
+    foretold[:count] = known
+    foretold[own] = 0.0  # a rotor may be part of it
+    size = float(foretold @ normal @ foretold)
+    among = normal[np.ix_(own, own)]
+    shared = np.linalg.lstsq(among, normal[own] @ foretold, rcond=1e-12)[0]
+    alone = size - float(foretold @ normal[own].T @ shared)  # what friction does not explain
+    if alone <= APART * size:
+        return None
+    factor = (float(right @ foretold) - float(right[own] @ shared)) / alone
+    theirs = float(right[own] @ np.linalg.lstsq(among, right[own], rcond=1e-12)[0])
+    left = square - theirs - factor**2 * alone
+    error = float(np.sum(normal[:count, :count] * spread))
+    clear = factor**2 * alone > CLEAR * left and error < KNOWN**2 * alone
+    return factor if clear else None
