@@ -29,8 +29,6 @@ the bedplate where the pedestal's mass and moments on the sensor are unknown as 
 _CLEAR = 1e-9
 """Part of a unit parameter in, or outside, the row space that counts as none."""
 
-_RANK = 1e-10
-
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
@@ -89,13 +87,15 @@ def _visibility(tree: Tree, instrument: str, rows: Array) -> Visibility:
 
 
 def _seen(rows: Array) -> NDArray[np.int_]:
-    """NEVER, COMBINED or ALONE for every column: its parts in the row space and outside."""
-    seen = np.full(rows.shape[1], NEVER)
-    if not rows.any():
-        return seen
-    _, spread, directions = np.linalg.svd(rows)
-    rank = int(np.sum(spread > _RANK * spread[0]))
-    inside, outside = (np.linalg.norm(part, axis=0) for part in np.split(directions, [rank]))
+    """NEVER, COMBINED or ALONE for every column: its parts in the row space and outside.
+
+    Args:
+        rows: Independent of each other, (k, columns).
+    """
+    basis = np.linalg.qr(rows.T)[0]  # (columns, k)
+    inside = np.linalg.norm(basis, axis=1)
+    outside = np.linalg.norm(np.eye(len(basis)) - basis @ basis.T, axis=0)
+    seen = np.full(len(basis), NEVER)
     seen[inside > _CLEAR] = COMBINED
     seen[outside <= _CLEAR] = ALONE
     return seen
