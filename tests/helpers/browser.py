@@ -59,6 +59,11 @@ class Browser:
         """The value of a script."""
         return self.post(f"{self._session}/execute/sync", {"script": script, "args": []})
 
+    def close(self) -> None:
+        """End the browser; its driver alone would leave it running."""
+        request = urllib.request.Request(self._root + self._session, method="DELETE")
+        urllib.request.urlopen(request, timeout=60).close()
+
     def complaints(self) -> list[str]:
         """What the page wrote to the console."""
         found = self.post(f"{self._session}/se/log", {"type": "browser"})
@@ -84,7 +89,11 @@ def browser(folder: Path, width: int = 1000, dark: bool = False) -> Iterator[Bro
                     break
             except OSError:
                 time.sleep(0.1)
-        yield Browser(port, width, dark, folder / "profile")
+        seen = Browser(port, width, dark, folder / "profile")
+        try:
+            yield seen
+        finally:
+            seen.close()
     finally:
         running.terminate()
         running.wait()

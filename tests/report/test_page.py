@@ -110,6 +110,7 @@ def test_units_are_written_as_people_write_them(page: Path) -> None:
     assert "+-" not in text
 
 
+@pytest.mark.slow
 def test_the_report_is_the_same_bits_every_time(
     puma_run: Run, other: Recording, page: Path, tmp_path: Path
 ) -> None:
@@ -118,6 +119,7 @@ def test_the_report_is_the_same_bits_every_time(
     assert numbers_of(tmp_path / "report.html") == numbers_of(page)
 
 
+@pytest.mark.slow
 def test_warnings_are_all_said(puma_run: Run, tmp_path: Path) -> None:
     run = replace(puma_run, warnings=("the plate hums", "mb*2z is 3 kg m^2 +- 1"))
     write_report(run, tmp_path / "r.html")
@@ -128,6 +130,7 @@ def test_warnings_are_all_said(puma_run: Run, tmp_path: Path) -> None:
     assert "Nothing: all parameters are excited" in plain_text((tmp_path / "q.html").read_text())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_robot_has_its_report(name: str, tmp_path: Path) -> None:
     """Units by the joints' kinds, figures for every channel, valid numbers."""
@@ -143,6 +146,7 @@ def test_every_robot_has_its_report(name: str, tmp_path: Path) -> None:
     assert found["maps"][0]["rows"][0][0] == run.tree.names[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lacks", ["wrench", "torque"])
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_one_signal_makes_a_report_too(name: str, lacks: str, tmp_path: Path) -> None:
