@@ -86,14 +86,15 @@ def values(rng: random.Random, table: pa.Table) -> pa.Table:
     column = table.column(place).to_numpy().astype(float).copy()
     value = rng.choice(VALUES)
     how = rng.randrange(4)
-    if how == 0:
-        column[rng.randrange(len(column))] = value
-    elif how == 1:
-        column[:] = value
-    elif how == 2:
-        column *= value
-    else:
-        column += value
+    with np.errstate(all="ignore"):
+        if how == 0:
+            column[rng.randrange(len(column))] = value
+        elif how == 1:
+            column[:] = value
+        elif how == 2:
+            column *= value
+        else:
+            column += value
     return table.set_column(place, table.schema.field(place), pa.array(column))
 
 
