@@ -35,8 +35,9 @@ Change = Callable[[Recording], Recording]
 
 @dataclass(frozen=True)
 class Trial:
-    """One fault, and which method suffers from it."""
+    """One fault, of a kind, and which method suffers from it."""
 
+    kind: str
     fault: str
     method: Method
     change: Change
@@ -45,15 +46,15 @@ class Trial:
 
 def trials(tree: tb.Tree) -> Iterator[Trial]:
     """All faults at every joint and channel where they can be."""
-    for fault, change in _of_the_plate():
-        yield Trial(fault, "external", change, tree)
-    for fault, change in _of_the_drives(tree.names):
-        yield Trial(fault, "internal", change, tree)
+    for kind, fault, change in _of_the_plate():
+        yield Trial(kind, fault, "external", change, tree)
+    for kind, fault, change in _of_the_drives(tree.names):
+        yield Trial(kind, fault, "internal", change, tree)
     for method in METHODS:
-        for fault, change in _of_the_encoders(tree.names):
-            yield Trial(fault, method, change, tree)
-        for fault, change, other in _of_the_model(tree):
-            yield Trial(fault, method, change, other)
+        for kind, fault, change in _of_the_encoders(tree.names):
+            yield Trial(kind, fault, method, change, tree)
+        for kind, fault, change, other in _of_the_model(tree):
+            yield Trial(kind, fault, method, change, other)
 
 
 def results(seconds: float) -> Iterator[dict[str, Any]]:
@@ -71,7 +72,12 @@ def results(seconds: float) -> Iterator[dict[str, Any]]:
         try:
             both = {m: tb.identify(trial.tree, changed, m, zeros=True) for m in METHODS}
         except TestbedError as error:
-            yield {"fault": trial.fault, "method": trial.method, "refused": str(error)}
+            yield {
+                "kind": trial.kind,
+                "fault": trial.fault,
+                "method": trial.method,
+                "refused": str(error),
+            }
             continue
         yield _line(trial.fault, tree, both[trial.method], both)
 
@@ -130,78 +136,90 @@ def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[str]:
     return [f"{each.subject} {each.found}" for each in found]
 
 
-def _of_the_plate() -> Iterator[tuple[str, Change]]:
+def _of_the_plate() -> Iterator[tuple[str, str, Change]]:
     eye = np.eye(6)
-    yield "wrench and tare negated", lambda r: _tared(_mixed(r, -eye), -1.0)
-    yield "tare 0", lambda r: _tared(r, 0.0)
-    yield "wrench in lbf", lambda r: _mixed(r, eye / POUND)
-    yield "wrench in kgf", lambda r: _mixed(r, eye / 9.80665)
-    yield "moments in N mm", lambda r: _mixed(r, np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
+    yield "sign", "wrench and tare negated", lambda r: _tared(_mixed(r, -eye), -1.0)
+    yield "tare", "tare 0", lambda r: _tared(r, 0.0)
+    yield "unit", "wrench in lbf", lambda r: _mixed(r, eye / POUND)
+    yield "unit", "wrench in kgf", lambda r: _mixed(r, eye / 9.80665)
+    yield "unit", "moments in N mm", lambda r: _mixed(r, np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
     for k, axis in enumerate(AXES):
         unit = np.outer(eye[k], eye[k])
         size = 20.0 if k < 3 else 4.0
-        yield f"{axis} of opposite sign", _linear("wrench", eye - 2 * unit)
-        yield f"{axis} x 1.05", _linear("wrench", eye + 0.05 * unit)
-        yield f"{axis} drifts by {size:g}", _drift(size * eye[k])
-        yield f"{axis} saturated at half", _saturated("wrench", k)
-        yield f"{axis} dead", _linear("wrench", eye - unit)
+        yield "sign", f"{axis} of opposite sign", _linear("wrench", eye - 2 * unit)
+        yield "gain", f"{axis} x 1.05", _linear("wrench", eye + 0.05 * unit)
+        yield "drift", f"{axis} drifts by {size:g}", _drift(size * eye[k])
+        yield "channel", f"{axis} saturated at half", _saturated("wrench", k)
+        yield "channel", f"{axis} dead", _linear("wrench", eye - unit)
     for a, b in combinations(range(6), 2):
-        yield f"{AXES[a]} and {AXES[b]} exchanged", _linear("wrench", _exchanged(6, a, b))
+        yield "order", f"{AXES[a]} and {AXES[b]} exchanged", _linear("wrench", _exchanged(6, a, b))
     for late in (5, 20):
-        yield f"wrench {late} ms late", _late("wrench", late)
+        yield "clock", f"wrench {late} ms late", _late("wrench", late)
     for degrees, axes in ((5, "xyz"), (1, "xy")):
         for k, axis in enumerate(axes):
-            yield f"plate turned {degrees} deg about {axis}", _turned(np.deg2rad(degrees), k)
+            yield (
+                "pose",
+                f"plate turned {degrees} deg about {axis}",
+                _turned(np.deg2rad(degrees), k),
+            )
     for far in (0.02, 0.2):
         for k, axis in enumerate("xyz"):
-            yield f"moment point off by {100 * far:g} cm along {axis}", _moved(far * np.eye(3)[k])
+            yield (
+                "pose",
+                f"moment point off by {100 * far:g} cm along {axis}",
+                _moved(far * np.eye(3)[k]),
+            )
 
 
-def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, Change]]:
+def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
     n = len(names)
     eye = np.eye(n)
-    yield "torques of opposite sign", _linear("torque", -eye)
-    yield "torques in N mm", _linear("torque", 1e3 * eye)
-    yield "torques in lbf ft", _linear("torque", eye / (POUND * 0.3048))
+    yield "sign", "torques of opposite sign", _linear("torque", -eye)
+    yield "unit", "torques in N mm", _linear("torque", 1e3 * eye)
+    yield "unit", "torques in lbf ft", _linear("torque", eye / (POUND * 0.3048))
     for k, name in enumerate(names):
         unit = np.outer(eye[k], eye[k])
-        yield f"torque of {name} of opposite sign", _linear("torque", eye - 2 * unit)
-        yield f"torque of {name} x 1.1", _linear("torque", eye + 0.1 * unit)
-        yield f"torque of {name} in N mm", _linear("torque", eye + 999 * unit)
-        yield f"torque of {name} saturated at half", _saturated("torque", k)
-        yield f"torque of {name} dead", _linear("torque", eye - unit)
+        yield "sign", f"torque of {name} of opposite sign", _linear("torque", eye - 2 * unit)
+        yield "gain", f"torque of {name} x 1.1", _linear("torque", eye + 0.1 * unit)
+        yield "unit", f"torque of {name} in N mm", _linear("torque", eye + 999 * unit)
+        yield "channel", f"torque of {name} saturated at half", _saturated("torque", k)
+        yield "channel", f"torque of {name} dead", _linear("torque", eye - unit)
     for a, b in combinations(range(n), 2):
         swapped = _linear("torque", _exchanged(n, a, b))
-        yield f"torques of {names[a]} and {names[b]} exchanged", swapped
+        yield "order", f"torques of {names[a]} and {names[b]} exchanged", swapped
     for late in (5, 20):
-        yield f"torques {late} ms late", _late("torque", late)
+        yield "clock", f"torques {late} ms late", _late("torque", late)
 
 
-def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, Change]]:
+def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
     n = len(names)
     eye = np.eye(n)
     degrees = 180 / np.pi
-    yield "encoders in degrees", _linear("position", degrees * eye)
+    yield "unit", "encoders in degrees", _linear("position", degrees * eye)
     for k, name in enumerate(names):
         unit = np.outer(eye[k], eye[k])
-        yield f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
-        yield f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
-        yield f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
-        yield f"encoder of {name} in degrees", _linear("position", eye + (degrees - 1) * unit)
-        yield f"encoder of {name} 20 ms late", _late("position", 20, k)
+        yield "gain", f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
+        yield "zero", f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
+        yield "sign", f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
+        yield (
+            "unit",
+            f"encoder of {name} in degrees",
+            _linear("position", eye + (degrees - 1) * unit),
+        )
+        yield "clock", f"encoder of {name} 20 ms late", _late("position", 20, k)
     for a, b in combinations(range(n), 2):
         swapped = _linear("position", _exchanged(n, a, b))
-        yield f"encoders of {names[a]} and {names[b]} exchanged", swapped
-    yield "1 % of samples lost", _lossy
-    yield "clock 1 % fast", lambda r: replace(r, time=r.time / 1.01)
+        yield "order", f"encoders of {names[a]} and {names[b]} exchanged", swapped
+    yield "clock", "1 % of samples lost", _lossy
+    yield "clock", "clock 1 % fast", lambda r: replace(r, time=r.time / 1.01)
 
 
-def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, Change, tb.Tree]]:
+def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, str, Change, tb.Tree]]:
     longer = [replace(j, offset=j.offset * (0.45 / 0.4318)) for j in tree.joints[2:]]
     wrong = replace(tree, joints=(*tree.joints[:2], *longer))
-    yield "upper arm 0.45 m for 0.4318 m", _of_no_robot, wrong
+    yield "model", "upper arm 0.45 m for 0.4318 m", _of_no_robot, wrong
     for fault, gravity in (("Moon's gravity", [0, 0, -1.62]), ("gravity upwards", [0, 0, 9.81])):
-        yield fault, _under(gravity), tree
+        yield "gravity", fault, _under(gravity), tree
 
 
 def _linear(signal: str, matrix: AnyArray) -> Change:

@@ -3,17 +3,17 @@
 The standard parameters of a body are those of rigid matter if and only if its pseudo-inertia
 matrix J = [[S, h], [h', m]] is positive semidefinite, S the second moments, h the first, m the
 mass [WKS18]. Minimal parameters are linear in them: those of possible robots form a convex
-cone. The distance of an estimate from it, in its own sigmas, is found by least squares over
-J = L L'; that there is nothing nearer follows from the residual r, for which
-r' K(J) >= 0 for every J >= 0.
+cone. The distance of an estimate from it, in its own sigmas, is a conic program; the bound
+that its dual solution gives holds for every robot.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import clarabel
 import numpy as np
-from scipy import stats
+from scipy import sparse, stats
 
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
@@ -30,14 +30,8 @@ SMALL = 0.1
 LENGTH = 0.3
 """Unit of length in which a robot's masses and moments are of one order [m]."""
 
-HEAVIER = 100.0
-"""The proof holds for robots at most this many times as heavy as the nearest possible one."""
-
-ROUNDS = 100
-"""Most steps of least squares."""
-
-FINISHED = 1e-7
-"""Relative gain of a step below which there is nothing to be gained."""
+UPPER = tuple((a, b) for b in range(4) for a in range(b + 1))
+"""Entries of the upper triangle, column by column: the order of a cone of the solver."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +41,7 @@ class Possibility:
     Attributes:
         distance: At least this far, in sigmas, model errors counted.
         limit: Distance beyond which it is no noise.
-        nearest: Minimal parameters of a possible robot near by, (N,).
+        nearest: Minimal parameters of the nearest possible robot, (N,).
         gap: How far each is from them, in parts of itself, (N,).
     """
 
@@ -79,11 +73,11 @@ def possibility(estimate: Estimate) -> Possibility:
     spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
     white = (axes / np.sqrt(spread)).T
     limit = float(np.sqrt(stats.chi2.isf(2 * stats.norm.sf(SIGMAS), len(scale))))
-    cone = _Cone(white @ estimate.minimal.standard_matrix, white @ _rotors(estimate))
-    rest, size = cone.residual_of_nearest(white @ base.values, limit)
+    forms = white @ _of_pseudo_inertias(estimate.minimal.standard_matrix)
+    distance, rest = _nearest(forms, white @ _rotors(estimate), white @ base.values)
     gap = (axes * np.sqrt(spread)) @ rest
-    distance = max(0.0, cone.proven_distance(rest, HEAVIER * size))
-    return Possibility(distance, limit, base.values + gap, np.abs(gap) / scale)
+    relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
+    return Possibility(distance, limit, base.values + gap, relative)
 
 
 def _rotors(estimate: Estimate) -> Array:
@@ -93,89 +87,56 @@ def _rotors(estimate: Estimate) -> Array:
     return np.array(columns).reshape(len(columns), estimate.minimal.count).T
 
 
-def _pseudo_inertia() -> Array:
-    """Standard parameters of a pseudo-inertia matrix with lengths in LENGTH, (10, 4, 4)."""
-    matrix = np.zeros((10, 4, 4))
-    matrix[0, 3, 3] = 1.0
+def _of_pseudo_inertias(standard: Array) -> Array:
+    """Forms of standard parameters as forms of J, (N, 10 n), scaled as in the solver's cones.
+
+    Args:
+        standard: (N, 10 n), of (m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz) body by body.
+    """
+    of_matrix = np.zeros((10, 4, 4))
+    of_matrix[0, 3, 3] = 1.0
     for k in range(3):
-        matrix[1 + k, k, 3] = matrix[1 + k, 3, k] = LENGTH / 2
-    pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
-    for k, (a, b) in enumerate(pairs):  # Ixx = Syy + Szz, Ixy = -Sxy
-        own = np.zeros((3, 3))
-        own[a, b] += 0.5
-        own[b, a] += 0.5
-        matrix[4 + k, :3, :3] = LENGTH**2 * ((a == b) * np.eye(3) - own)
-    return matrix
+        of_matrix[1 + k, k, 3] = LENGTH
+    for k, (a, b) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))):
+        of_matrix[4 + k, a, b] -= LENGTH**2  # Ixx = Syy + Szz, Ixy = -Sxy
+        of_matrix[4 + k, :3, :3] += LENGTH**2 * (a == b) * np.eye(3)
+    entries = np.array([of_matrix[:, a, b] / (1 if a == b else np.sqrt(2)) for a, b in UPPER])
+    by_body = standard.reshape(len(standard), -1, 10) @ entries.T
+    return np.asarray(by_body.reshape(len(standard), -1))
 
 
-class _Cone:
-    """Parameters of possible robots: forms of every body's J and of every rotor."""
+def _nearest(forms: Array, rotors: Array, wanted: Array) -> tuple[float, Array]:
+    """A lower bound of the distance to any robot, and what is left at the nearest, (N,).
 
-    def __init__(self, standard: Array, rotors: Array) -> None:
-        """From their matrices on standard parameters, (N, 10 n), and rotors, (N, m)."""
-        self.count, self.bodies = len(standard), standard.shape[1] // 10
-        by_body = standard.reshape(self.count, self.bodies, 10)
-        self.forms = np.einsum("pia,axy->pixy", by_body, _pseudo_inertia())
-        self.rotors = rotors
-
-    def residual_of_nearest(self, wanted: Array, enough: float) -> tuple[Array, float]:
-        """What is left of the nearest possible parameters less `wanted`, (N,); and their size.
-
-        Args:
-            wanted: (N,).
-            enough: Distance at which nothing nearer is looked for.
-        """
-        roots, spins = self._start(wanted)
-        rest, damping = self._rest(roots, spins, wanted), 1e-3
-        for _ in range(ROUNDS):
-            if rest @ rest < enough**2:
-                break
-            slope = self._slope(roots, spins)
-            normal = slope @ slope.T
-            for _ in range(12):
-                ridge = damping * np.trace(normal) / self.count * np.eye(self.count)
-                step = -slope.T @ np.linalg.solve(normal + ridge, rest)
-                tried = roots + step[: roots.size].reshape(roots.shape), spins + step[roots.size :]
-                left = self._rest(*tried, wanted)
-                if left @ left < rest @ rest:
-                    break
-                damping *= 8
-            else:
-                break
-            gain = 1 - (left @ left) / (rest @ rest)
-            (roots, spins), rest, damping = tried, left, damping / 5
-            if gain < FINISHED:
-                break
-        return rest, float((roots**2).sum() + (spins**2).sum())
-
-    def proven_distance(self, rest: Array, size: float) -> float:
-        """Least distance from `wanted` of any robot up to that size: a lower bound.
-
-        Args:
-            rest: `residual_of_nearest`.
-            size: Largest sum of all traces of J and of all rotors.
-        """
-        seen = np.einsum("p,pixy->ixy", rest, self.forms)
-        least = np.concatenate([np.linalg.eigvalsh(seen)[:, 0], rest @ self.rotors])
-        worst = float(least.min(initial=0.0))
-        length = float(np.linalg.norm(rest))
-        return (length**2 + size * worst) / length if length > 0 else 0.0
-
-    def _start(self, wanted: Array) -> tuple[Array, Array]:
-        """Roots L, (n, 4, 4), and square roots of rotors, (m,), near the unconstrained fit."""
-        flat = self.forms.reshape(self.count, -1)
-        fit = np.linalg.lstsq(np.hstack([flat, self.rotors]), wanted, rcond=1e-9)[0]
-        inertia, spin = fit[: flat.shape[1]].reshape(-1, 4, 4), fit[flat.shape[1] :]
-        spread, axes = np.linalg.eigh((inertia + inertia.transpose(0, 2, 1)) / 2)
-        least = 1e-3 * np.abs(spread).max()
-        return axes * np.sqrt(np.maximum(spread, least))[:, None], np.sqrt(np.maximum(spin, least))
-
-    def _rest(self, roots: Array, spins: Array, wanted: Array) -> Array:
-        inertia = roots @ roots.transpose(0, 2, 1)
-        found = np.tensordot(self.forms, inertia, 3) + self.rotors @ spins**2
-        return np.asarray(found - wanted)
-
-    def _slope(self, roots: Array, spins: Array) -> Array:
-        """Derivative of `_rest` by roots and spins, (N, 16 n + m)."""
-        by_roots = 2 * np.einsum("pixy,iyz->pixz", self.forms, roots)
-        return np.hstack([by_roots.reshape(self.count, -1), 2 * self.rotors * spins])
+    Args:
+        forms: Of the entries of every body's J, (N, 10 n).
+        rotors: Of every rotor's inertia, (N, m).
+        wanted: (N,).
+    """
+    count, entries, spins = len(wanted), forms.shape[1], rotors.shape[1]
+    free = entries + spins
+    size = float(np.linalg.norm(wanted)) or 1.0  # the solver likes numbers near one
+    # unknowns: the distance, the entries of J, the rotors
+    matrix = sparse.bmat(
+        [
+            [[[-1.0]], None],
+            [None, -np.hstack([forms, rotors])],
+            [None, -sparse.eye(free)],
+        ],
+        format="csc",
+    )
+    right = np.concatenate([[0.0], -wanted / size, np.zeros(free)])
+    cones = [
+        clarabel.SecondOrderConeT(count + 1),
+        *[clarabel.PSDTriangleConeT(4)] * (entries // 10),
+        *[clarabel.NonnegativeConeT(spins)] * bool(spins),
+    ]
+    settings = clarabel.DefaultSettings()
+    settings.verbose, settings.max_threads = False, 1
+    costs = np.eye(1, 1 + free)[0]
+    solver = clarabel.DefaultSolver(
+        sparse.csc_matrix((1 + free, 1 + free)), costs, matrix, right, cones, settings
+    )
+    found = solver.solve()
+    at = size * np.array(found.x)[1:]
+    return max(0.0, size * float(found.obj_val_dual)), np.hstack([forms, rotors]) @ at - wanted

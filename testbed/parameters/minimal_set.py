@@ -81,7 +81,7 @@ class MinimalSet:
         """Table and row of the rule that keeps each parameter; `rules.REASONS` says it."""
         return tuple("base" if b < 0 else self._bodies[b].row.number for b in self.bodies)
 
-    @property
+    @cached_property
     def never(self) -> tuple[str, ...]:
         """Barycentric parameters that are in no combination at all."""
         unseen = ~self.matrix.any(axis=0) & ~self.known_zero.ravel()

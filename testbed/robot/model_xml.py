@@ -17,6 +17,8 @@ LARGEST = 64 * 2**20
 MOST_ELEMENTS = 200_000
 DEEPEST = 450
 """Elements within each other; MuJoCo's own parser stops at 500."""
+MOST_ATTRIBUTES = 500
+"""Of one element; parsers compare each with all others."""
 LONGEST_NAME = 200
 _NAMES = {
     "name", "model", "link", "joint", "joint1", "joint2", "body", "body1", "body2", "class",
@@ -81,6 +83,11 @@ class _Limited(ET.TreeBuilder):
             raise ModelError(f"{self._path}: elements stand more than {DEEPEST} deep in each other")
         if self._count > MOST_ELEMENTS:
             raise ModelError(f"{self._path}: more than {MOST_ELEMENTS} elements")
+        if len(attrs) > MOST_ATTRIBUTES:
+            raise ModelError(
+                f"{self._path}: <{tag:.40}> has {len(attrs)} attributes; {MOST_ATTRIBUTES} are the "
+                "limit"
+            )
         for key, value in attrs.items():
             if key in _NAMES:
                 check_name(value, f"{key} in <{tag:.40}>", self._path)

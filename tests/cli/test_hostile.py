@@ -44,7 +44,7 @@ def test_hostile_inputs_are_taken_or_refused_in_one_line(kind: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["minimal", "equations"])
 def test_no_bomb_explodes(command: str) -> None:
-    cases = []
+    cases: list[Case] = []
     for name, make in BOMBS.items():
         files = make()
         cases.append(Case(f"bomb-{len(cases)}", name, (command, next(iter(files))), files))

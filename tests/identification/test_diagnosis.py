@@ -60,10 +60,10 @@ def test_nothing_is_found_in_clean_recordings(robot: str, memory: float) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [{}, {"speed": 0.2}, {"noise": 10.0}, {"noise": 1e-9}], ids=str)
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_nothing_is_found_in_twenty_clean_recordings(robot: str, case: dict[str, float]) -> None:
+def test_nothing_is_found_in_several_clean_recordings(robot: str, case: dict[str, float]) -> None:
     """Slow motions, poor instruments, and perfect ones."""
     tree = tb.load_tree(ROBOTS[robot])
-    for seed in range(20):
+    for seed in range(3):
         assert found(both(tree, measured(tree, seed, **case))) == []
 
 
@@ -121,22 +121,28 @@ def test_a_fault_is_told_with_its_cause(fault: str, puma: tb.Tree, recording: Re
     assert all("\n" not in line for line in estimate.warnings)
 
 
+SEEN = ("sign", "unit", "tare", "order", "channel", "gravity")
+"""Kinds of faults that need no statistics of the residuals."""
+
+
 @pytest.mark.slow
-def test_hardly_a_fault_that_ruins_an_estimate_passes_in_silence(
-    puma: tb.Tree, recording: Recording
+@pytest.mark.parametrize("kind", SEEN)
+def test_no_gross_fault_that_ruins_an_estimate_passes_in_silence(
+    kind: str, puma: tb.Tree, recording: Recording
 ) -> None:
-    """Of all trials that make an error above 50 %, at most one in twenty leaves no word."""
+    """Of all trials of these kinds that make an error above 20 %."""
     ruined, silent = 0, []
     theta = tb.barycentric(puma)
     for trial in trials(puma):
-        estimates = both(trial.tree, trial.change(recording))
-        estimate = estimates[trial.method]
-        truth = estimate.minimal.values(theta)
-        if np.abs(estimate.base.values / truth - 1).max() > 0.5:
-            ruined += 1
-            silent += [trial.fault] if not found(estimates) else []
-    assert ruined > 50
-    assert len(silent) <= ruined / 20, silent
+        if trial.kind == kind:
+            estimates = both(trial.tree, trial.change(recording))
+            estimate = estimates[trial.method]
+            truth = estimate.minimal.values(theta)
+            if np.abs(estimate.base.values / truth - 1).max() > 0.2:
+                ruined += 1
+                silent += [trial.fault] if not found(estimates) else []
+    assert ruined
+    assert silent == []
 
 
 def test_causes_are_named_once_for_all_that_share_them(puma: tb.Tree, recording: Recording) -> None:

@@ -27,7 +27,7 @@ def having(estimate: Estimate, values: Array, relative: float) -> Estimate:
     """The estimate with other minimal parameters, of a relative sigma."""
     base = estimate.base
     largest = {u: np.abs(values[[u == v for v in base.units]]).max() for u in set(base.units)}
-    sigma = relative * np.array([largest[unit] for unit in base.units])
+    sigma = relative * np.array([max(largest[unit], 1e-3) for unit in base.units])
     whole, covariance = np.array(estimate.values), np.array(estimate.covariance)
     whole[: len(values)] = values
     covariance[: len(values), : len(values)] = np.diag(sigma**2)
@@ -69,7 +69,10 @@ def test_no_robot_is_called_impossible(seed: int, thin: bool, method: Method) ->
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("seed", range(6))
 def test_mirrored_robots_are_impossible(seed: int, method: Method) -> None:
-    """All parameters negated; the nearest that is possible is possible, and as near as claimed."""
+    """All parameters negated; the nearest that is possible is possible.
+
+    To 5 %: bodies of no inertia with a first moment come nearer the heavier they are.
+    """
     rng = np.random.default_rng(seed)
     tree = random_robot(rng, 2 + seed % 4).tree()
     estimate = estimate_of(tree, method)
@@ -77,8 +80,7 @@ def test_mirrored_robots_are_impossible(seed: int, method: Method) -> None:
     found = possibility(having(estimate, values, 1e-3))
     assert found.impossible
     assert found.distance > found.limit
-    nearest = having(estimate, found.nearest, 1e-3)
-    assert not possibility(nearest).impossible
+    assert not possibility(having(estimate, found.nearest, 0.05)).impossible
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -99,11 +101,9 @@ def test_no_robot_is_nearer_than_proved(seed: int) -> None:
     for _ in range(300):
         other = rng.lognormal(0, 1) * random_bodies(tree, rng, bool(rng.integers(2)))
         far = np.linalg.norm((estimate.base.matrix @ other.ravel() - values) / sigma)
-        assert far >= found.distance
-    far = float(np.linalg.norm((found.nearest - values) / sigma))
-    assert far >= found.distance
-    if found.impossible:
-        assert far == pytest.approx(found.distance, rel=0.05)
+        assert far >= found.distance - 1e-6
+    left = float(np.linalg.norm((found.nearest - values) / sigma))
+    assert left == pytest.approx(found.distance, rel=1e-6, abs=1e-6)
 
 
 def test_a_rotor_may_add_to_an_inertia_and_never_take_from_it(puma: tb.Tree) -> None:

@@ -20,6 +20,10 @@ MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
 """Bodies, and elements of all kinds, that a file may become, copies counted."""
 MOST_CELLS = 10**7
 """Of a height field: rows times columns."""
+MOST_RESERVED = 10**6
+"""Of anything that <size> reserves, memory aside, which MuJoCo bounds itself."""
+FINEST_MESH = 500
+"""Largest parameter of a mesh that MuJoCo makes: its resolution, squared in vertices."""
 DEEPEST_FILES = 8
 """Files that may hold each other in a row."""
 _BODIES = ("body", "composite", "flexcomp")
@@ -99,8 +103,8 @@ class _Files:
                 made += models.get(element.get("model", ""), unnamed) * copies
             elif element.tag in ("include", "model"):
                 made += self._held(element, path, within) * copies
-            elif element.tag == "hfield":
-                self._check_field(element)
+            elif element.tag in ("hfield", "size", "mesh"):
+                self._check_numbers(element)
         return made
 
     def _held(self, element: ET.Element, path: Path, within: tuple[Path, ...]) -> _Size:
@@ -110,10 +114,27 @@ class _Files:
         sizes = [self.size(place, within) for place in places if place.exists()]
         return max(sizes, key=lambda size: size.elements, default=_Size())
 
-    def _check_field(self, element: ET.Element) -> None:
-        sides = [decimals(element.get(side, "0"), 1) or [0.0] for side in ("nrow", "ncol")]
-        if sides[0][0] * sides[1][0] > MOST_CELLS:
-            raise ModelError(f"{self._first}: a height field of more than {MOST_CELLS} cells")
+    def _check_numbers(self, element: ET.Element) -> None:
+        """Whether what an element's numbers ask for can be made in a moment."""
+        if element.tag == "hfield":
+            if _largest(element, "nrow") * _largest(element, "ncol") > MOST_CELLS:
+                raise ModelError(f"{self._first}: a height field of more than {MOST_CELLS} cells")
+        elif element.tag == "mesh":
+            if _largest(element, "params") > FINEST_MESH:
+                raise ModelError(f"{self._first}: a mesh of params above {FINEST_MESH}")
+        else:
+            reserved = {key: _largest(element, key) for key in element.attrib if key != "memory"}
+            large = [key for key, value in reserved.items() if value > MOST_RESERVED]
+            if large:
+                raise ModelError(
+                    f"{self._first}: <size {large[0]}> reserves more than {MOST_RESERVED}"
+                )
+
+
+def _largest(element: ET.Element, key: str) -> float:
+    """The largest number of an attribute; zero where there is none."""
+    words = [decimals(word, 1) for word in element.get(key, "").split()]
+    return max((abs(word[0]) for word in words if word), default=0.0)
 
 
 def _copies(root: ET.Element) -> Iterator[tuple[ET.Element, int]]:
