@@ -64,7 +64,8 @@ def unexplained(
     wrench, torque = predictions(tree, recording, motion, estimates, gravity)
     weights = row_weights(recording.rate, settings.row_low_pass)
     slow = settings.row_low_pass
-    step = 1 if slow is None else int(recording.rate / (4 * slow))
+    each = {"white": 4.0, "ar": 2.0}[settings.noise]  # rows a second and Hz of the filter
+    step = 1 if slow is None else int((1 + 1e-9) * recording.rate / (each * slow))
     half = len(weights) // 2
     found: dict[Method, Array] = {}
     for method in estimates:
@@ -81,6 +82,8 @@ def unexplained(
                     for k in range(half, len(motion.t) - half, step)
                 ]
             )
+        noise = estimates[method].noise
+        rows = rows - (0.0 if noise is None else noise.bias)
         found[method] = np.sqrt((rows**2 * counts).sum(axis=0) / counts.sum(axis=0))
     return found
 

@@ -36,6 +36,10 @@ LEAST = 1e-6
 """Least noise of a channel, in the units that rows come in: channels without noise are possible."""
 
 
+LEAST_SHARE = 0.1
+"""Of the variance that independent rows would give: sums over few lags can fall below zero."""
+
+
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
     """Unknowns under a noise that was found with them.
@@ -92,14 +96,24 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     share = m / len(used)
     covariances = left / np.maximum(counts - share, 1.0)  # (K + 1, C)
     weights = 1 / spread**2
-    middle = np.zeros_like(inverse)
-    for lag in range(given.lags + 1):
-        factors = weights**2 * covariances[lag]
-        part = np.tensordot(factors, given.products[lag][:, :m, :m], 1)
-        middle += part if lag == 0 else part + part.T
+    parts = [
+        np.tensordot(weights**2 * covariance, products[:, :m, :m], 1)
+        for covariance, products in zip(covariances, given.products, strict=True)
+    ]
+    middle = parts[0] + sum(part + part.T for part in parts[1:])
+    middle = _at_least(LEAST_SHARE, parts[0], middle)
     order = given.lags if order is None else order
     noise = _from_covariances(covariances, order)
     return NoiseFit(values, inverse @ middle @ inverse, noise)
+
+
+def _at_least(share: float, least: Array, matrix: Array) -> Array:
+    """A covariance that is nowhere below a share of another one."""
+    root = np.linalg.cholesky(least)
+    inverse = np.linalg.inv(root)
+    spread, axes = np.linalg.eigh(inverse @ matrix @ inverse.T)
+    half = root @ axes * np.sqrt(np.maximum(spread, share))
+    return np.asarray(half @ half.T)
 
 
 def _weighted(

@@ -73,7 +73,7 @@ class LaggedProducts:
         """
         channels, order = coefficients.shape
         alpha = np.hstack([np.ones((channels, 1)), -coefficients])
-        total = np.zeros_like(self.products[0])
+        total: Array = np.zeros_like(self.products[0])
         for i in range(order + 1):
             for j in range(order + 1):
                 share = (alpha[:, i] * alpha[:, j])[:, None, None]
