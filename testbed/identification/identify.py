@@ -17,7 +17,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
-from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
+from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
 from testbed.identification.finding import in_lines
@@ -197,7 +197,9 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
     values = fit.values
     if fit.correctable:
         values = values + fit.inverse @ (basis.T @ scores.total)
-    covariance = sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
+    lost = len(values) / len(rows.measured)  # rows' worth of freedom, a channel
+    factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
+    covariance = factor * sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
     return Refined(fit, values, covariance, squares)
 
 

@@ -68,7 +68,7 @@ def unexplained(
     step = 1 if slow is None else int((1 + 1e-9) * recording.rate / (each * slow))
     half = len(weights) // 2
     found: dict[Method, Array] = {}
-    for method in estimates:
+    for method, estimate in estimates.items():
         predicted = (wrench if method == "external" else torque)[method]
         rest = recording.measured(SIGNAL_OF[method])[inner] - predicted
         rows = np.column_stack([np.convolve(r, weights, "valid") for r in rest.T])[::step]
@@ -82,7 +82,7 @@ def unexplained(
                     for k in range(half, len(motion.t) - half, step)
                 ]
             )
-        noise = estimates[method].noise
+        noise = estimate.noise
         rows = rows - (0.0 if noise is None else noise.bias)
         found[method] = np.sqrt((rows**2 * counts).sum(axis=0) / counts.sum(axis=0))
     return found

@@ -95,6 +95,7 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     left = np.einsum("kcij,i,j->kc", given.products[:, :, : m + 1, : m + 1], combine, combine)
     share = m / len(used)
     covariances = left / np.maximum(counts - share, 1.0)  # (K + 1, C)
+    covariances[0] = spread**2  # which is not zero
     weights = 1 / spread**2
     parts = [
         np.tensordot(weights**2 * covariance, products[:, :m, :m], 1)
