@@ -22,6 +22,9 @@ from testbed.identification.noise.replicas import Replicas
 from testbed.identification.passes import Passes
 from testbed.identification.solvers import least_squares
 
+ROUNDING = 1e-9
+"""Part of a channel in a constant that is none but for rounding."""
+
 IMITATES = 0.1
 """An unknown with a larger part than this in what imitates a constant is named."""
 
@@ -65,9 +68,11 @@ def under_coloured_noise(
     values = start.values + units.lead @ found.values[:p]
     replicas, squares = Replicas(found, HIGHEST), np.zeros(len(units.root))
     back = np.linalg.inv(units.root.T) @ directions
+    back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
     bias = back @ found.values[p:]
     for columns, _, counts, own in units.rows(passes, values):
-        replicas.add(columns, counts)
+        ones = counts[..., None] * directions[:, None]
+        replicas.add(np.concatenate([columns, ones], axis=2), counts)
         squares += ((own - bias[:, None]) ** 2 * counts).sum(axis=1)
     factor = replicas.factor(fit, units.lead)
     covariance, count = factor**2 * found.covariance, directions.shape[1]
@@ -92,7 +97,7 @@ def under_coloured_noise(
 
 
 def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:
-    """How to fit, the fit, the constants that it took, and unknowns that imitate others.
+    """How it was fitted, the fit, the constants that it took, and unknowns that imitate others.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
@@ -107,7 +112,7 @@ def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Arra
     found = biased(given, None)
     count = there.directions.shape[1]
     if square_of_last(found, count) > 2 * count:  # Akaike's criterion
-        return biased, found, there.directions, there.hidden
+        return whitened_fit, found, there.directions, there.hidden
     return whitened_fit, whitened_fit(given, None), none, there.hidden
 
 

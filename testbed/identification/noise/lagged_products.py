@@ -34,6 +34,15 @@ class LaggedProducts:
         """The largest lag K."""
         return len(self.products) - 1
 
+    def picked(self, which: list[int]) -> LaggedProducts:
+        """Of some of the columns alone.
+
+        Args:
+            which: Their places, in the order that is wanted.
+        """
+        products = self.products[:, :, which][..., which]
+        return LaggedProducts(self.rows, products, self.first[..., which], self.last[..., which])
+
     def combined(self, maps: Array) -> LaggedProducts:
         """Of combinations of the columns.
 

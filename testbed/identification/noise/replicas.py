@@ -56,14 +56,13 @@ class Replicas:
             lead: How the rows' unknowns make up the parameters, (p, m).
         """
         given, order = self._sums.finish(), self._found.noise.order
-        m = lead.shape[1]
+        m = len(self._found.values)
         squares = [_squares(fit(_one(given, m, k), order), lead) for k in range(REPLICAS)]
         return max(1.0, float(np.sqrt(np.mean(squares))))
 
 
 def _one(given: LaggedProducts, m: int, replica: int) -> LaggedProducts:
-    wanted = [*range(m), m + replica, m + REPLICAS]
-    return given.combined(np.eye(m + REPLICAS + 1)[:, wanted])
+    return given.picked([*range(m), m + replica, m + REPLICAS])
 
 
 def _squares(found: NoiseFit, lead: Array) -> Array:

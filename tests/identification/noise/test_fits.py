@@ -51,6 +51,7 @@ def test_the_whitened_fit_is_least_squares_of_whitened_rows(seed: int) -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [WHITE, SLOW], ids=["white", "slow"])
 def test_sigma_is_the_spread(noise: Autoregression) -> None:
     """Over 300 repetitions; rows that are missing only make it larger."""
