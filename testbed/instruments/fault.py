@@ -1,0 +1,287 @@
+"""A fault: a stage that an experiment file can ask for, and the keys of its table.
+
+A fault is one frozen dataclass: `kind`, `signal` and `place` as class variables, a field a
+key with default and bounds, its formula in `apply`. What a key's value may be is checked
+here for all of them.
+
+A single number where a fault has one for every joint, axis or channel is the size; the
+signs (of errors) and the phases (of waves) are then drawn from the fault's own stream. A
+list gives each its own, sign included; a table by joint name leaves out joints at zero.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from enum import IntEnum
+from typing import Any, ClassVar, Literal, Self, TypeAlias
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import SettingsError, UnknownName
+
+Signal = Literal["position", "torque", "wrench", "tare"]
+"""What a fault spoils; the tare is what the plate shows at rest without the robot."""
+
+PerJoint: TypeAlias = float | tuple[float, ...] | Mapping[str, float]
+"""One for all joints, one a joint in their order, or by name."""
+PerAxis: TypeAlias = float | tuple[float, ...]
+"""One for x, y and z, or three."""
+PerChannel: TypeAlias = float | tuple[float, ...]
+"""One for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
+Matrix: TypeAlias = tuple[tuple[float, ...], ...]
+
+FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
+"""Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
+
+_COUNTS = {"axes": 3, "channels": 6}
+
+
+class Place(IntEnum):
+    """Where in a chain a stage acts, whatever the order in the file."""
+
+    SENSOR = 0
+    """Mechanics, calibration and amplifiers: linear, before any noise."""
+    FILTER = 1
+    CLOCK = 2
+    NOISE = 3
+    """Whatever is added."""
+    RANGE = 4
+    """Signals that grow no further."""
+    CONVERTER = 5
+    """Signals in whole counts."""
+    LINE = 6
+    """Samples on their way to the file."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """What faults are installed on.
+
+    Attributes:
+        names: Joint names.
+        full_scale: Of the plate's channels, (6,) [N, N m].
+        position: True joint positions, (M, n) [rad or m]; None before there are any.
+    """
+
+    names: tuple[str, ...]
+    full_scale: tuple[float, ...] = FULL_SCALE
+    position: Array | None = None
+
+
+@dataclass(frozen=True)
+class Key:
+    """What may stand under a key of a fault's table.
+
+    Attributes:
+        members: What the value may be one of each for: "joints", "axes", "channels"; or
+            "matrix" (6, 6); or nothing.
+        drawn: What a single number leaves open: "sign", "phase" (where the value is left
+            out), or nothing.
+        least: Smallest value.
+        most: Largest value.
+        positive: Zero is none either.
+        whole: A whole number.
+    """
+
+    members: str = ""
+    drawn: str = ""
+    least: float = -np.inf
+    most: float = np.inf
+    positive: bool = False
+    whole: bool = False
+
+
+def key(default: Any, members: str = "", drawn: str = "", **bounds: Any) -> Any:
+    """A field of a fault that is a key of its table.
+
+    Args:
+        default: Its value; None where nothing need be said.
+        members: As in `Key`.
+        drawn: As in `Key`.
+        bounds: As in `Key`.
+    """
+    return field(default=default, metadata={"key": Key(members, drawn, **bounds)})
+
+
+def hidden(default: Any) -> Any:
+    """A field of a fault that its rig decides, not its table."""
+    return field(default=default, repr=False, compare=False)
+
+
+class Fault(ABC):
+    """One imperfection that an experiment file can ask for."""
+
+    kind: ClassVar[str]
+    """Its name in files, and of its random stream."""
+    signal: ClassVar[Signal]
+    place: ClassVar[Place]
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def __post_init__(self) -> None:
+        for name, wanted in self.keys().items():
+            value = getattr(self, name)
+            if value is not None or _default(self, name) is not None:
+                object.__setattr__(self, name, self._checked(name, value, wanted))
+
+    @abstractmethod
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """What the fault makes of a signal.
+
+        Args:
+            signal: (M, k), in the signal's unit.
+            time: (M,) [s].
+            rng: The fault's own random numbers.
+        """
+
+    @classmethod
+    def keys(cls) -> dict[str, Key]:
+        """What may be said in the fault's table, besides `kind`."""
+        return {f.name: f.metadata["key"] for f in fields(cls) if "key" in f.metadata}
+
+    def table(self) -> dict[str, Any]:
+        """The fault as an experiment file says it, every default written out."""
+        values = {name: _plain(getattr(self, name)) for name in self.keys()}
+        return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
+
+    @property
+    def by_joint(self) -> dict[str, Mapping[str, float]]:
+        """The values that are tables by joint name."""
+        values = {name: getattr(self, name) for name in self.keys()}
+        return {name: value for name, value in values.items() if isinstance(value, Mapping)}
+
+    def on(self, rig: Rig) -> Self:
+        """The same fault on a robot and a plate: a value a joint, in their order.
+
+        Args:
+            rig: What it is installed on.
+
+        Raises:
+            SettingsError: It speaks of a joint that is not there, or not of all.
+        """
+        found: dict[str, Any] = {
+            f.name: getattr(rig, f.name)
+            for f in fields(self)
+            if f.name in ("full_scale", "position")
+        }
+        for name, wanted in self.keys().items():
+            value = getattr(self, name)
+            if wanted.members == "joints":
+                found[name] = self._by_joint(name, value, rig.names)
+        return replace(self, **found)
+
+    def drawn(self, rig: Rig, rng: np.random.Generator) -> Self:
+        """The same fault with the signs and phases that chance gives it.
+
+        Args:
+            rig: What it is installed on.
+            rng: The fault's own random numbers, for this use.
+        """
+        found: dict[str, Any] = {}
+        for name, wanted in self.keys().items():
+            value, count = getattr(self, name), _COUNTS.get(wanted.members, len(rig.names))
+            if wanted.drawn == "sign" and isinstance(value, float):
+                found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
+            elif wanted.drawn == "phase" and value is None:
+                found[name] = tuple(rng.uniform(0, 2 * np.pi, count).tolist())
+        return replace(self, **found)
+
+    def _by_joint(self, name: str, value: Any, names: tuple[str, ...]) -> Any:
+        if isinstance(value, Mapping):
+            for joint in value:
+                if joint not in names:
+                    raise SettingsError(f"{self.kind}: {UnknownName('joint', joint, names)}")
+            return tuple(value.get(joint, 0.0) for joint in names)
+        if isinstance(value, tuple) and len(value) != len(names):
+            raise SettingsError(
+                f"{self.kind}: {name} has {len(value)} numbers for {len(names)} joints "
+                f"({', '.join(names)})"
+            )
+        return value
+
+    def _checked(self, name: str, value: Any, wanted: Key) -> Any:
+        """A value as it is kept: floats and tuples.
+
+        Raises:
+            SettingsError: It is none that the key takes.
+        """
+        try:
+            if wanted.members == "matrix":
+                rows = tuple(tuple(_number(each, wanted) for each in row) for row in value)
+                if [len(row) for row in rows] != [6] * 6:
+                    raise TypeError
+                return rows
+            if isinstance(value, Mapping) and wanted.members == "joints":
+                return {str(joint): _number(each, wanted) for joint, each in value.items()}
+            if isinstance(value, list | tuple) and wanted.members:
+                if len(value) != _COUNTS.get(wanted.members, len(value)) or not value:
+                    raise TypeError
+                return tuple(_number(each, wanted) for each in value)
+            return _number(value, wanted)
+        except (TypeError, ValueError, OverflowError):
+            said = repr(value)
+            said = said if len(said) <= 60 else f"{said[:60]}..."
+            raise SettingsError(f"{self.kind}: {name} is {_words(wanted)}, found {said}") from None
+
+
+def _default(fault: Fault, name: str) -> Any:
+    default = type(fault).__dataclass_fields__[name].default
+    return None if default is MISSING else default
+
+
+def _number(value: Any, wanted: Key) -> float | int:
+    """A number within bounds.
+
+    Raises:
+        TypeError, ValueError, OverflowError: It is none.
+    """
+    if isinstance(value, bool | str | bytes):
+        raise TypeError
+    number = float(value)
+    within = wanted.least <= number <= wanted.most and np.isfinite(number)
+    if not within or (wanted.positive and number <= 0):
+        raise ValueError
+    if wanted.whole:
+        if number != int(value):
+            raise ValueError
+        return int(value)
+    return number
+
+
+def _words(wanted: Key) -> str:
+    """What a key takes."""
+    bounds = ["positive"] if wanted.positive else []
+    if np.isfinite(wanted.least):
+        bounds.append(f"at least {wanted.least:g}")
+    if np.isfinite(wanted.most):
+        bounds.append(f"at most {wanted.most:g}")
+    number = "a whole number" if wanted.whole else "a number"
+    lists = {
+        "axes": ", or a list of three (x, y, z)",
+        "channels": ", or a list of six (Fx, Fy, Fz, Mx, My, Mz)",
+        "joints": ", a list of one a joint, or a table by joint name",
+    }
+    if wanted.members == "matrix":
+        return "six lists of six numbers"
+    return " ".join([number, " and ".join(bounds)]).strip() + lists.get(wanted.members, "")
+
+
+def _plain(value: Any) -> Any:
+    """A value as TOML takes it."""
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    return dict(value) if isinstance(value, Mapping) else value
+
+
+def each_channel(force: PerAxis, moment: PerAxis) -> Array:
+    """Forces' and moments' values, channel by channel, (6,) [N, N m]."""
+    three = [np.broadcast_to(np.asarray(part, dtype=float), 3) for part in (force, moment)]
+    return np.concatenate(three)
+
+
+def each_joint(value: PerJoint) -> Array:
+    """Values that multiply or add to joint columns: () or (n,)."""
+    return np.asarray(value, dtype=float)
