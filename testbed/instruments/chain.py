@@ -71,6 +71,8 @@ class Instrument:
                 raise SettingsError(f"torque_constant_error of '{joint}' is no number: {error}")
         if len(self.full_scale) != 6 or not all(0 < value < np.inf for value in self.full_scale):
             raise SettingsError(f"full_scale is six positive numbers, found {self.full_scale}")
+        for fault in self.fault:
+            fault.check_rate(self.rate)
         if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
             raise SettingsError("measured_tare is asked for more than once; there is one tare")
         latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)

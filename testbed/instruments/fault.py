@@ -36,6 +36,9 @@ Matrix: TypeAlias = tuple[tuple[float, ...], ...]
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 """Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
 
+LARGEST = 1e9
+"""Sizes of faults beyond this are a mistake; so are positive ones below its inverse."""
+
 _COUNTS = {"axes": 3, "channels": 6}
 
 
@@ -88,8 +91,8 @@ class Key:
 
     members: str = ""
     drawn: str = ""
-    least: float = -np.inf
-    most: float = np.inf
+    least: float = -LARGEST
+    most: float = LARGEST
     positive: bool = False
     whole: bool = False
 
@@ -122,7 +125,7 @@ class Fault(ABC):
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
 
     def __post_init__(self) -> None:
-        for name, wanted in self.keys().items():
+        for name, wanted in self.known_keys().items():
             value = getattr(self, name)
             if value is not None or _default(self, name) is not None:
                 object.__setattr__(self, name, self._checked(name, value, wanted))
@@ -138,19 +141,19 @@ class Fault(ABC):
         """
 
     @classmethod
-    def keys(cls) -> dict[str, Key]:
+    def known_keys(cls) -> dict[str, Key]:
         """What may be said in the fault's table, besides `kind`."""
         return {f.name: f.metadata["key"] for f in fields(cls) if "key" in f.metadata}
 
     def table(self) -> dict[str, Any]:
         """The fault as an experiment file says it, every default written out."""
-        values = {name: _plain(getattr(self, name)) for name in self.keys()}
+        values = {name: _plain(getattr(self, name)) for name in self.known_keys()}
         return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
 
     @property
     def by_joint(self) -> dict[str, Mapping[str, float]]:
         """The values that are tables by joint name."""
-        values = {name: getattr(self, name) for name in self.keys()}
+        values = {name: getattr(self, name) for name in self.known_keys()}
         return {name: value for name, value in values.items() if isinstance(value, Mapping)}
 
     def on(self, rig: Rig) -> Self:
@@ -167,11 +170,22 @@ class Fault(ABC):
             for f in fields(self)
             if f.name in ("full_scale", "position")
         }
-        for name, wanted in self.keys().items():
+        for name, wanted in self.known_keys().items():
             value = getattr(self, name)
             if wanted.members == "joints":
                 found[name] = self._by_joint(name, value, rig.names)
         return replace(self, **found)
+
+    def check_rate(self, rate: float) -> None:
+        """Whether the fault can be at a rate.
+
+        Args:
+            rate: Samples a second [Hz].
+
+        Raises:
+            SettingsError: It cannot.
+        """
+        del rate  # most can be at any
 
     def drawn(self, rig: Rig, rng: np.random.Generator) -> Self:
         """The same fault with the signs and phases that chance gives it.
@@ -181,7 +195,7 @@ class Fault(ABC):
             rng: The fault's own random numbers, for this use.
         """
         found: dict[str, Any] = {}
-        for name, wanted in self.keys().items():
+        for name, wanted in self.known_keys().items():
             value, count = getattr(self, name), _COUNTS.get(wanted.members, len(rig.names))
             if wanted.drawn == "sign" and isinstance(value, float):
                 found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
@@ -241,8 +255,8 @@ def _number(value: Any, wanted: Key) -> float | int:
     if isinstance(value, bool | str | bytes):
         raise TypeError
     number = float(value)
-    within = wanted.least <= number <= wanted.most and np.isfinite(number)
-    if not within or (wanted.positive and number <= 0):
+    least = 1 / LARGEST if wanted.positive else wanted.least
+    if not least <= number <= wanted.most:
         raise ValueError
     if wanted.whole:
         if number != int(value):
@@ -253,12 +267,12 @@ def _number(value: Any, wanted: Key) -> float | int:
 
 def _words(wanted: Key) -> str:
     """What a key takes."""
-    bounds = ["positive"] if wanted.positive else []
-    if np.isfinite(wanted.least):
+    number = "positive " * wanted.positive + "whole " * wanted.whole + "number"
+    bounds = []
+    if wanted.least > -LARGEST:
         bounds.append(f"at least {wanted.least:g}")
-    if np.isfinite(wanted.most):
+    if wanted.most < LARGEST:
         bounds.append(f"at most {wanted.most:g}")
-    number = "a whole number" if wanted.whole else "a number"
     lists = {
         "axes": ", or a list of three (x, y, z)",
         "channels": ", or a list of six (Fx, Fy, Fz, Mx, My, Mz)",
@@ -266,7 +280,7 @@ def _words(wanted: Key) -> str:
     }
     if wanted.members == "matrix":
         return "six lists of six numbers"
-    return " ".join([number, " and ".join(bounds)]).strip() + lists.get(wanted.members, "")
+    return f"a {number} {' and '.join(bounds)}".strip() + lists.get(wanted.members, "")
 
 
 def _plain(value: Any) -> Any:

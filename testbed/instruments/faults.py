@@ -36,7 +36,7 @@ def fault_of(table: object) -> Fault:
         said = UnknownName("kind of fault", kind, device or KINDS)
         raise SettingsError(f"{said}; `testbed faults` lists all")
     values = {name: value for name, value in table.items() if name != "kind"}
-    known = KINDS[kind].keys()
+    known = KINDS[kind].known_keys()
     for name in values:
         if name not in known:
             raise SettingsError(str(UnknownName(f"key of {kind}", str(name), known)))

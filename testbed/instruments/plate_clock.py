@@ -9,8 +9,12 @@ import numpy as np
 from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from testbed.arrays import Array
+from testbed.errors import SettingsError
 from testbed.instruments.fault import Fault, Place, Signal, key
 from testbed.instruments.interpolation import at_times
+
+_LEAST_CUTOFF = 1e-5
+"""Of a filter, in sampling rates: below, its coefficients drown in rounding."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +37,14 @@ class PlateAntiAliasFilter(Fault):
     place: ClassVar[Place] = Place.FILTER
     cutoff: float = key(100.0, positive=True)
     order: int = key(2, least=1, most=8, whole=True)
+
+    def check_rate(self, rate: float) -> None:
+        """Whether the filter's memory is not beyond counting."""
+        if self.cutoff < _LEAST_CUTOFF * rate:
+            raise SettingsError(
+                f"{self.kind}: cutoff = {self.cutoff:g} Hz is too low for a rate of {rate:g} Hz; "
+                f"raise it to {_LEAST_CUTOFF * rate:g} Hz or more"
+            )
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench behind the filter, (M, 6) [N, N m]."""

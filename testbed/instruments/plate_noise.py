@@ -200,7 +200,7 @@ class PlateHum(Fault):
     Attributes:
         force: Amplitude of the forces [N].
         moment: Amplitude of the moments [N m].
-        frequency: [Hz].
+        frequency: Of the mains [Hz].
         phase: At time 0; drawn if left out [rad].
     """
 

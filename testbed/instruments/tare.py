@@ -8,7 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import SettingsError
 from testbed.instruments.fault import Fault, Place, Signal, key
+
+_MOST_SAMPLES = 1e6
+"""Of a tare: they are held in memory."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,16 @@ class MeasuredTare(Fault):
     kind: ClassVar[str] = "measured_tare"
     signal: ClassVar[Signal] = "tare"
     place: ClassVar[Place] = Place.LINE
-    seconds: float = key(5.0, positive=True, most=3600.0)
+    seconds: float = key(5.0, positive=True)
     before: float = key(60.0, least=0)
+
+    def check_rate(self, rate: float) -> None:
+        """Whether its samples have room."""
+        if self.seconds * rate > _MOST_SAMPLES:
+            raise SettingsError(
+                f"{self.kind}: {self.seconds:g} s at {rate:g} Hz are more than {_MOST_SAMPLES:.0e} "
+                "samples; measure for a shorter time"
+            )
 
     def instants(self, rate: float) -> Array:
         """When it is measured, with the recording's first sample at 0 [s].
