@@ -120,18 +120,14 @@ def faults(
 
     Example: testbed faults plate_pose
     """
-    from testbed.errors import UnknownName
-    from testbed.instruments.catalogue import catalogue
+    from testbed.instruments.catalogue import catalogue, entry_of
 
-    entries = {entry.kind: entry for entry in catalogue()}
     if kind is None:
-        for entry in entries.values():
+        for entry in catalogue():
             typer.echo(f"{entry.kind:26s}{entry.summary}")
         typer.echo("\nOne of them, with its keys: testbed faults KIND")
         return
-    if kind not in entries:
-        raise UnknownName("kind of fault", kind, entries)
-    entry = entries[kind]
+    entry = entry_of(kind)
     typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
     for name, default, meaning in entry.keys:
         typer.echo(f"  {name} = {default}: {meaning}")

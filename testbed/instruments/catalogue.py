@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from testbed.instruments.fault import Fault
-from testbed.instruments.faults import KINDS
+from testbed.instruments.faults import KINDS, fault_named
 
 
 @dataclass(frozen=True)
@@ -41,10 +40,19 @@ class Entry:
 
 def catalogue() -> Iterator[Entry]:
     """All kinds, device by device, in the order in which devices list them."""
-    return (_entry(fault) for fault in KINDS.values())
+    return (entry_of(kind) for kind in KINDS)
 
 
-def _entry(fault: type[Fault]) -> Entry:
+def entry_of(kind: str) -> Entry:
+    """What there is to say of a kind.
+
+    Args:
+        kind: Its name.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    fault = fault_named(kind)
     text = inspect.getdoc(fault) or ""
     body, _, attributes = text.partition("\n\nAttributes:\n")
     body, _, source = body.partition("\n\nSource ")

@@ -35,7 +35,7 @@ class TorqueConstantError(Fault):
 
 @dataclass(frozen=True)
 class TorqueRipple(Fault):
-    """Torque constants that wave with the position.
+    """Ripple: torque constants that change periodically with the position.
 
     Reported is torque (1 + amplitude sin(2 pi q / period + phase)), q the true position. A
     sliding joint has the period of its screw's lead.
@@ -69,7 +69,7 @@ class TorqueRipple(Fault):
 
 @dataclass(frozen=True)
 class TorqueOffset(Fault):
-    """A torque that is reported at rest already.
+    """A constant error of the reported torques.
 
     Source    Zero error of Hall-effect current sensors in data sheets: 0.5 to 1 % of their
         range, of joints of 100 N m.

@@ -80,7 +80,7 @@ class EncoderInstantSampling(Fault):
 
 @dataclass(frozen=True)
 class EncoderZeroError(Fault):
-    """Joints that are elsewhere than where the encoders' zeros put them.
+    """A constant error of the positions: wrong zeros.
 
     Source    An arm zeroed by eye at engraved marks: 0.2 degrees.
 
@@ -102,7 +102,7 @@ class EncoderZeroError(Fault):
 
 @dataclass(frozen=True)
 class EncoderGain(Fault):
-    """Counts taken for too long or too short: a wrong gear ratio or scale.
+    """Positions on a wrong scale: a wrong gear ratio or pitch.
 
     Source    A ratio typed with two digits, 1 %.
 
@@ -124,7 +124,7 @@ class EncoderGain(Fault):
 
 @dataclass(frozen=True)
 class EncoderEccentricity(Fault):
-    """A disc that turns about another point than its centre: a wave once a turn.
+    """Eccentric discs: an error that repeats with every turn.
 
     Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
     screw's or belt's turn.

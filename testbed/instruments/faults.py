@@ -30,17 +30,29 @@ def fault_of(table: object) -> Fault:
         return table
     if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
         raise SettingsError('a fault is a table with its kind, as { kind = "plate_bias" }')
-    kind = table["kind"]
-    if kind not in KINDS:
-        device = [known for known in KINDS if known.split("_")[0] == kind.split("_")[0]]
-        said = UnknownName("kind of fault", kind, device or KINDS)
-        raise SettingsError(f"{said}; `testbed faults` lists all")
+    fault = fault_named(table["kind"])
     values = {name: value for name, value in table.items() if name != "kind"}
-    known = KINDS[kind].known_keys()
+    known = fault.known_keys()
     for name in values:
         if name not in known:
-            raise SettingsError(str(UnknownName(f"key of {kind}", str(name), known)))
-    return KINDS[kind](**values)
+            raise SettingsError(str(UnknownName(f"key of {fault.kind}", str(name), known)))
+    return fault(**values)
+
+
+def fault_named(kind: str) -> type[Fault]:
+    """The faults of a kind.
+
+    Args:
+        kind: Its name.
+
+    Raises:
+        SettingsError: There is none; says those of the same device, or all.
+    """
+    if kind not in KINDS:
+        device = [known for known in KINDS if known.split("_")[0] == kind.split("_", maxsplit=1)[0]]
+        said = UnknownName("kind of fault", kind, device or KINDS)
+        raise SettingsError(f"{said}; `testbed faults` lists all")
+    return KINDS[kind]
 
 
 class AsTable:

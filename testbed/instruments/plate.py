@@ -25,7 +25,7 @@ from testbed.robot.rotations import about
 
 @dataclass(frozen=True)
 class PlateGain(Fault):
-    """Channels on a wrong scale.
+    """Channels on wrong scales.
 
     Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
 
@@ -47,7 +47,7 @@ class PlateGain(Fault):
 
 @dataclass(frozen=True)
 class PlateCrosstalk(Fault):
-    """Channels that answer to the others' loads, in proportion to their full scales.
+    """Channels that show some of the others' loads, in proportion to their full scales.
 
     With D = diag(full scale) shown is (1 + D X D^-1) W. The off-diagonal entries of X are drawn
     between -size and size, unless `matrix` says what X is.
@@ -86,7 +86,7 @@ class PlateCrosstalk(Fault):
 
 @dataclass(frozen=True)
 class PlatePose(Fault):
-    """A plate that lies elsewhere than the bedplate frame is thought to be.
+    """A plate that is turned and shifted against the bedplate frame.
 
     The plate's frame has the origin p and the axes R, both in the bedplate frame; it shows
     R^T F and R^T (M - p x F), of robot and tare alike.
@@ -113,7 +113,7 @@ class PlatePose(Fault):
 
 @dataclass(frozen=True)
 class PlateOriginHeight(Fault):
-    """Moments about a point above or below the origin: an unknown cover, a wrong data sheet.
+    """Moments about a point above or below the origin: a cover not counted, a wrong data sheet.
 
     Source    [BS90] and data sheets: origins of force plates lie 30 to 60 mm below the cover,
         and are known to some millimetres.
@@ -135,7 +135,7 @@ class PlateOriginHeight(Fault):
 
 @dataclass(frozen=True)
 class PlateSaturation(Fault):
-    """A range too small for the motion: channels stop at its ends.
+    """Saturation: a range too small for the motion, at whose ends channels stop.
 
     By default the range covers a share of each channel's swing in this recording, around its
     middle: amplifiers are set to zero with the robot on the plate. `limit` gives it instead.
@@ -166,7 +166,7 @@ class PlateSaturation(Fault):
 
 @dataclass(frozen=True)
 class PlateConverter(Fault):
-    """An analog-to-digital converter: whole counts, and no more of them than there are.
+    """An analog-to-digital converter: values in whole counts, within its range.
 
     Its range is `full_scale` of the instrument, to both sides.
 

@@ -66,7 +66,7 @@ def _sections(cutoff: float, order: int) -> list[tuple[list[float], list[float]]
 
 @dataclass(frozen=True)
 class PlateDelay(Fault):
-    """A plate whose samples are older than the joints' of the same time: skewed clocks.
+    """Skew: plate samples that are older than the joints' of the same time, by a constant delay.
 
     Source    Two loggers started by software: one sample at a thousand a second.
 
@@ -87,7 +87,7 @@ class PlateDelay(Fault):
 
 @dataclass(frozen=True)
 class PlateClockRate(Fault):
-    """A plate with a clock of its own, right at time 0 and too fast.
+    """A plate with a clock of its own that runs too fast: a skew that grows from time 0.
 
     Source    Tolerance of quartz clocks in data sheets: 50 parts in a million.
 

@@ -49,7 +49,7 @@ class PlateNoise(Fault):
 
 @dataclass(frozen=True)
 class PlateBias(Fault):
-    """A zero that is none.
+    """A constant error of the zero.
 
     Source    Zero error of amplifiers in data sheets: 0.2 to 0.5 % of full scale.
 
@@ -73,7 +73,7 @@ class PlateBias(Fault):
 
 @dataclass(frozen=True)
 class PlateDrift(Fault):
-    """A zero that moves evenly, from where it was at time 0.
+    """An error of the zero that grows in proportion to time, from none at time 0.
 
     Source    Drift of charge amplifiers in data sheets, 0.01 N/s, five times over: one that
         warms up.
@@ -98,7 +98,7 @@ class PlateDrift(Fault):
 
 @dataclass(frozen=True)
 class PlateRandomWalk(Fault):
-    """A zero that wanders, from where it was at time 0.
+    """An error of the zero that wanders at random, from none at time 0.
 
     Source    Our own choice: after a second it is where the drift of 0.05 N/s would be.
 
@@ -123,7 +123,7 @@ class PlateRandomWalk(Fault):
 
 @dataclass(frozen=True)
 class PlateColouredNoise(Fault):
-    """Noise with a memory: autoregressive of first order, stationary.
+    """Coloured noise: autoregressive of first order, stationary.
 
     Its correlation fades as exp(-t / time_constant).
 
@@ -156,7 +156,7 @@ class PlateColouredNoise(Fault):
 
 @dataclass(frozen=True)
 class PlatePinkNoise(Fault):
-    """Noise of a density 1/f, as of every amplifier at low frequencies, level below `lowest`.
+    """Pink noise: of density 1/f, as of amplifiers at low frequencies, and level below `lowest`.
 
     Source    Our own choice: as much as the white noise of experiments/table6.toml.
 
@@ -192,7 +192,7 @@ class PlatePinkNoise(Fault):
 
 @dataclass(frozen=True)
 class PlateHum(Fault):
-    """The mains in every channel.
+    """Hum of the mains: a sine in every channel, each of its own phase.
 
     Source    50 Hz: frequency of the mains in Europe and most of Asia and Africa (60 Hz in
         America); as much as the bias.
