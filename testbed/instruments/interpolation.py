@@ -7,7 +7,6 @@ that a robot's motion holds at a thousand samples a second.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from testbed.arrays import Array
 
@@ -22,6 +21,8 @@ def at_times(signal: Array, time: Array, wanted: Array) -> Array:
         time: Of its samples, (M,) [s].
         wanted: (L,) [s].
     """
+    from scipy.interpolate import make_interp_spline
+
     spline = make_interp_spline(time, signal, k=min(_DEGREE, len(time) - 1))
     found: Array = spline(np.clip(wanted, time[0], time[-1]))
     return found
@@ -37,6 +38,8 @@ def first_instants(means: Array, time: Array) -> Array:
         means: (M, k).
         time: Of the samples' first instants, uniform, (M,) [s].
     """
+    from scipy.interpolate import make_interp_spline
+
     step = (time[-1] - time[0]) / (len(time) - 1)
     middle = means.mean(axis=0)
     edges = np.append(time, time[-1] + step)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError
@@ -48,6 +47,8 @@ class PlateAntiAliasFilter(Fault):
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench behind the filter, (M, 6) [N, N m]."""
+        from scipy.signal import cont2discrete, lfilter, lfilter_zi
+
         del rng
         step = (time[-1] - time[0]) / (len(time) - 1)
         for numerator, denominator in _sections(2 * np.pi * self.cutoff, self.order):

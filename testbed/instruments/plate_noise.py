@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
-from scipy.signal import lfilter
 
 from testbed.arrays import Array
 from testbed.instruments.fault import (
@@ -145,6 +143,8 @@ class PlateColouredNoise(Fault):
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench with noise, (M, 6) [N, N m]."""
+        from scipy.signal import lfilter
+
         white = rng.normal(size=signal.shape)
         kept = np.exp(-_step(time) / self.time_constant)
         white[1:] *= np.sqrt(1 - kept**2)  # the first sample is as large as all others
@@ -176,16 +176,15 @@ class PlatePinkNoise(Fault):
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """The wrench with noise, (M, 6) [N, N m]."""
         samples, step = len(signal), _step(time)
-        around = next_fast_len(2 * samples, real=True)  # so that the end forgets the start
-        frequency = np.maximum(rfftfreq(around, step), self.lowest)
+        around = 2 * samples  # so that the end forgets the start
+        frequency = np.maximum(np.fft.rfftfreq(around, step), self.lowest)
         density = 1 / frequency
         # of a real signal the inner lines of the spectrum count twice
         twice = np.full(len(density), 2.0)
-        twice[0] = 1.0
-        twice[-1] = 2.0 if around % 2 else 1.0
+        twice[[0, -1]] = 1.0
         density *= around / (twice @ density)
-        white = rfft(rng.normal(size=(around, signal.shape[1])), axis=0)
-        pink = irfft(np.sqrt(density)[:, None] * white, around, axis=0)[:samples]
+        white = np.fft.rfft(rng.normal(size=(around, signal.shape[1])), axis=0)
+        pink = np.fft.irfft(np.sqrt(density)[:, None] * white, around, axis=0)[:samples]
         noisy: Array = signal + each_channel(self.force, self.moment) * pink
         return noisy
 
