@@ -33,7 +33,7 @@ class TorqueConstantError(Fault):
         return reported
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TorqueRipple(Fault):
     """Ripple: torque constants that change periodically with the position.
 
