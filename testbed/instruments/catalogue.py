@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from testbed.instruments.fault import Place
 from testbed.instruments.faults import KINDS, fault_named
 
 
@@ -84,8 +85,13 @@ def _toml(value: Any) -> str:
 
 
 def as_markdown() -> str:
-    """The catalogue as the tables of a document, one a signal."""
-    lines: list[str] = []
+    """The catalogue as the tables of a document: the places, then one a signal."""
+    lines = ["", "| place | " + " | ".join(_TITLES.values()) + " |"]
+    lines += ["| --- " * (1 + len(_TITLES)) + "|"]
+    for place in Place:
+        kinds = [f for f in KINDS.values() if f.place == place]
+        cells = [", ".join(f"`{f.kind}`" for f in kinds if f.signal == s) for s in _TITLES]
+        lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")
     signal = ""
     for entry in catalogue():
         if entry.signal != signal:

@@ -18,18 +18,18 @@ class TorqueConstantError(Fault):
     Source    Tolerances of motors' torque constants in data sheets: 5 to 10 %.
 
     Attributes:
-        errors: Relative: 0.08 reports 8 % too much.
+        error: Relative: 0.08 reports 8 % too much.
     """
 
     kind: ClassVar[str] = "torque_constant_error"
     signal: ClassVar[Signal] = "torque"
     place: ClassVar[Place] = Place.SENSOR
-    errors: PerJoint = key(0.05, "joints", "sign")
+    error: PerJoint = key(0.05, "joints", "sign")
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Torques as they are reported, (M, n) [N m or N]."""
         del time, rng
-        reported: Array = (1 + each_joint(self.errors)) * signal
+        reported: Array = (1 + each_joint(self.error)) * signal
         return reported
 
 
@@ -92,7 +92,7 @@ class TorqueOffset(Fault):
 
 @dataclass(frozen=True)
 class TorqueNoise(Fault):
-    """White noise on the reported torques, besides that of `torque_noise`.
+    """White noise on the reported torques, besides that of `measurement.torque_noise`.
 
     Source    Noise of current sensors in data sheets: 0.5 % of their range.
 

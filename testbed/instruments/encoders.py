@@ -14,7 +14,7 @@ from testbed.instruments.interpolation import first_instants
 
 @dataclass(frozen=True)
 class EncoderNoise(Fault):
-    """White noise on positions, besides that of `encoder_noise`.
+    """White noise on positions, besides that of `measurement.encoder_noise`.
 
     Source    Interpolation noise of encoders of the 16-bit class.
 

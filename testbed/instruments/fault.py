@@ -6,7 +6,8 @@ here for all of them.
 
 A single number where a fault has one for every joint, axis or channel is the size; the
 signs (of errors) and the phases (of waves) are then drawn from the fault's own stream. A
-list gives each its own, sign included; a table by joint name leaves out joints at zero.
+list gives each its own, sign included; in a table by joint name those left out have zero,
+or the default where zero makes no sense, as for a period.
 """
 
 from __future__ import annotations
@@ -215,7 +216,9 @@ class Fault(ABC):
             for joint in value:
                 if joint not in names:
                     raise SettingsError(f"{self.kind}: {UnknownName('joint', joint, names)}")
-            return tuple(value.get(joint, 0.0) for joint in names)
+            wanted = self.known_keys()[name]
+            other = _default(self, name) if wanted.positive else 0.0
+            return tuple(value.get(joint, other) for joint in names)
         if isinstance(value, tuple) and len(value) != len(names):
             raise SettingsError(
                 f"{self.kind}: {name} has {len(value)} numbers for {len(names)} joints "

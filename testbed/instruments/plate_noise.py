@@ -21,7 +21,7 @@ from testbed.instruments.fault import (
 
 @dataclass(frozen=True)
 class PlateNoise(Fault):
-    """White noise on the plate's channels, besides that of `force_noise` and `moment_noise`.
+    """White noise on the plate's channels, besides that of `measurement.force_noise`.
 
     Source    Our own choice: the noise of experiments/table6.toml, of a plate for 1 kN.
 

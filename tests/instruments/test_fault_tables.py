@@ -7,13 +7,18 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import testbed as tb
 from testbed.errors import SettingsError, TestbedError
 from testbed.instruments.catalogue import as_markdown, catalogue, entry_of
 from testbed.instruments.chain import Instrument
-from testbed.instruments.encoders import EncoderInstantSampling, EncoderZeroError
+from testbed.instruments.encoders import (
+    EncoderEccentricity,
+    EncoderInstantSampling,
+    EncoderZeroError,
+)
 from testbed.instruments.fault import Fault, Place, Rig
 from testbed.instruments.faults import KINDS, fault_of
 from testbed.instruments.plate_clock import PlateAntiAliasFilter
@@ -126,6 +131,10 @@ def test_other_joints_are_refused_before_anything_is_simulated(text: str, said: 
 def test_tables_by_joint_leave_the_others_alone() -> None:
     rig = Rig(("a", "b", "c"))
     assert EncoderZeroError({"b": 2.0}).on(rig).error == (0.0, 2.0, 0.0)
+    wave = EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}, phase={"b": 1.0}).on(rig)
+    assert wave.amplitude == (1e-3, 0.0, 0.0)
+    assert wave.period == (2 * np.pi, 2 * np.pi, 0.01)
+    assert wave.phase == (0.0, 1.0, 0.0)
     with pytest.raises(SettingsError, match="unknown joint 'd'"):
         EncoderZeroError({"d": 1.0}).on(rig)
 
