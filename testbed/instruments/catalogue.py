@@ -101,8 +101,8 @@ def as_markdown() -> str:
             lines += ["| --- | --- | --- | --- |"]
         keys = "<br>".join(f"`{k}`: {default}, {said}" for k, default, said in entry.keys)
         what = " ".join(filter(None, (entry.summary, entry.details)))
-        cells = (f"`{entry.kind}`", what, keys, entry.source)
-        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |")
+        row = (f"`{entry.kind}`", what, keys, entry.source)
+        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |")
     examples = "\n".join(f"    {entry.example}," for entry in catalogue())
     lines += ["", "### All of them, as they may be written", ""]
     lines += ["```toml", "[measurement]", "fault = [", examples, "]", "```", ""]

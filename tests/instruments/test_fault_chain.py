@@ -20,6 +20,8 @@ from testbed.instruments.plate_noise import PlateBias, PlateDrift, PlateNoise
 from testbed.instruments.stage import applied, stream
 from testbed.instruments.tare import MeasuredTare
 from testbed.recordings.recording import Recording, Truth
+from tests.helpers.ideal import ideal
+from tests.helpers.runs import ROBOTS, robot
 
 NAMES = ("a", "b", "c")
 SAMPLES = 500
@@ -181,3 +183,21 @@ def test_a_run_is_measured_again_without_simulation() -> None:
         measured_again(first.blind(), NOISY, 11)
     with pytest.raises(RecordingError, match="simulate again"):
         measured_again(first, replace(NOISY, rate=500.0), 11)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_fault_suits_every_robot(name: str) -> None:
+    recording = ideal(robot(name), duration=20.0)
+    every = tuple(fault() for fault in KINDS.values())
+    for faults in (*((fault,) for fault in every), every):
+        shown = measured_again(recording, Instrument(rate=200.0, fault=faults), 5)
+        for signal in ("position", "torque", "wrench", "tare"):
+            values, exact = getattr(shown, signal), getattr(recording, signal)
+            assert np.isfinite(values).all()
+            spoiled = any(fault.signal == signal for fault in faults)
+            assert (values != exact).any() == (spoiled and not _keeps(signal, faults))
+
+
+def _keeps(signal: str, faults: tuple[Fault, ...]) -> bool:
+    """A measured tare of a plate without noise or drift is exact; here it is zero besides."""
+    return signal == "tare" and len(faults) == 1

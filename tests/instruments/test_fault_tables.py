@@ -14,6 +14,7 @@ import testbed as tb
 from testbed.errors import SettingsError, TestbedError
 from testbed.instruments.catalogue import as_markdown, catalogue, entry_of
 from testbed.instruments.chain import Instrument
+from testbed.instruments.drives import TorqueRipple
 from testbed.instruments.encoders import (
     EncoderEccentricity,
     EncoderInstantSampling,
@@ -65,6 +66,16 @@ def test_tables_in_the_file_say_what_set_says(tmp_path: Path) -> None:
     said = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     assert faults(said) == found
     assert tb.Experiment.load(path, ["measurement.fault=[]"]).measurement.fault == ()
+
+
+def test_python_says_the_same(tmp_path: Path) -> None:
+    instrument = Instrument(fault=(PlateBias((1.0, 2.0, 3.0)), TorqueRipple({"elbow": 0.1})))
+    experiment = tb.Experiment(
+        name="made", model=str(ROOT / "models/puma562.xml"), measurement=instrument
+    )
+    path = tmp_path / "made.toml"
+    path.write_text(experiment.as_toml())
+    assert tb.Experiment.load(path).measurement == instrument
 
 
 @pytest.mark.parametrize(
