@@ -148,7 +148,6 @@ class PlateDroppedSamples(Fault):
         """The wrench with samples repeated, (M, 6) [N, N m]."""
         del time
         lost = rng.random(len(signal)) < self.share
-        lost[0] = False  # nothing to repeat
         last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
         repeated: Array = signal[last]
         return repeated
