@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint, hidden, key
+from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint
+from testbed.instruments.fault_keys import hidden, key
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint, key
+from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint
+from testbed.instruments.fault_keys import key
 from testbed.instruments.interpolation import first_instants
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, fields, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
@@ -22,6 +22,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
+from testbed.instruments.fault_keys import COUNTS, Key
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """What a fault spoils; the tare is what the plate shows at rest without the robot."""
@@ -36,11 +37,6 @@ Matrix: TypeAlias = tuple[tuple[float, ...], ...]
 
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 """Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
-
-LARGEST = 1e9
-"""Sizes of faults beyond this are a mistake; so are positive ones below its inverse."""
-
-_COUNTS = {"axes": 3, "channels": 6}
 
 
 class Place(IntEnum):
@@ -75,46 +71,6 @@ class Rig:
     position: Array | None = None
 
 
-@dataclass(frozen=True)
-class Key:
-    """What may stand under a key of a fault's table.
-
-    Attributes:
-        members: What the value may be one of each for: "joints", "axes", "channels"; or
-            "matrix" (6, 6); or nothing.
-        drawn: What a single number leaves open: "sign", "phase" (where the value is left
-            out), or nothing.
-        least: Smallest value.
-        most: Largest value.
-        positive: Zero is none either.
-        whole: A whole number.
-    """
-
-    members: str = ""
-    drawn: str = ""
-    least: float = -LARGEST
-    most: float = LARGEST
-    positive: bool = False
-    whole: bool = False
-
-
-def key(default: Any, members: str = "", drawn: str = "", **bounds: Any) -> Any:
-    """A field of a fault that is a key of its table.
-
-    Args:
-        default: Its value; None where nothing need be said.
-        members: As in `Key`.
-        drawn: As in `Key`.
-        bounds: As in `Key`.
-    """
-    return field(default=default, metadata={"key": Key(members, drawn, **bounds)})
-
-
-def hidden(default: Any) -> Any:
-    """A field of a fault that its rig decides, not its table."""
-    return field(default=default, repr=False, compare=False)
-
-
 class Fault(ABC):
     """One imperfection that an experiment file can ask for."""
 
@@ -129,7 +85,7 @@ class Fault(ABC):
         for name, wanted in self.known_keys().items():
             value = getattr(self, name)
             if value is not None or _default(self, name) is not None:
-                object.__setattr__(self, name, self._checked(name, value, wanted))
+                object.__setattr__(self, name, wanted.checked(value, f"{self.kind}: {name}"))
 
     def __eq__(self, other: object) -> bool:
         """Faults are the same if their tables are, whatever they are installed on."""
@@ -174,9 +130,7 @@ class Fault(ABC):
             SettingsError: It speaks of a joint that is not there, or not of all.
         """
         found: dict[str, Any] = {
-            f.name: getattr(rig, f.name)
-            for f in fields(self)
-            if f.name in ("full_scale", "position")
+            f.name: getattr(rig, f.name) for f in fields(self) if f.metadata.get("rig")
         }
         for name, wanted in self.known_keys().items():
             value = getattr(self, name)
@@ -204,7 +158,7 @@ class Fault(ABC):
         """
         found: dict[str, Any] = {}
         for name, wanted in self.known_keys().items():
-            value, count = getattr(self, name), _COUNTS.get(wanted.members, len(rig.names))
+            value, count = getattr(self, name), COUNTS.get(wanted.members, len(rig.names))
             if wanted.drawn == "sign" and isinstance(value, float):
                 found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
             elif wanted.drawn == "phase" and value is None:
@@ -226,71 +180,10 @@ class Fault(ABC):
             )
         return value
 
-    def _checked(self, name: str, value: Any, wanted: Key) -> Any:
-        """A value as it is kept: floats and tuples.
-
-        Raises:
-            SettingsError: It is none that the key takes.
-        """
-        try:
-            if wanted.members == "matrix":
-                rows = tuple(tuple(_number(each, wanted) for each in row) for row in value)
-                if [len(row) for row in rows] != [6] * 6:
-                    raise TypeError
-                return rows
-            if isinstance(value, Mapping) and wanted.members == "joints":
-                return {str(joint): _number(each, wanted) for joint, each in value.items()}
-            if isinstance(value, list | tuple) and wanted.members:
-                if len(value) != _COUNTS.get(wanted.members, len(value)) or not value:
-                    raise TypeError
-                return tuple(_number(each, wanted) for each in value)
-            return _number(value, wanted)
-        except (TypeError, ValueError, OverflowError):
-            said = repr(value)
-            said = said if len(said) <= 60 else f"{said[:60]}..."
-            raise SettingsError(f"{self.kind}: {name} is {_words(wanted)}, found {said}") from None
-
 
 def _default(fault: Fault, name: str) -> Any:
     default = type(fault).__dataclass_fields__[name].default
     return None if default is MISSING else default
-
-
-def _number(value: Any, wanted: Key) -> float | int:
-    """A number within bounds.
-
-    Raises:
-        TypeError, ValueError, OverflowError: It is none.
-    """
-    if isinstance(value, bool | str | bytes):
-        raise TypeError
-    number = float(value)
-    least = 1 / LARGEST if wanted.positive else wanted.least
-    if not least <= number <= wanted.most:
-        raise ValueError
-    if wanted.whole:
-        if number != int(value):
-            raise ValueError
-        return int(value)
-    return number
-
-
-def _words(wanted: Key) -> str:
-    """What a key takes."""
-    number = "positive " * wanted.positive + "whole " * wanted.whole + "number"
-    bounds = []
-    if wanted.least > -LARGEST:
-        bounds.append(f"at least {wanted.least:g}")
-    if wanted.most < LARGEST:
-        bounds.append(f"at most {wanted.most:g}")
-    lists = {
-        "axes": ", or a list of three (x, y, z)",
-        "channels": ", or a list of six (Fx, Fy, Fz, Mx, My, Mz)",
-        "joints": ", a list of one a joint, or a table by joint name",
-    }
-    if wanted.members == "matrix":
-        return "six lists of six numbers"
-    return f"a {number} {' and '.join(bounds)}".strip() + lists.get(wanted.members, "")
 
 
 def _plain(value: Any) -> Any:

@@ -17,9 +17,8 @@ from testbed.instruments.fault import (
     Place,
     Rig,
     Signal,
-    hidden,
-    key,
 )
+from testbed.instruments.fault_keys import hidden, key
 from testbed.robot.rotations import about
 
 

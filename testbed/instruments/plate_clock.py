@@ -9,7 +9,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError
-from testbed.instruments.fault import Fault, Place, Signal, key
+from testbed.instruments.fault import Fault, Place, Signal
+from testbed.instruments.fault_keys import key
 from testbed.instruments.interpolation import at_times
 
 _LEAST_CUTOFF = 1e-5

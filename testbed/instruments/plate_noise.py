@@ -8,15 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import (
-    Fault,
-    PerAxis,
-    PerChannel,
-    Place,
-    Signal,
-    each_channel,
-    key,
-)
+from testbed.instruments.fault import Fault, PerAxis, PerChannel, Place, Signal, each_channel
+from testbed.instruments.fault_keys import key
 
 
 @dataclass(frozen=True)
