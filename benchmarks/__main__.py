@@ -161,6 +161,26 @@ def faults(
         _print(line)
 
 
+@app.command()
+def coverage(
+    runs: Annotated[int, typer.Option(help="Recordings of each kind.")] = 200,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 5000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
+    noise: Annotated[str, typer.Option(help="Setting of the identification.")] = "ar",
+    only: Annotated[str, typer.Option(help="Only studies whose words hold this.")] = "",
+) -> None:
+    """How often intervals of 95 % hold the truth: the tables of docs/uncertainty.md."""
+    import testbed as tb
+    from benchmarks.coverage import coverage as measured
+    from benchmarks.coverage import studies
+
+    settings = tb.Settings(noise="white" if noise == "white" else "ar")
+    for study in studies(settings, seconds):
+        words = f"{study.robot} {study.motion} {study.noise} {study.method}"
+        if only in words:
+            _print(measured(study, first, runs))
+
+
 @app.command(name="all")
 def everything() -> None:
     """All of them."""

@@ -18,7 +18,7 @@ from testbed.identification.estimate import Method
 from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording
 
-EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=())
+EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=(), noise="white")
 REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
 """How many times the samples of a case make a long recording."""
 

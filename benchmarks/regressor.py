@@ -46,9 +46,8 @@ class Case:
         assert r.acceleration is not None
         unit = np.array([[1.0], [0.0], [0.0]])
         measured = r.measured("torque") if found.model == "dynamic" else r.measured("wrench")
-        return Signals(
-            r.position, r.velocity, r.acceleration, measured, unit, np.ones(1), 0.0, 0, 1, r.samples
-        )
+        moving = r.position, r.velocity, r.acceleration
+        return Signals(*moving, measured, unit, np.ones(1), 0.0, 0, 0, 1, r.samples)
 
     def loop(self, model: Model, samples: int = LOOP) -> Any:
         """`computeJointTorqueRegressor` sample by sample, copied into one new array."""

@@ -1,4 +1,4 @@
-"""Commands about runs and recordings: run, simulate, identify, warmup."""
+"""Commands about runs and recordings: run, simulate, faults, identify, warmup."""
 
 from __future__ import annotations
 
@@ -50,6 +50,9 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Carry out an experiment: simulate, identify, compare with the model file.
+
+    What may be wrong with the instruments, as `testbed faults` lists it, is added by
+    --set 'measurement.fault=[{kind="plate_bias"}, {kind="encoder_zero_error"}]'.
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
@@ -105,6 +108,31 @@ def simulate(
         recording = simulated(experiment, progress)
     recording.save(out)
     terminal.console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
+
+
+@app.command()
+def faults(
+    kind: Annotated[
+        str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")
+    ] = None,
+) -> None:
+    """List what may be wrong with encoders, drives and plate in an experiment.
+
+    Example: testbed faults plate_pose
+    """
+    from testbed.instruments.catalogue import catalogue, entry_of
+
+    if kind is None:
+        for entry in catalogue():
+            typer.echo(f"{entry.kind:26s}{entry.summary}")
+        typer.echo("\nOne of them, with its keys: testbed faults KIND")
+        return
+    entry = entry_of(kind)
+    typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
+    for name, default, meaning in entry.keys:
+        typer.echo(f"  {name} = {default}: {meaning}")
+    typer.echo(f"Source of the size: {entry.source}")
+    typer.echo(f"In an experiment: [measurement] fault = [{entry.example}]")
 
 
 @app.command()

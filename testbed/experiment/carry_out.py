@@ -18,11 +18,13 @@ from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.passes import Progress
 from testbed.instruments.chain import Instrument, measure
+from testbed.instruments.stage import stream
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
+from testbed.simulation.drive_model import believed
 from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
@@ -69,6 +71,7 @@ def simulate(
     """
     tree, sampling = robot_of(experiment), _sampling(experiment)
     instrument, simulation = experiment.measurement, experiment.simulation
+    instrument.stages(tree.names)  # refuses what speaks of other joints before work is done
     motion = _motion(experiment, tree, instrument)
     plant = build_plant(
         model_of(experiment),
@@ -79,7 +82,7 @@ def simulate(
     )
     run = simulate_motion(
         plant,
-        tree if simulation.friction else tree.without_friction(),
+        _drives_model(experiment, tree),
         motion,
         experiment.motion.duration,
         simulation.bandwidth,
@@ -90,6 +93,16 @@ def simulate(
     )
     facts = _facts(experiment, tree, run)
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, experiment.seed)
+
+
+def _drives_model(experiment: Experiment, tree: Tree) -> Tree:
+    """The robot as its controller believes it to be."""
+    simulation = experiment.simulation
+    own = tree if simulation.friction else tree.without_friction()
+    if not simulation.drive_model_error:
+        return own
+    rng = stream("drive_model_error", experiment.seed)
+    return believed(own, simulation.drive_model_error, rng)
 
 
 def _sampling(experiment: Experiment) -> Sampling:

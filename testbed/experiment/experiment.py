@@ -125,7 +125,12 @@ class Experiment(ExperimentTables):
     @property
     def joint_tables(self) -> Mapping[str, Iterable[str]]:
         """Joint names by the table that is keyed by them, to be checked against the model."""
-        return {
+        faults = {
+            f"measurement.fault ({fault.kind}).{name}": joints
+            for fault in self.measurement.fault
+            for name, joints in fault.by_joint.items()
+        }
+        return faults | {
             "robot.joint": self.robot.joint,
             "motion.max_velocity": self.motion.max_velocity,
             "motion.max_acceleration": self.motion.max_acceleration,

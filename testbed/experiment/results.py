@@ -50,7 +50,24 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "relative_residual": estimate.relative_residual.tolist(),
         "samples": list(estimate.samples),
         "condition": estimate.condition,
+        "noise": _noise(estimate),
         "warnings": list(estimate.warnings),
+    }
+
+
+def _noise(estimate: Estimate) -> dict[str, Any] | None:
+    """What the residuals are like; null where they are taken as white."""
+    noise = estimate.noise
+    if noise is None:
+        return None
+    return {
+        "order": noise.order,
+        "memory": list(noise.memory),
+        "factor": noise.factor,
+        "bias": noise.bias.tolist(),
+        "bias_sigma": noise.bias_sigma.tolist(),
+        "bias_chance": noise.bias_chance,
+        "hidden": list(noise.hidden),
     }
 
 

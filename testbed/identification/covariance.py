@@ -18,9 +18,6 @@ WINDOW = 0.5
 BINS = 6
 """Least number of bins in a window."""
 
-SMALL_SAMPLE = 1.1
-"""Factor on sigma for what Bartlett's weights and the fit itself hide (tests: coverage)."""
-
 
 def bin_size(rate: float) -> int:
     """Rows whose scores are added up at once: a power of two up to 64.
@@ -74,5 +71,22 @@ def sandwich(inverse: Array, squares: Array) -> Array:
         inverse: Of X' W X, (p, p).
         squares: Of the scores, (p, p).
     """
-    covariance: Array = SMALL_SAMPLE**2 * inverse @ squares @ inverse
+    covariance: Array = inverse @ squares @ inverse
     return covariance
+
+
+def hidden(weights: Array, step: int, rate: float) -> float:
+    """Factor on variances for what Bartlett's weights take from filtered white noise.
+
+    Args:
+        weights: Of the filter on rows, (2 L + 1,).
+        step: Samples from row to row.
+        rate: Rows a second [Hz].
+    """
+    together = np.correlate(weights, weights, "full")[len(weights) - 1 :: step]
+    lags = np.arange(len(together))
+    size = bin_size(rate)
+    longest = (max(int(WINDOW * rate / size), 1) + 1) * size
+    share = np.maximum(1 - lags / longest, 0.0)
+    both = np.where(lags == 0, 1.0, 2.0) * together
+    return float(both.sum() / (share * both).sum())

@@ -29,6 +29,9 @@ enough, however small it is."""
 LISTED = 6
 """Most parameters that are named in one line."""
 
+SMALL_CHANCE = 1e-3
+"""Probability below which what is found is not taken for chance."""
+
 ILL_CONDITIONED = 1e3
 """Condition of the scaled equations above which the estimate is reported as doubtful."""
 
@@ -107,6 +110,7 @@ def quality_warnings(estimate: Estimate) -> list[str]:
             f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
             "errors of the instrument grow by up to that factor"
         )
+    warnings += _noise_warnings(estimate)
     base = estimate.base
     largest: dict[str, float] = {}
     for unit, value in zip(base.units, base.values, strict=True):
@@ -125,6 +129,30 @@ def quality_warnings(estimate: Estimate) -> list[str]:
             f"{', '.join(loose[:LISTED])}{more}"
         )
     return warnings
+
+
+def _noise_warnings(estimate: Estimate) -> list[str]:
+    """What constants and slow noise do to an estimate."""
+    noise = estimate.noise
+    if noise is None or noise.bias_chance > SMALL_CHANCE:
+        return []
+    told = ", ".join(
+        f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
+        for channel, unit, value, sigma in zip(
+            estimate.channels, estimate.channel_units, noise.bias, noise.bias_sigma, strict=True
+        )
+        if sigma > 0 and abs(value) > 2 * sigma
+    )
+    hidden = (
+        f"; {', '.join(noise.hidden)} cannot be told from a constant, and sigma holds for it only "
+        "if there is none"
+        if noise.hidden
+        else ""
+    )
+    return [
+        f"the plate's zero is off, or drifts: constants were estimated with the parameters "
+        f"({told}){hidden}"
+    ]
 
 
 def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.identification.finding import Finding
+from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
@@ -106,6 +107,7 @@ class Estimate:
         minimal: The minimal set that comes first.
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
+        noise: What the residuals are like; None where they are taken as white.
     """
 
     method: Method
@@ -127,6 +129,7 @@ class Estimate:
     minimal: MinimalSet
     drives: DriveSet | None
     joints: tuple[str, ...]
+    noise: FoundNoise | None = None
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)

@@ -19,6 +19,9 @@ ROW_ATTENUATION = 60.0
 TRANSITION = 1.5
 """Width of the band between passing and stopping, in cutoffs; the cutoff is in its middle."""
 
+REVERSAL_WEIGHT = 0.03
+"""Part of the row filter's absolute weight that may lie on samples at a reversal."""
+
 _FIRST = (4 / 5, -1 / 5, 4 / 105, -1 / 280)  # central differences of order eight
 _SECOND = (8 / 5, -1 / 5, 8 / 315, -1 / 560)
 
@@ -72,3 +75,23 @@ def row_weights(rate: float, cutoff: float | None) -> Array:
         cutoff: Where its gain is one half [Hz]; None for none.
     """
     return np.ones(1) if cutoff is None else low_pass(rate, cutoff, ROW_ATTENUATION)
+
+
+def reversal_samples(weights: Array, reach: float | None, rate: float) -> int:
+    """Samples to either side of a row at which its joint has to move.
+
+    Dry friction jumps at a reversal, and the filter on rows carries the jump to all rows that
+    it reaches.
+
+    Args:
+        weights: Of the filter on rows, (2 L + 1,).
+        reach: As a time [s], at most the filter's own; None for what leaves REVERSAL_WEIGHT of
+            the filter's absolute weight beyond.
+        rate: Samples a second [Hz].
+    """
+    half = len(weights) // 2
+    if reach is not None:
+        return min(half, round(reach * rate))
+    size = np.abs(weights)
+    beyond = 2 * np.cumsum(size)[:half] / size.sum()  # of reaches half - 1, ..., 0
+    return half - int(np.count_nonzero(beyond < REVERSAL_WEIGHT))

@@ -7,7 +7,7 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
-from testbed.identification.covariance import ScoreSquares, bin_size, sandwich
+from testbed.identification.coloured import Refined, under_coloured_noise
+from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
 from testbed.identification.finding import in_lines
@@ -86,7 +87,7 @@ def identify(
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
     plan, warnings = _plan(tree, source, settings, minimal, drives)
-    passes = Passes(plan, threads, progress)
+    passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
     names = minimal.names if drives is None else drives.names
     channels = AXES if method == "external" else tree.names
     with one_blas_thread():
@@ -94,7 +95,11 @@ def identify(
         equations = gather(plan.layout, names, channels, sums)
         full = settings.joined and settings.covariance is None
         weights = noise_weights(equations, settings.covariance, full)
-        found = _refined(plan, solve(equations, weights, passes.rows), passes)
+        fit = solve(equations, weights, passes.rows)
+        coloured = settings.noise == "ar"
+        found = (
+            under_coloured_noise(fit, passes, names) if coloured else _refined(plan, fit, passes)
+        )
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = _estimate(method, tree, equations, found, minimal, drives)
@@ -177,17 +182,7 @@ def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
     return warnings
 
 
-@dataclass(frozen=True, eq=False)
-class _Refined:
-    """A solution after the pass that looks at the residuals themselves."""
-
-    fit: Fit
-    values: Array
-    covariance: Array
-    squares: Array  # of each channel's residuals
-
-
-def _refined(plan: Plan, fit: Fit, passes: Passes) -> _Refined:
+def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
     """Residuals, their covariance, and what they correct."""
     rows, basis = plan.layout.rows, plan.layout.basis
     factors = np.zeros(rows.slots)
@@ -202,15 +197,17 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> _Refined:
     values = fit.values
     if fit.correctable:
         values = values + fit.inverse @ (basis.T @ scores.total)
-    covariance = sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
-    return _Refined(fit, values, covariance, squares)
+    lost = len(values) / len(rows.measured)  # rows' worth of freedom, a channel
+    factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
+    covariance = factor * sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
+    return Refined(fit, values, covariance, squares)
 
 
 def _estimate(
     method: Method,
     tree: Tree,
     equations: NormalEquations,
-    found: _Refined,
+    found: Refined,
     minimal: MinimalSet,
     drives: DriveSet | None,
 ) -> Estimate:
@@ -236,4 +233,5 @@ def _estimate(
         minimal=minimal,
         drives=drives,
         joints=tree.names,
+        noise=found.noise,
     )

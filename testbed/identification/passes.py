@@ -61,14 +61,16 @@ def _libraries() -> ThreadpoolController:
 class Passes:
     """Answers questions about all rows of a plan, pass by pass."""
 
-    def __init__(self, plan: Plan, threads: int | None, progress: Progress) -> None:
+    def __init__(self, plan: Plan, threads: int | None, progress: Progress, number: int) -> None:
         """Ready for the first pass.
 
         Args:
             plan: The rows.
             threads: How many to use; default one a processor.
-            progress: Called with samples done and samples in all, of two passes.
+            progress: Called with samples done and samples in all passes.
+            number: How many passes there will be.
         """
+        self.number = number
         self.plan = plan
         self.compiled = plan.layout.compiles and not is_small(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
@@ -122,7 +124,7 @@ class Passes:
         window, answer = pending.popleft()
         found = answer()
         self.done += window.rows * self.plan.step
-        self.progress(self.done, 2 * self.plan.rows * self.plan.step)
+        self.progress(self.done, self.number * self.plan.rows * self.plan.step)
         return found
 
     def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:

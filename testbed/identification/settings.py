@@ -41,6 +41,11 @@ class Settings:
     """Rows of joints that are slower do not count: dry friction there has no sign
     [rad/s or m/s]."""
 
+    reversal_reach: float | None = None
+    """Rows of a joint that is in the deadband within this time do not count either, since the
+    filter on rows spreads dry friction's jump [s]. Default: as far as all but 3 % of the
+    filter's weight reaches, 0.15 s at 5 Hz."""
+
     terms: Sequence[str | JointLaw] = ("coulomb", "viscous")
     """What a joint's torque holds besides the forces that move the bodies: "coulomb",
     "viscous", "offset", "rotor" (testbed/robot/friction.py)."""
@@ -50,6 +55,10 @@ class Settings:
     of all channels' residuals; or that covariance, if it is known, row by row: 6 x 6 for the
     plate [N^2, N^2 m, N^2 m^2]."""
 
+    noise: Literal["ar", "white"] = "ar"
+    """What residuals are taken for: "ar", an autoregression in each channel, found with the
+    parameters; "white", noise of no memory before the filters."""
+
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
@@ -58,8 +67,10 @@ class Settings:
             "position_cutoff": _cutoff("position_cutoff", self.position_cutoff),
             "cutoff": _cutoff("cutoff", self.cutoff),
             "deadband": _speed("deadband", self.deadband),
+            "reversal_reach": _reach(self.reversal_reach),
             "terms": _terms(self.terms),
             "weights": _weights(self.weights),
+            "noise": _noise(self.noise),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -132,6 +143,13 @@ def _speed(name: str, given: object) -> float:
     return number
 
 
+def _reach(given: object) -> float | None:
+    number = _number(given)
+    if given is not None and (number is None or number < 0):
+        raise SettingsError(f"reversal_reach is a time [s], found {given!r}")
+    return number
+
+
 def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
     if isinstance(given, str) or not isinstance(given, Sequence):
         raise SettingsError(f"terms is a list of names, found {given!r}")
@@ -143,6 +161,12 @@ def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
     if len(set(kinds)) < len(kinds):
         raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
     return tuple(given)
+
+
+def _noise(given: object) -> str:
+    if given not in ("ar", "white"):
+        raise UnknownName("noise", str(given), ("ar", "white"))
+    return str(given)
 
 
 def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:

@@ -13,15 +13,16 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.identification.filters import motion_taps, row_weights
+from testbed.identification.filters import motion_taps, reversal_samples, row_weights
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 
-ROWS_PER_CUTOFF = 4.0
-"""Rows kept a second per Hz of the parallel filter's cutoff."""
+ROWS_PER_CUTOFF = {"white": 4.0, "ar": 2.0}
+"""Rows kept a second per Hz of the parallel filter's cutoff: for an autoregression as many as
+the filter leaves independent, or their spectrum would have an empty part."""
 
 WINDOW = 32_768
 """Samples of a window, about."""
@@ -54,7 +55,8 @@ class Plan:
         tare: What is taken off the plate's wrench, (6,) [N, N m].
         taps: Kernels that make the motion, (3, 2 L + 1).
         weights: Of the parallel filter, (2 L + 1,).
-        deadband: Rows of joints at lower speeds do not count [rad/s or m/s].
+        deadband: Joints at lower speeds rest [rad/s or m/s].
+        rest_reach: Rows of a joint that rests within so many samples do not count.
         step: Samples from row to row.
         rows: Number of rows.
     """
@@ -65,6 +67,7 @@ class Plan:
     taps: Array
     weights: Array
     deadband: float
+    rest_reach: int
     step: int
     rows: int
 
@@ -109,6 +112,7 @@ class Plan:
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,
+            rest_reach=self.rest_reach,
             start=self.reach,
             step=self.step,
             number=window.rows,
@@ -138,7 +142,11 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
     taps = unit if sensed else motion_taps(rate, position)
     weights = row_weights(rate, slow)
     reach = taps.shape[1] // 2 + len(weights) // 2
-    step = 1 if slow is None else int(rate / (ROWS_PER_CUTOFF * slow)) or 1
+    step = (
+        1
+        if slow is None
+        else int((1 + 1e-9) * rate / (ROWS_PER_CUTOFF[settings.noise] * slow)) or 1
+    )
     rows = len(range(reach, source.samples - reach, step))
     if rows < 2:
         raise RecordingError(
@@ -146,4 +154,5 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
             f"{reach / rate:.3g} s at each end; record longer or raise the cutoff frequencies"
         )
     deadband = settings.deadband if layout.model == "dynamic" else 0.0
-    return Plan(source, layout, tare, taps, weights, deadband, step, rows)
+    nearby = reversal_samples(weights, settings.reversal_reach, rate)
+    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, rows)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import SettingsError
+from testbed.errors import RecordingError, SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
-from testbed.instruments.encoders import EncoderNoise, EncoderResolution
-from testbed.instruments.plate import PlateNoise
-from testbed.instruments.stage import Stage, applied
+from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
+from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal
+from testbed.instruments.faults import AsTable
+from testbed.instruments.plate_noise import PlateNoise
+from testbed.instruments.stage import applied, numbered, stream
+from testbed.instruments.tare import MeasuredTare
 from testbed.recordings.recording import Recording, Truth
 
-Signal = Literal["position", "torque", "wrench"]
 _PLATE = ("force_noise", "moment_noise")
+_SIGNALS: tuple[Signal, ...] = ("position", "torque", "wrench", "tare")
+_TARE = "tare"
+"""Use of random numbers for a tare that is measured."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,9 @@ class Instrument:
             name: 0.08 reports 8 % too much.
         force_noise: Standard deviation of the plate's forces [N].
         moment_noise: Standard deviation of the plate's moments [N m].
+        full_scale: Largest values that the plate's channels can show [N, N m]. Crosstalk and
+            converters go by it; only a converter stops there.
+        fault: Whatever else is wrong, `[[measurement.fault]]`.
     """
 
     rate: float = 1000.0
@@ -46,6 +54,8 @@ class Instrument:
     torque_constant_error: Mapping[str, float] = field(default_factory=dict)
     force_noise: float = 0.0
     moment_noise: float = 0.0
+    full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
+    fault: tuple[Annotated[Fault, AsTable()], ...] = ()
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 
@@ -59,27 +69,67 @@ class Instrument:
         for joint, error in self.torque_constant_error.items():
             if not np.isfinite(error):
                 raise SettingsError(f"torque_constant_error of '{joint}' is no number: {error}")
+        if len(self.full_scale) != 6 or not all(0 < value < np.inf for value in self.full_scale):
+            raise SettingsError(f"full_scale is six positive numbers, found {self.full_scale}")
+        for fault in self.fault:
+            fault.check_rate(self.rate)
+        if sum(isinstance(fault, MeasuredTare) for fault in self.fault) > 1:
+            raise SettingsError("measured_tare is asked for more than once; there is one tare")
+        latched = any(isinstance(fault, EncoderInstantSampling) for fault in self.fault)
+        if latched and not self.averaged:
+            raise SettingsError(
+                "encoder_instant_sampling makes instants of means, and with averaged = false all "
+                "samples are instants; leave one of them out"
+            )
 
     @property
     def plate_noise(self) -> Array:
         """Standard deviation of the plate's channels, (6,) [N, N m]."""
         return np.repeat([self.force_noise, self.moment_noise], 3)
 
-    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Stage, ...]]:
-        """What happens to each signal, in order.
+    def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Fault, ...]]:
+        """What happens to each signal, in order: by place, then as asked for.
 
         Args:
             names: Joint names.
+
+        Raises:
+            SettingsError: A fault speaks of a joint that is not there, or not of all.
         """
-        encoders: list[Stage] = [EncoderNoise(self.encoder_noise)]
-        if self.encoder_resolution:
-            encoders.append(EncoderResolution(self.encoder_resolution))
         errors = tuple(self.torque_constant_error.get(name, 0.0) for name in names)
+        always: tuple[Fault, ...] = (
+            EncoderNoise(self.encoder_noise),
+            EncoderResolution(self.encoder_resolution),
+            TorqueConstantError(errors),
+            TorqueNoise(self.torque_noise),
+            PlateNoise(self.force_noise, self.moment_noise),
+        )
+        rig = Rig(names, self.full_scale)
+        every = sorted((fault.on(rig) for fault in (*always, *self.fault)), key=_place)
+        return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
+
+    def installed(
+        self, names: tuple[str, ...], position: Array, seed: int
+    ) -> dict[Signal, tuple[Fault, ...]]:
+        """The stages with all that chance decides once: signs, phases, crosstalk.
+
+        Args:
+            names: Joint names.
+            position: True positions, (M, n) [rad or m].
+            seed: Of the recording.
+        """
+        rig = Rig(names, self.full_scale, position)
         return {
-            "position": tuple(encoders),
-            "torque": (TorqueConstantError(errors), TorqueNoise(self.torque_noise)),
-            "wrench": (PlateNoise(self.force_noise, self.moment_noise),),
+            signal: tuple(
+                fault.on(rig).drawn(rig, stream(fault.kind, seed, number, "once"))
+                for fault, number in numbered(stages)
+            )
+            for signal, stages in self.stages(names).items()
         }
+
+
+def _place(fault: Fault) -> int:
+    return fault.place
 
 
 def measure(
@@ -115,8 +165,50 @@ def measure(
         truth=truth,
         facts=facts,
     )
+    chains = instrument.installed(names, truth.position, seed)
     seen: dict[str, Any] = {
-        signal: applied(stages, exact.measured(signal), time, seed)
-        for signal, stages in instrument.stages(names).items()
+        signal: applied(chains[signal], exact.measured(signal), time, seed)
+        for signal in ("position", "torque", "wrench")
     }
+    for fault in chains["tare"]:
+        seen["tare"] = _at_rest(fault, chains["wrench"], tare, instrument.rate, seed)
     return replace(exact, **seen)
+
+
+def _at_rest(fault: Fault, plate: tuple[Fault, ...], tare: Array, rate: float, seed: int) -> Array:
+    """The tare as the plate shows it, (6,) [N, N m]."""
+    assert isinstance(fault, MeasuredTare)
+    time = fault.instants(rate)
+    shown = applied(plate, np.tile(tare, (len(time), 1)), time, seed, _TARE)
+    found: Array = fault.apply(shown, time, stream(fault.kind, seed))[0]
+    return found
+
+
+def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:
+    """What another instrument shows of a run that was simulated before: no simulation needed.
+
+    Args:
+        recording: With its truth, and with the exact tare: of an instrument that does not
+            measure it. Its samples are means if the other instrument's are.
+        instrument: The other instrument, of the same rate.
+        seed: Of the noise.
+
+    Raises:
+        RecordingError: The recording has no truth or no tare, or is of another rate.
+    """
+    if recording.truth is None or recording.tare is None:
+        raise RecordingError("only a simulated recording, with truth and tare, is measured again")
+    if abs(recording.rate / instrument.rate - 1) > 1e-6:
+        raise RecordingError(
+            f"the recording has {recording.rate:g} samples a second, the instrument takes "
+            f"{instrument.rate:g}; simulate again"
+        )
+    return measure(
+        instrument,
+        recording.names,
+        recording.time,
+        recording.truth,
+        recording.tare,
+        recording.facts,
+        seed,
+    )

@@ -8,39 +8,157 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint
+from testbed.instruments.fault_keys import key
+from testbed.instruments.interpolation import first_instants
 
 
 @dataclass(frozen=True)
-class EncoderNoise:
-    """White noise on positions.
+class EncoderNoise(Fault):
+    """White noise on positions, besides that of `measurement.encoder_noise`.
+
+    Source    Interpolation noise of encoders of the 16-bit class.
 
     Attributes:
         sigma: Standard deviation [rad or m].
     """
 
     kind: ClassVar[str] = "encoder_noise"
-    sigma: float
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.NOISE
+    sigma: PerJoint = key(1e-4, "joints", least=0)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions with noise, (M, n) [rad or m]."""
         del time
-        noisy: Array = signal + self.sigma * rng.normal(size=signal.shape)
+        noisy: Array = signal + each_joint(self.sigma) * rng.normal(size=signal.shape)
         return noisy
 
 
 @dataclass(frozen=True)
-class EncoderResolution:
+class EncoderResolution(Fault):
     """Positions rounded to the nearest count.
 
+    Source    16 bits a turn: 9.6e-5 rad.
+
     Attributes:
-        count: Least count [rad or m].
+        count: Least count; 0 for none [rad or m].
     """
 
     kind: ClassVar[str] = "encoder_resolution"
-    count: float
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.CONVERTER
+    count: PerJoint = key(1e-4, "joints", least=0)
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
         """Positions in whole counts, (M, n) [rad or m]."""
         del time, rng
-        rounded: Array = self.count * np.round(signal / self.count)
+        count = each_joint(self.count)
+        step = np.where(count > 0, count, 1.0)
+        rounded: Array = np.where(count > 0, step * np.round(signal / step), signal)
         return rounded
+
+
+@dataclass(frozen=True)
+class EncoderInstantSampling(Fault):
+    """Positions at the first instant of each sample, while all else is the mean over it.
+
+    What a controller's counter does: it latches. Against a plate that averages, positions are
+    half a sampling time early. Exact for smooth motions (`interpolation.first_instants`).
+
+    Source    How counters work; no size.
+    """
+
+    kind: ClassVar[str] = "encoder_instant_sampling"
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.CLOCK
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions at instants, (M, n) [rad or m], of means over samples."""
+        del rng
+        return first_instants(signal, time)
+
+
+@dataclass(frozen=True)
+class EncoderZeroError(Fault):
+    """A constant error of the positions: wrong zeros.
+
+    Source    An arm zeroed by eye at engraved marks: 0.2 degrees.
+
+    Attributes:
+        error: What is shown too much [rad or m].
+    """
+
+    kind: ClassVar[str] = "encoder_zero_error"
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.SENSOR
+    error: PerJoint = key(3.5e-3, "joints", "sign")
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions from a wrong zero, (M, n) [rad or m]."""
+        del time, rng
+        shifted: Array = signal + each_joint(self.error)
+        return shifted
+
+
+@dataclass(frozen=True)
+class EncoderGain(Fault):
+    """Positions on a wrong scale: a wrong gear ratio or pitch.
+
+    Source    A ratio typed with two digits, 1 %.
+
+    Attributes:
+        error: Relative; 0.01 shows 1 % too much.
+    """
+
+    kind: ClassVar[str] = "encoder_gain"
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.SENSOR
+    error: PerJoint = key(0.01, "joints", "sign")
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions on a wrong scale, (M, n) [rad or m]."""
+        del time, rng
+        scaled: Array = (1 + each_joint(self.error)) * signal
+        return scaled
+
+
+@dataclass(frozen=True)
+class EncoderEccentricity(Fault):
+    """Eccentric discs: an error that repeats with every turn.
+
+    Shown is q + amplitude sin(2 pi q / period + phase). A sliding joint has the period of its
+    screw's or belt's turn.
+
+    Source    10 um at a radius of 25 mm, as data sheets of ring encoders allow on mounting.
+
+    Attributes:
+        amplitude: Of the wave [rad or m].
+        period: Of the wave [rad or m].
+        phase: Of the wave at q = 0; drawn if left out [rad].
+    """
+
+    kind: ClassVar[str] = "encoder_eccentricity"
+    signal: ClassVar[Signal] = "position"
+    place: ClassVar[Place] = Place.SENSOR
+    amplitude: PerJoint = key(4e-4, "joints")
+    period: PerJoint = key(2 * np.pi, "joints", positive=True)
+    phase: PerJoint | None = key(None, "joints", "phase")
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """Positions with the wave, (M, n) [rad or m]."""
+        del time, rng
+        turn = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
+        wavy: Array = signal + each_joint(self.amplitude) * np.sin(turn)
+        return wavy
+
+
+FAULTS: tuple[type[Fault], ...] = (
+    EncoderInstantSampling,
+    EncoderZeroError,
+    EncoderGain,
+    EncoderEccentricity,
+    EncoderNoise,
+    EncoderResolution,
+)
+"""All of this device."""

@@ -1,31 +1,215 @@
-"""What the plate does to the wrench that it feels."""
+"""What the plate's mechanics and electronics do to the wrench that it feels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.instruments.fault import (
+    FULL_SCALE,
+    Fault,
+    Matrix,
+    PerAxis,
+    PerChannel,
+    Place,
+    Rig,
+    Signal,
+)
+from testbed.instruments.fault_keys import hidden, key
+from testbed.robot.rotations import about
 
 
 @dataclass(frozen=True)
-class PlateNoise:
-    """White noise on the plate's channels.
+class PlateGain(Fault):
+    """Channels on wrong scales.
+
+    Source    Accuracy of force plates and six-axis sensors in data sheets: 0.5 %.
 
     Attributes:
-        force: Standard deviation of the forces [N].
-        moment: Standard deviation of the moments [N m].
+        error: Relative; 0.005 shows 0.5 % too much.
     """
 
-    kind: ClassVar[str] = "plate_noise"
-    force: float
-    moment: float
+    kind: ClassVar[str] = "plate_gain"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.SENSOR
+    error: PerChannel = key(0.005, "channels", "sign")
 
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
-        """The wrench with noise, (M, 6) [N, N m]."""
-        del time
-        sigma = np.repeat([self.force, self.moment], 3)
-        noisy: Array = signal + sigma * rng.normal(size=signal.shape)
-        return noisy
+        """The wrench on wrong scales, (M, 6) [N, N m]."""
+        del time, rng
+        scaled: Array = (1 + np.asarray(self.error)) * signal
+        return scaled
+
+
+@dataclass(frozen=True)
+class PlateCrosstalk(Fault):
+    """Channels that show some of the others' loads, in proportion to their full scales.
+
+    With D = diag(full scale) shown is (1 + D X D^-1) W. The off-diagonal entries of X are drawn
+    between -size and size, unless `matrix` says what X is.
+
+    Source    Crosstalk of six-component plates and sensors in data sheets: 1 to 2 % of full
+        scale.
+
+    Attributes:
+        size: Largest entry, relative to full scale.
+        matrix: X, six lists of six numbers: row by row, the channel that shows it; its diagonal
+            are errors of the gains.
+    """
+
+    kind: ClassVar[str] = "plate_crosstalk"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.SENSOR
+    size: float = key(0.01, least=0, most=1)
+    matrix: Matrix | None = key(None, "matrix")
+    full_scale: tuple[float, ...] = hidden(FULL_SCALE)
+
+    def drawn(self, rig: Rig, rng: np.random.Generator) -> Self:
+        """The same fault with a matrix."""
+        if self.matrix is not None:
+            return self
+        mixed = self.size * rng.uniform(-1, 1, (6, 6)) * (1 - np.eye(6))
+        return replace(self, matrix=mixed.tolist())
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench with some of every channel in every other, (M, 6) [N, N m]."""
+        del time, rng
+        scale = np.array(self.full_scale)
+        mixing = self.size * (1 - np.eye(6)) if self.matrix is None else np.array(self.matrix)
+        mixed: Array = signal + (signal / scale) @ mixing.T * scale
+        return mixed
+
+
+@dataclass(frozen=True)
+class PlatePose(Fault):
+    """A plate that is turned and shifted against the bedplate frame.
+
+    The plate's frame has the origin p and the axes R, both in the bedplate frame; it shows
+    R^T F and R^T (M - p x F), of robot and tare alike.
+
+    Source    Alignment with square and ruler: 0.2 degrees, 1 mm.
+
+    Attributes:
+        rotation: Vector of the rotation R [rad].
+        translation: p [m].
+    """
+
+    kind: ClassVar[str] = "plate_pose"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.SENSOR
+    rotation: PerAxis = key(3.5e-3, "axes", "sign")
+    translation: PerAxis = key(1e-3, "axes", "sign")
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench in the plate's own frame, (M, 6) [N, N m]."""
+        del time, rng
+        vector, origin = (np.broadcast_to(v, 3) for v in (self.rotation, self.translation))
+        return in_frame(signal, vector, origin)
+
+
+@dataclass(frozen=True)
+class PlateOriginHeight(Fault):
+    """Moments about a point above or below the origin: a cover not counted, a wrong data sheet.
+
+    Source    [BS90] and data sheets: origins of force plates lie 30 to 60 mm below the cover,
+        and are known to some millimetres.
+
+    Attributes:
+        height: Of the true origin over the supposed one [m].
+    """
+
+    kind: ClassVar[str] = "plate_origin_height"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.SENSOR
+    height: float = key(5e-3)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench about the other origin, (M, 6) [N, N m]."""
+        del time, rng
+        return in_frame(signal, np.zeros(3), np.array([0.0, 0.0, self.height]))
+
+
+@dataclass(frozen=True)
+class PlateSaturation(Fault):
+    """Saturation: a range too small for the motion, at whose ends channels stop.
+
+    By default the range covers a share of each channel's swing in this recording, around its
+    middle: amplifiers are set to zero with the robot on the plate. `limit` gives it instead.
+
+    Source    A range chosen for nine tenths of the motion.
+
+    Attributes:
+        covered: Share of the swing between least and greatest value.
+        limit: Largest absolute value that is shown instead [N, N m].
+    """
+
+    kind: ClassVar[str] = "plate_saturation"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.RANGE
+    covered: PerChannel = key(0.9, "channels", least=0)
+    limit: PerChannel | None = key(None, "channels", positive=True)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench within the range, (M, 6) [N, N m]."""
+        del time, rng
+        if self.limit is not None:
+            limit = np.asarray(self.limit)
+            return np.clip(signal, -limit, limit)
+        low, high = signal.min(axis=0), signal.max(axis=0)
+        cut = (1 - np.asarray(self.covered)) * (high - low) / 2
+        return np.clip(signal, low + cut, high - cut)
+
+
+@dataclass(frozen=True)
+class PlateConverter(Fault):
+    """An analog-to-digital converter: values in whole counts, within its range.
+
+    Its range is `full_scale` of the instrument, to both sides.
+
+    Source    12 bits, as data acquisition cards had; 16 are common now.
+
+    Attributes:
+        bits: Of a count, 1 to 32.
+    """
+
+    kind: ClassVar[str] = "plate_converter"
+    signal: ClassVar[Signal] = "wrench"
+    place: ClassVar[Place] = Place.CONVERTER
+    bits: int = key(12, least=1, most=32, whole=True)
+    full_scale: tuple[float, ...] = hidden(FULL_SCALE)
+
+    def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
+        """The wrench in whole counts, (M, 6) [N, N m]."""
+        del time, rng
+        half = 2 ** (self.bits - 1)
+        count = np.array(self.full_scale) / half
+        counted: Array = count * np.clip(np.round(signal / count), -half, half - 1)
+        return counted
+
+
+def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:
+    """A wrench as a frame shows it that lies elsewhere.
+
+    Args:
+        wrench: (M, 6) [N, N m], bedplate axes, about its origin.
+        rotation: Rotation vector of the frame, (3,) [rad].
+        origin: Of the frame, (3,) [m], bedplate axes.
+    """
+    force, moment = wrench[:, :3], wrench[:, 3:]
+    angle = float(np.linalg.norm(rotation))
+    turn = about(rotation / angle, angle) if angle else np.eye(3)
+    return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
+
+
+FAULTS: tuple[type[Fault], ...] = (
+    PlateGain,
+    PlateCrosstalk,
+    PlatePose,
+    PlateOriginHeight,
+    PlateSaturation,
+    PlateConverter,
+)
+"""All of this device that are neither noise nor of its clock."""

@@ -152,10 +152,19 @@ def weigh(rows, signals, work, centre, count, at, n):
         for r in range(lo, hi, 4):
             y, h = Y[s * D : (s + 4) * D], H[(r - lo) * D : (r - lo + 4) * D]
             fitting_tile(y, h, CHUNK, Z, s * D + r, D)
-    now = max(0, -((centre - at) // step))  # rows whose own sample is here
-    for r in range(now, min(count, (at + n - 1 - centre) // step + 1)):
-        for s in range(rows.slots, rows.slots + len(rows.measured)):
-            Z[s * D + r] = Y[s * D + centre + r * step - at]
+    if signals.deadband > 0.0:
+        count_rests(rows, signals, work, centre, lo, hi, at, n)
+
+
+@part
+def count_rests(rows, signals, work, centre, lo, hi, at, n):
+    """Add to rows how many of a chunk's samples near by are of joints that rest."""
+    Y, Z, reach = work.Y, work.Z, signals.rest_reach
+    for r in range(lo, hi):
+        own = centre + r * signals.step - at
+        for k in range(max(0, own - reach), min(n, own + reach + 1)):
+            for s in range(rows.slots, rows.slots + len(rows.measured)):
+                Z[s * D + r] += Y[s * D + k]
 
 
 @plain
@@ -164,6 +173,8 @@ def rest_joints(rows, work, count, sums):
     Z = work.Z
     for c in range(len(rows.start)):
         U = Z[(rows.slots + c) * D : (rows.slots + c) * D + count]
+        for k in range(count):
+            U[k] = 0.0 if U[k] > 0.0 else 1.0  # from how often it rests to whether it moves
         moving = dot(U, U, count)
         sums.used[c] += moving
         if moving < count:

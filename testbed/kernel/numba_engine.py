@@ -140,6 +140,6 @@ def warm_up() -> str:
     rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
     still = np.zeros((1, 1))
     unit = np.array([[1.0], [0.0], [0.0]])
-    signals = Signals(still, still, still, still, unit, np.ones(1), 0.0, 0, 1, 1)
+    signals = Signals(still, still, still, still, unit, np.ones(1), 0.0, 0, 0, 1, 1)
     sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
     return str(settings.CACHE_DIR)

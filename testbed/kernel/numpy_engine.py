@@ -76,9 +76,7 @@ def _block(layout: Layout, signals: Signals, number: int) -> Block:
         z += y @ np.where(inside, signals.weights[np.where(inside, offset, 0)], 0.0).T
     used = np.full(layout.width, signals.number, dtype=np.float64)
     if signals.deadband > 0:
-        centres = signals.start + np.arange(signals.number) * signals.step
-        for c, speed in enumerate(_speeds(signals, centres).T):
-            moving = np.abs(speed) > signals.deadband
+        for c, moving in enumerate(_moving(signals).T):
             first, width = layout.rows.start[c], layout.rows.width[c]
             z[first : first + width] *= moving
             used[c] = moving.sum()
@@ -97,15 +95,14 @@ def _motion(signals: Signals, first: int, count: int) -> Motion:
     return Motion(time, *(windows @ taps for taps in signals.taps))
 
 
-def _speeds(signals: Signals, centres: NDArray[np.int64]) -> Array:
-    """Joint velocities at single samples."""
-    if len(signals.velocity):
-        found: Array = signals.velocity[centres]
-        return found
-    half = signals.taps.shape[1] // 2
-    windows = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
-    speeds: Array = windows[centres - half] @ signals.taps[1]
-    return speeds
+def _moving(signals: Signals) -> NDArray[np.bool_]:
+    """Whether joints move at all samples near every row, (rows, n)."""
+    reach = signals.rest_reach
+    first, span = signals.start - reach, (signals.number - 1) * signals.step + 2 * reach + 1
+    resting = np.abs(_motion(signals, first, span).qd) <= signals.deadband
+    before = np.vstack([np.zeros((1, resting.shape[1])), resting.cumsum(axis=0)])
+    near = before[2 * reach + 1 :: signals.step] - before[: span - 2 * reach : signals.step]
+    return np.asarray(near == 0)
 
 
 def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) -> Array:

@@ -65,7 +65,8 @@ class Signals(NamedTuple):
     measured: Array
     taps: Array  # convolution kernels of position, velocity, acceleration
     weights: Array  # of the filter on rows; a single one for none
-    deadband: float
+    deadband: float  # joints that are slower rest
+    rest_reach: int  # rows of a joint that rests within so many samples do not count
     start: int  # sample of the first row
     step: int  # samples from row to row
     number: int  # of rows

@@ -155,7 +155,7 @@ for number, law in enumerate(LAWS):
 
 @part
 def fill_own(rows, signals, first, count, work, Y, at):
-    """What rows hold besides bodies: own terms, the measurement, whether the joint moves."""
+    """What rows hold besides bodies: own terms, the measurement, whether the joint rests."""
     for t in range(len(rows.term_slot)):
         U = work.U[rows.term_link[t] * 3 * B : (rows.term_link[t] + 1) * 3 * B]
         y = rows.term_slot[t] * D + at
@@ -169,7 +169,7 @@ def fill_own(rows, signals, first, count, work, Y, at):
             qd = work.U[rows.link[c] * 3 * B + B : rows.link[c] * 3 * B + 2 * B]
             y = (rows.slots + c) * D + at
             for k in range(NB):
-                Y[y + k] = 1.0 if abs(qd[k]) > signals.deadband else 0.0
+                Y[y + k] = 0.0 if abs(qd[k]) > signals.deadband else 1.0
 
 
 @plain

@@ -70,6 +70,7 @@ def _of_experiment(experiment: Experiment) -> Facts:
             f"{plate.encoder_noise:g} [rad or m]",
         ),
         ("bedplate", f"noise {plate.force_noise:g} N and {plate.moment_noise:g} N m a sample"),
+        ("faults", ", ".join(fault.kind for fault in plate.fault) or "none besides"),
         (
             "drives",
             f"torque noise {plate.torque_noise:g} [N m or N]"
@@ -94,9 +95,11 @@ def _treatment(run: Run) -> str:
     ]
     zeros = {True: "those that are zero in the model file", False: "none"}
     known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
+    taken = {"ar": "an autoregression", "white": "white"}[settings.noise]
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
-        f"{settings.deadband:g} rad/s or m/s dropped; parameters known to be zero: {known}"
+        f"{settings.deadband:g} rad/s or m/s dropped; noise taken for {taken}; parameters "
+        f"known to be zero: {known}"
     )
 
 

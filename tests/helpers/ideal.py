@@ -18,7 +18,7 @@ from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import JointLaw
 
-EXACT = tb.Settings(position_cutoff="off", cutoff="off")
+EXACT = tb.Settings(position_cutoff="off", cutoff="off", noise="white")
 
 
 def ideal(

@@ -105,7 +105,10 @@ def test_what_the_documents_show_is_what_the_tool_prints(command: str, output: s
     )
 
 
-def test_the_python_of_the_documents_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["robotran.md", "instruments.md"])
+def test_the_python_of_the_documents_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    for block in code((ROOT / "docs/robotran.md").read_text(), "python"):
-        exec(compile(block, "robotran.md", "exec"), {})
+    blocks = code((ROOT / "docs" / name).read_text(), "python")
+    assert blocks
+    for block in blocks:
+        exec(compile(block, name, "exec"), {})

@@ -306,7 +306,7 @@ def test_the_factor_is_the_torque_constant_whatever_rubs(robot: str) -> None:
     joints = [replace(j, coulomb=3.0, viscous=2.0, rotor_inertia=0.5) for j in tree.joints]
     geared = replace(tree, joints=tuple(joints))
     gain = np.linspace(0.5, 2.0, tree.n)
-    recording = measured(geared)
+    recording = measured(geared, duration=60.0)
     wrong = replace(recording, torque=gain * recording.measured("torque") + 2.0)
     settings = tb.Settings(terms=("coulomb", "viscous", "offset", "rotor"))
     external, internal = (tb.identify(geared, wrong, m, settings=settings) for m in METHODS)

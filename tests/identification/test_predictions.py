@@ -11,7 +11,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
-from testbed.identification.filters import motion_taps, row_weights
+from testbed.identification.filters import motion_taps, reversal_samples, row_weights
 from testbed.identification.predict import (
     friction,
     motion_in,
@@ -64,17 +64,26 @@ def unexplained(
     wrench, torque = predictions(tree, recording, motion, estimates, gravity)
     weights = row_weights(recording.rate, settings.row_low_pass)
     slow = settings.row_low_pass
-    step = 1 if slow is None else int(recording.rate / (4 * slow))
+    each = {"white": 4.0, "ar": 2.0}[settings.noise]  # rows a second and Hz of the filter
+    step = 1 if slow is None else int((1 + 1e-9) * recording.rate / (each * slow))
     half = len(weights) // 2
-    centres = slice(half, len(motion.t) - half, step)
     found: dict[Method, Array] = {}
-    for method in estimates:
+    for method, estimate in estimates.items():
         predicted = (wrench if method == "external" else torque)[method]
         rest = recording.measured(SIGNAL_OF[method])[inner] - predicted
         rows = np.column_stack([np.convolve(r, weights, "valid") for r in rest.T])[::step]
         counts = np.ones(rows.shape, dtype=bool)
         if method == "internal":
-            counts = np.abs(motion.qd[centres]) > settings.deadband
+            near = reversal_samples(weights, settings.reversal_reach, recording.rate)
+            moves = np.abs(motion.qd) > settings.deadband
+            counts = np.array(
+                [
+                    moves[k - near : k + near + 1].all(axis=0)
+                    for k in range(half, len(motion.t) - half, step)
+                ]
+            )
+        noise = estimate.noise
+        rows = rows - (0.0 if noise is None else noise.bias)
         found[method] = np.sqrt((rows**2 * counts).sum(axis=0) / counts.sum(axis=0))
     return found
 

@@ -199,7 +199,7 @@ def test_large_jobs_use_the_kernel(tree: tb.Tree, recording: Recording) -> None:
     whole = [recording.blind()] * 3
     longer = replace(plan, source=open_source(whole), rows=3 * plan.rows)
     assert not is_small(longer)
-    assert Passes(longer, None, lambda done, total: None).compiled
+    assert Passes(longer, None, lambda done, total: None, 2).compiled
 
 
 def test_progress_counts_both_passes(tree: tb.Tree, recording: Recording, fast: None) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.instruments.encoders import EncoderNoise, EncoderResolution
-from testbed.instruments.plate import PlateNoise
+from testbed.instruments.plate_noise import PlateNoise
 from testbed.instruments.stage import Stage, applied, stream
 
 TIME = np.arange(100) / 100.0

@@ -41,7 +41,7 @@ def some_signals(found: Layout, seed: int, encoders: bool, filtered: bool) -> Si
     qd, qdd = rng.uniform(-2, 2, (2, 0 if encoders else SAMPLES, n))
     measured = rng.normal(size=(SAMPLES, found.width))
     count = (SAMPLES - 2 * reach - 1) // step + 1
-    return Signals(q, qd, qdd, measured, taps, weights, 0.0, reach, step, count)
+    return Signals(q, qd, qdd, measured, taps, weights, 0.0, 0, reach, step, count)
 
 
 def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
@@ -71,7 +71,8 @@ def test_products_and_residuals_are_those_of_the_reference(
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
     found = layout(tree, tb.minimal_set(tree, model), terms, joined=seed % 2 == 0)
     signals = some_signals(found, seed, encoders, filtered)
-    signals = signals._replace(deadband=0.5 if model == "dynamic" else 0.0)
+    reach = (seed % 3) * len(signals.weights) // 4
+    signals = signals._replace(deadband=0.5 if model == "dynamic" else 0.0, rest_reach=reach)
     rng, work = np.random.default_rng(seed), numba_engine.workspace(found, signals)
     fast = numba_engine.sweep(found, signals, products_wanted(found.width), work)
     blocks = numpy_engine.rows(found, signals)
@@ -101,7 +102,9 @@ def test_rows_are_the_minimal_regressor(seed: int, model: Model) -> None:
         expected = tb.regressor(tree, Motion(np.arange(100.0), q, qd, qdd), minimal)
         found = layout(tree, minimal)
         one = np.array([[1.0], [0.0], [0.0]])
-        signals = Signals(q, qd, qdd, np.zeros((100, found.width)), one, np.ones(1), 0.0, 0, 1, 100)
+        signals = Signals(
+            q, qd, qdd, np.zeros((100, found.width)), one, np.ones(1), 0.0, 0, 0, 1, 100
+        )
         blocks = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
         z = np.hstack(blocks)
         scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))
@@ -155,7 +158,7 @@ def test_rows_are_those_of_pinocchio(name: str, model: Model) -> None:
     minimal = tb.minimal_set(tree, model)
     found = layout(tree, minimal)
     one = np.array([[1.0], [0.0], [0.0]])
-    signals = Signals(q, qd, qdd, np.zeros((64, found.width)), one, np.ones(1), 0.0, 0, 1, 64)
+    signals = Signals(q, qd, qdd, np.zeros((64, found.width)), one, np.ones(1), 0.0, 0, 0, 1, 64)
     (z,) = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
     floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
     robot = pin.buildModelFromXML(urdf, *floating)

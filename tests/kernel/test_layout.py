@@ -132,7 +132,7 @@ def test_columns_that_nearly_depend_on_others_come_last() -> None:
 @pytest.mark.parametrize(("number", "size"), [(0, 5), (4, 5), (5, 5), (13, 5)])
 def test_blocks_are_all_rows_in_order(number: int, size: int) -> None:
     empty = np.zeros((0, 1))
-    signals = Signals(empty, empty, empty, empty, empty, empty, 0.0, 100, 7, number)
+    signals = Signals(empty, empty, empty, empty, empty, empty, 0.0, 0, 100, 7, number)
     at = 0
     for first, part in blocks(signals, size):
         assert first == at

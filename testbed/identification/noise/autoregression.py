@@ -1,0 +1,119 @@
+"""Coloured noise as an autoregression, channel by channel: fitted, chosen, simulated.
+
+e_t = a_1 e_(t-1) + ... + a_P e_(t-P) + u_t, u white. Fitted by least squares to products of
+residuals with residuals before them.
+
+Source    [BJRL16]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+
+HIGHEST = 6
+"""Largest order: half a second at ten rows a second; what lasts longer shows in the slowest."""
+
+LARGEST_ROOT = 0.998
+"""A fit may find noise that grows without end; it is held to one that forgets."""
+
+BURN_IN = 200
+"""Rows simulated before the first that counts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """Noise of C channels.
+
+    Attributes:
+        coefficients: a, (C, P).
+        sigma: Standard deviations of u, (C,).
+    """
+
+    coefficients: Array
+    sigma: Array
+
+    @property
+    def order(self) -> int:
+        """P."""
+        return int(self.coefficients.shape[1])
+
+    @property
+    def memory(self) -> Array:
+        """Rows in which the slowest part of each channel's noise fades to 1/e, (C,)."""
+        found = np.zeros(len(self.sigma))
+        for c, a in enumerate(self.coefficients):
+            largest = np.abs(np.roots([1.0, *-a])).max(initial=0.0)
+            found[c] = -1 / np.log(largest) if largest > 0 else 0.0
+        return found
+
+
+def fit(moments: Array, order: int) -> Array:
+    """Coefficients by least squares, (C, P), of noise that forgets.
+
+    Args:
+        moments: e_(t-i) e_(t-j) summed over the same t, (C, K + 1, K + 1), K >= P.
+        order: P.
+    """
+    found = np.zeros((len(moments), order))
+    for c, products in enumerate(moments):
+        matrix = products[1 : order + 1, 1 : order + 1]
+        right = products[1 : order + 1, 0]
+        ridge = 1e-12 * np.trace(matrix) / max(order, 1) * np.eye(order)
+        if order and np.trace(matrix) > 0:
+            found[c] = _forgetting(np.linalg.lstsq(matrix + ridge, right, rcond=None)[0])
+    return found
+
+
+def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
+    """The order, 1 to `highest`, by Akaike's criterion, the same for all channels.
+
+    Args:
+        moments: As for `fit`, K >= highest.
+        rows: How many products are in each sum.
+        highest: The largest to be tried.
+    """
+    scores = []
+    for order in range(1, highest + 1):
+        alpha = np.hstack([np.ones((len(moments), 1)), -fit(moments, order)])
+        part = moments[:, : order + 1, : order + 1]
+        left = np.maximum(np.einsum("ci,cij,cj->c", alpha, part, alpha), np.finfo(float).tiny)
+        scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
+    return 1 + int(np.argmin(scores))
+
+
+def _forgetting(coefficients: Array) -> Array:
+    """The same, its roots drawn inside the unit circle where they are not."""
+    largest = float(np.abs(np.roots([1.0, *-coefficients])).max(initial=0.0))
+    shrink = min(1.0, LARGEST_ROOT / largest) if largest > 0 else 1.0
+    return np.asarray(coefficients * shrink ** np.arange(1, len(coefficients) + 1))
+
+
+class NoiseMaker:
+    """Replicas of noise, row after row."""
+
+    def __init__(self, noise: Autoregression, replicas: int, rng: np.random.Generator) -> None:
+        """Ready for the first row.
+
+        Args:
+            noise: What to make.
+            replicas: How many at a time.
+            rng: Random numbers.
+        """
+        self._noise, self._rng = noise, rng
+        self._recent = np.zeros((noise.order, len(noise.sigma), replicas))
+        self.rows(BURN_IN)
+
+    def rows(self, count: int) -> Array:
+        """The next rows, (C, count, replicas)."""
+        order, a = self._noise.order, self._noise.coefficients.T[..., None]
+        channels, replicas = len(self._noise.sigma), self._recent.shape[2]
+        fresh = self._rng.normal(size=(count, channels, replicas)) * self._noise.sigma[:, None]
+        run = np.concatenate([self._recent, fresh])
+        for t in range(order, order + count):
+            run[t] += (a * run[t - order : t][::-1]).sum(axis=0)
+        self._recent = run[len(run) - order :]
+        return np.asarray(run[order:].transpose(1, 0, 2))

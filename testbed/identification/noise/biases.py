@@ -1,0 +1,79 @@
+"""A constant in every channel, where the data say that there is one.
+
+A fit with constants is less certain, so they are taken only if they earn it by Akaike's
+criterion: where there is a bias, or where slow noise looks like one. A constant that the
+parameters can imitate, such as the vertical force beside the total mass, is not told apart by
+any motion and is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.noise.fits import Fit, NoiseFit
+from testbed.identification.noise.lagged_products import LaggedProducts
+
+IMITATED = 1e-8
+"""Share of a constant's square that the parameters leave of it if they cannot imitate it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """Constants that no parameters can imitate.
+
+    Attributes:
+        directions: Combinations of the channels, (C, k), orthonormal.
+        hidden: Unknowns that imitate the other constants, (C - k, m).
+    """
+
+    directions: Array
+    hidden: Array
+
+
+def constants(given: LaggedProducts) -> Constants:
+    """Which constants can be told from the parameters.
+
+    Args:
+        given: Products of unknowns' columns, residuals and ones.
+    """
+    squares = given.products[0]
+    channels, m = len(squares), squares.shape[2] - 2
+    normal = squares[:, :m, :m].sum(axis=0)
+    mixed = squares[:, :m, m + 1].T  # (m, C)
+    counts = squares[:, m + 1, m + 1]
+    imitating = np.linalg.solve(normal, mixed)
+    left = np.diag(counts) - mixed.T @ imitating
+    spread, axes = np.linalg.eigh((left + left.T) / 2)
+    told = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
+    assert len(axes) == channels
+    return Constants(axes[:, told], (imitating @ axes[:, ~told]).T)
+
+
+def with_constants(fit: Fit, directions: Array) -> Fit:
+    """The same fit with constants as further unknowns, after the others.
+
+    Args:
+        fit: Without them.
+        directions: Combinations of the channels, (C, k).
+    """
+
+    def fitted(given: LaggedProducts, order: int | None) -> NoiseFit:
+        m, k = given.products.shape[2] - 2, directions.shape[1]
+        maps = np.zeros((len(directions), m + 2, m + k + 2))
+        maps[:, :m, :m] = np.eye(m)
+        maps[:, m + 1, m : m + k] = directions
+        maps[:, m, m + k] = maps[:, m + 1, m + k + 1] = 1.0
+        return fit(given.combined(maps), order)
+
+    return fitted
+
+
+def square_of_last(found: NoiseFit, count: int) -> float:
+    """How far the last `count` unknowns of a fit are from zero: a chi-square if they are."""
+    if not count:
+        return 0.0
+    values, covariance = found.values[-count:], found.covariance[-count:, -count:]
+    return float(values @ np.linalg.solve(covariance, values))

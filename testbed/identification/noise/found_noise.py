@@ -1,0 +1,30 @@
+"""What an estimate's residuals are like."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from testbed.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class FoundNoise:
+    """The noise that an estimate was made under.
+
+    Attributes:
+        order: Of each channel's autoregression; 0 where noise is taken as white.
+        memory: Time in which the slowest part of each channel's noise fades to 1/e, (C,) [s].
+        factor: By which sigma is larger than the formula's, found by a bootstrap.
+        bias: Constants of the channels that were taken as unknown, (C,) [N, N m]; zero if none.
+        bias_sigma: Their standard deviations, (C,).
+        bias_chance: Probability of constants as large as these where there are none.
+        hidden: Parameters that no motion can tell from a constant of a channel.
+    """
+
+    order: int
+    memory: tuple[float, ...]
+    factor: float
+    bias: Array
+    bias_sigma: Array
+    bias_chance: float
+    hidden: tuple[str, ...]

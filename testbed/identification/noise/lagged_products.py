@@ -1,0 +1,133 @@
+"""Products of rows with rows before them: all that a fit under coloured noise needs to know.
+
+Whitening by an autoregression, its coefficients, the covariance of a fit that is not whitened:
+each is another sum of these products. One look at the rows is enough, whatever their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+
+
+@dataclass(frozen=True, eq=False)
+class LaggedProducts:
+    """Sums over rows z_t, t = 0 ... rows - 1, of C channels with q columns each.
+
+    Attributes:
+        rows: How many.
+        products: By lag k = 0 ... K: z_t z_(t-k)' summed over t >= k, (K + 1, C, q, q).
+        first: The first K rows, (C, K, q); zeros where there are fewer.
+        last: The last K rows, in the order of time, (C, K, q); zeros before the first.
+    """
+
+    rows: int
+    products: Array
+    first: Array
+    last: Array
+
+    @property
+    def lags(self) -> int:
+        """The largest lag K."""
+        return len(self.products) - 1
+
+    def picked(self, which: list[int]) -> LaggedProducts:
+        """Of some of the columns alone.
+
+        Args:
+            which: Their places, in the order that is wanted.
+        """
+        products = self.products[:, :, which][..., which]
+        return LaggedProducts(self.rows, products, self.first[..., which], self.last[..., which])
+
+    def combined(self, maps: Array) -> LaggedProducts:
+        """Of combinations of the columns.
+
+        Args:
+            maps: How a channel's columns make up the new ones, (C, q, r), or (q, r) for all.
+        """
+        back = np.swapaxes(maps, -1, -2)
+        return LaggedProducts(
+            self.rows,
+            np.asarray(back @ self.products @ maps),
+            self.first @ maps,
+            self.last @ maps,
+        )
+
+    def shifted(self, i: int, j: int, start: int) -> Array:
+        """z_(t-i) z_(t-j)' summed over t = start ... rows - 1, (C, q, q).
+
+        Args:
+            i: At most `start`.
+            j: At most `start`.
+            start: At most K.
+        """
+        if i > j:
+            return np.asarray(self.shifted(j, i, start).transpose(0, 2, 1))
+        lag = j - i
+        head = self.first[:, lag : start - i], self.first[:, : start - i - lag]
+        size = self.last.shape[1]
+        tail = self.last[:, size - i :], self.last[:, size - i - lag : size - lag]
+        edges = sum(np.matmul(now.transpose(0, 2, 1), before) for now, before in (head, tail))
+        return np.asarray(self.products[lag] - edges)
+
+    def whitened(self, coefficients: Array) -> Array:
+        """e_t e_t' of e_t = z_t - sum over i of a_i z_(t-i), over t >= P, (C, q, q).
+
+        Args:
+            coefficients: a, channel by channel, (C, P), P at most K.
+        """
+        channels, order = coefficients.shape
+        alpha = np.hstack([np.ones((channels, 1)), -coefficients])
+        total: Array = np.zeros_like(self.products[0])
+        for i in range(order + 1):
+            for j in range(order + 1):
+                share = (alpha[:, i] * alpha[:, j])[:, None, None]
+                total += share * self.shifted(i, j, order)
+        return total
+
+
+class LaggedSums:
+    """Adds up products of rows as they come."""
+
+    def __init__(self, lags: int) -> None:
+        """Nothing yet.
+
+        Args:
+            lags: The largest lag K.
+        """
+        self._lags = lags
+        self._rows = 0
+        self._products: Array | None = None
+        self._first: list[Array] = []
+        self._recent = np.zeros((0, 0, 0))
+
+    def add(self, block: Array) -> None:
+        """Go on with consecutive rows, (C, rows, q)."""
+        channels, rows, columns = block.shape
+        if self._products is None:
+            self._products = np.zeros((self._lags + 1, channels, columns, columns))
+            self._recent = np.zeros((channels, self._lags, columns))
+        missing = self._lags - self._rows
+        if missing > 0:
+            self._first.append(block[:, :missing])
+        run = np.concatenate([self._recent, block], axis=1)
+        now = block.transpose(0, 2, 1)
+        for lag in range(self._lags + 1):
+            before = run[:, self._lags - lag : self._lags - lag + rows]
+            self._products[lag] += np.matmul(now, before)
+        self._rows += rows
+        self._recent = run[:, rows:]
+
+    def finish(self) -> LaggedProducts:
+        """The sums."""
+        assert self._products is not None
+        channels, _, columns = self._recent.shape
+        first = np.concatenate([*self._first, np.zeros((channels, 0, columns))], axis=1)
+        room = np.zeros((channels, self._lags - first.shape[1], columns))
+        return LaggedProducts(
+            self._rows, self._products, np.concatenate([first, room], axis=1), self._recent
+        )

@@ -1,0 +1,71 @@
+"""How far a formula for sigma falls short, found by repeating the fit on made noise.
+
+Noise that is fitted to residuals looks whiter than it is, the more so the more unknowns have
+taken a part of it. A parametric bootstrap measures by how much: replicas of the found noise go
+through the same fit, and their mean square in units of the formula's sigma is one if the
+formula is right. It is pooled over parameters, since single ones would need many replicas.
+
+Source    [ET93] for the bootstrap
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.noise.autoregression import NoiseMaker
+from testbed.identification.noise.fits import Fit, NoiseFit
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+
+REPLICAS = 12
+"""Replicas of the noise: with all parameters pooled, sigma is found to a few percent."""
+
+SEED = 1996
+"""Of the replicas: the same recording gives the same sigma."""
+
+
+class Replicas:
+    """Products of rows with replicas of their noise."""
+
+    def __init__(self, found: NoiseFit, lags: int) -> None:
+        """Nothing yet.
+
+        Args:
+            found: The fit whose noise is to be made.
+            lags: As in the fit's own products.
+        """
+        self._found = found
+        self._maker = NoiseMaker(found.noise, REPLICAS, np.random.default_rng(SEED))
+        self._sums = LaggedSums(lags)
+
+    def add(self, columns: Array, counts: Array) -> None:
+        """Go on with consecutive rows.
+
+        Args:
+            columns: Of the unknowns, (C, rows, m).
+            counts: Ones where a row counts, (C, rows).
+        """
+        noise = self._maker.rows(columns.shape[1]) * counts[..., None]
+        self._sums.add(np.concatenate([columns, noise, counts[..., None]], axis=2))
+
+    def factor(self, fit: Fit, lead: Array) -> float:
+        """By how much sigma has to be multiplied: at least one.
+
+        Args:
+            fit: What found the noise.
+            lead: How the rows' unknowns make up the parameters, (p, m).
+        """
+        given, order = self._sums.finish(), self._found.noise.order
+        m = len(self._found.values)
+        squares = [_squares(fit(_one(given, m, k), order), lead) for k in range(REPLICAS)]
+        return max(1.0, float(np.sqrt(np.mean(squares))))
+
+
+def _one(given: LaggedProducts, m: int, replica: int) -> LaggedProducts:
+    return given.picked([*range(m), m + replica, m + REPLICAS])
+
+
+def _squares(found: NoiseFit, lead: Array) -> Array:
+    m = lead.shape[1]  # a fit may have unknowns of its own after these
+    variance = np.einsum("pi,ij,pj->p", lead, found.covariance[:m, :m], lead)
+    return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, np.finfo(float).tiny))
