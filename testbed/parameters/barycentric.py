@@ -82,11 +82,16 @@ def to_barycentric(tree: Tree, standard: AnyArray) -> AnyArray:
     return theta
 
 
-def standard_to_barycentric(tree: Tree) -> Array:
-    """`to_barycentric` as a matrix, (10 n, 10 n): theta = this times the standard parameters."""
-    units = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
-    matrix: Array = to_barycentric(tree, units).reshape(10 * tree.n, 10 * tree.n)
-    return matrix
+def on_standard(tree: Tree, rows: Array) -> Array:
+    """Rows on the barycentric parameters as rows on the standard ones, (k, 10 n) both.
+
+    The transpose of `to_barycentric`: rows theta = on_standard(rows) standard.
+    """
+    own = rows.reshape(-1, tree.n, 10).copy()
+    for j in range(tree.n):
+        if tree.parents[j] >= 0:
+            own[:, j, 0] += own[:, tree.parents[j]] @ point_mass(tree.joints[j].offset)
+    return own[:, :, _TO_STANDARD_ORDER].reshape(rows.shape)
 
 
 def to_standard(tree: Tree, theta: AnyArray) -> AnyArray:

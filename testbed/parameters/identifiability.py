@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 
 from testbed.arrays import Array
-from testbed.parameters.barycentric import standard_to_barycentric
+from testbed.parameters.barycentric import on_standard, to_standard
 from testbed.parameters.entries import dense_rows, static_entries
-from testbed.parameters.minimal_set import known_zeros, minimal_set
+from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set
 from testbed.parameters.regroup import regroup
 from testbed.robot.tree import Tree
 
@@ -27,7 +28,7 @@ INSTRUMENTS = ("torques", "bedplate", "tared bedplate", "bedplate, pedestal unkn
 the bedplate where the pedestal's mass and moments on the sensor are unknown as well."""
 
 _CLEAR = 1e-9
-"""Part of a unit parameter in, or outside, the row space that counts as none."""
+"""Part of a unit parameter in, or outside, what is told that counts as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,44 +59,81 @@ def identifiability(
         zeros: Barycentric parameters known to be zero, as in `minimal_set`.
     """
     g = tree.gravity_or(gravity)
-    torques = minimal_set(tree, "dynamic", g, zeros).matrix
-    plate = minimal_set(tree, "reaction", g, zeros).matrix
-    tared = minimal_set(tree, "reaction", g, zeros, tared=True).matrix
-    static = np.zeros((0, 10 * tree.n))
-    if g.any():
-        bodies = regroup(tree, "reaction", g)
-        static = dense_rows(tree, bodies, static_entries(tree, g))
-        static[:, known_zeros(tree, zeros).ravel()] = 0.0
-    moving = np.vstack([tared, static])
-    # an unknown pedestal adds its own mass and moments to each static entry
-    pedestal = np.eye(len(moving), len(static), -len(tared))
-    unknown = np.hstack([pedestal, moving])
-    cases = zip(INSTRUMENTS, (torques, plate, tared, unknown), strict=True)
-    return tuple(_visibility(tree, name, rows) for name, rows in cases)
-
-
-def _visibility(tree: Tree, instrument: str, rows: Array) -> Visibility:
-    own = 10 * tree.n
-    others = rows.shape[1] - own
-    on_standard = np.hstack([rows[:, :others], rows[:, others:] @ standard_to_barycentric(tree)])
-    return Visibility(
-        instrument,
-        len(rows),
-        _seen(on_standard)[others:].reshape(tree.n, 10),
-        _seen(rows)[others:].reshape(tree.n, 10),
+    torques = _told(minimal_set(tree, "dynamic", g, zeros))
+    plate = _told(minimal_set(tree, "reaction", g, zeros))
+    tared = _told(minimal_set(tree, "reaction", g, zeros, tared=True))
+    own = np.eye(10 * tree.n)
+    units = sparse.csr_array(on_standard(tree, own))
+    back = sparse.csr_array(to_standard(tree, own.reshape(tree.n, 10, -1)).reshape(own.shape))
+    sets = (torques, plate, tared, _beside_a_pedestal(tree, g, zeros, tared))
+    one = sparse.eye_array(10 * tree.n)
+    shape = (tree.n, 10)
+    return tuple(
+        Visibility(
+            name,
+            told.rows.shape[0],
+            told.of(units, back).reshape(shape),
+            told.of(one, one).reshape(shape),
+        )
+        for name, told in zip(INSTRUMENTS, sets, strict=True)
     )
 
 
-def _seen(rows: Array) -> NDArray[np.int_]:
-    """NEVER, COMBINED or ALONE for every column: its parts in the row space and outside.
+@dataclass(frozen=True, eq=False)
+class _Told:
+    """The combinations that one instrument tells, few numbers of them not zero.
 
-    Args:
-        rows: Independent of each other, (k, columns).
+    Attributes:
+        rows: On other unknowns, if any, and the 10 n barycentric parameters.
+        lift: Rows times this is 1.
     """
-    basis = np.linalg.qr(rows.T)[0]  # (columns, k)
-    inside = np.linalg.norm(basis, axis=1)
-    outside = np.linalg.norm(np.eye(len(basis)) - basis @ basis.T, axis=0)
-    seen = np.full(len(basis), NEVER)
-    seen[inside > _CLEAR] = COMBINED
-    seen[outside <= _CLEAR] = ALONE
-    return seen
+
+    rows: sparse.csr_array
+    lift: sparse.csc_array
+
+    def of(self, units: sparse.sparray, back: sparse.sparray) -> NDArray[np.int_]:
+        """NEVER, COMBINED or ALONE for every parameter of a body.
+
+        A parameter p' x is told alone if p' is a combination of the rows R, and then it is
+        p' L R, for any L with R L = 1.
+
+        Args:
+            units: The barycentric parameters of each of the bodies' parameters, (10 n, 10 n).
+            back: Its inverse.
+        """
+        others = self.rows.shape[1] - units.shape[1]
+        on_units = sparse.block_diag([sparse.eye_array(others), units], format="csr")
+        rows = self.rows @ on_units
+        parts = abs(self.rows) @ abs(on_units)  # what may cancel, and leave rounding
+        size, scale = _largest(rows), np.maximum(1.0, _largest(parts))
+        found = sparse.csr_array((back @ self.lift[others:]) @ rows)
+        outside = _largest(sparse.eye_array(*found.shape, k=others) - found, axis=1)
+        seen = np.full(units.shape[1], NEVER)
+        seen[(size > _CLEAR * scale)[others:]] = COMBINED
+        seen[outside <= _CLEAR] = ALONE
+        return seen
+
+
+def _told(minimal: MinimalSet) -> _Told:
+    return _Told(sparse.csr_array(minimal.matrix), sparse.csc_array(minimal.lift))
+
+
+def _largest(matrix: sparse.sparray, axis: int = 0) -> Array:
+    found = abs(sparse.csr_array(matrix)).max(axis=axis) if min(matrix.shape) else None
+    return np.zeros(matrix.shape[1 - axis]) if found is None else found.toarray().ravel()
+
+
+def _beside_a_pedestal(
+    tree: Tree, gravity: Array, zeros: bool | Sequence[str], tared: _Told
+) -> _Told:
+    """An unknown pedestal adds its own mass and moments to each static entry."""
+    static = np.zeros((0, 10 * tree.n))
+    if gravity.any():
+        bodies = regroup(tree, "reaction", gravity)
+        static = dense_rows(tree, bodies, static_entries(tree, gravity))
+        static[:, known_zeros(tree, zeros).ravel()] = 0.0
+    added = sparse.eye_array(len(static))
+    weight = sparse.csr_array(static)
+    rows = sparse.block_array([[None, tared.rows], [added, weight]], format="csr")
+    lift = sparse.block_array([[-weight @ tared.lift, added], [tared.lift, None]], format="csc")
+    return _Told(rows, lift)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import barycentric, parameter_names, standard_to_barycentric
+from testbed.parameters.barycentric import barycentric, on_standard, parameter_names
 from testbed.parameters.elimination import Elimination, eliminate
 from testbed.parameters.entries import BEDPLATE, Entry, dense_rows, dynamic_first, list_entries
 from testbed.parameters.formulas import Lengths, Namer
@@ -134,7 +134,7 @@ class MinimalSet:
 
         m mx my mz Ixx Ixy Iyy Ixz Iyz Izz a body, about and along its frame.
         """
-        rows = self.matrix @ standard_to_barycentric(self._tree)
+        rows = on_standard(self._tree, self.matrix)
         return readonly(rows, self.matrix.shape, "standard_matrix")
 
     @cached_property

@@ -81,16 +81,28 @@ def check_times(time: Array, source: str, typical: float, first: int = 0) -> Non
     if not least > 0:  # what is no number is not
         k = int(np.argmin(steps)) + first
         raise RecordingError(f"{source}: time does not increase after sample {k}")
-    if not EARLIEST <= typical <= LATEST:
-        raise RecordingError(
-            f"{source}: {typical:.3g} s from sample to sample is no sampling time; "
-            "time is in seconds"
-        )
+    check_sampling_time(typical, source)
     if max(most - typical, typical - least) > UNIFORM * typical:
         worst = int(np.argmax(np.abs(steps - typical)))
         raise RecordingError(
             f"{source}: sampling is not uniform: {steps[worst]:.6g} s after sample "
             f"{worst + first}, {typical:.6g} s elsewhere; resample the recording to a constant rate"
+        )
+
+
+def check_sampling_time(step: float, source: str) -> None:
+    """Whether a sampling time is one.
+
+    Args:
+        step: From sample to sample [s].
+        source: What the recording is called.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    if not EARLIEST <= step <= LATEST:
+        raise RecordingError(
+            f"{source}: {step:.3g} s from sample to sample is no sampling time; time is in seconds"
         )
 
 

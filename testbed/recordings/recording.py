@@ -32,6 +32,9 @@ from testbed.robot.tree import Tree
 READ = {*SIGNALS, *(f"truth/{signal}" for signal in TRUE_SIGNALS)}
 """Signals that are read from a file; its other columns are left alone."""
 
+AT_ONCE = 100_000
+"""Samples that are read from a file at once."""
+
 
 @dataclass(frozen=True, eq=False)
 class Truth:
@@ -249,7 +252,11 @@ class Recording:
 
         table = open_table(Path(path))
         wanted = [column for column in table.columns if signal_of(column) in READ]
-        columns = table.read(wanted, 0, table.samples)
+        columns = {column: np.empty(table.samples) for column in wanted}
+        for first in range(0, table.samples, AT_ONCE):  # a reader may hold what it is asked for
+            last = min(first + AT_ONCE, table.samples)
+            for column, values in table.read(wanted, first, last).items():
+                columns[column][first:last] = values
         recording = Recording.from_columns(columns, table.metadata, str(path))
         check_columns(recording.columns(), str(path))
         return recording

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from testbed.arrays import Array
+from testbed.recordings.checks import check_sampling_time
 from testbed.recordings.columns import SIGNALS, joints_in, signal_of
 from testbed.recordings.formats import open_table
 from testbed.recordings.formats.parquet import write_table
@@ -30,7 +32,8 @@ class StoredRecording:
         """Open a file; reads its ends only.
 
         Raises:
-            RecordingError: The file is missing or damaged, or a channel is missing.
+            RecordingError: The file is missing or damaged, a channel is missing, or its times
+                are no times of samples.
         """
         self._path = Path(path)
         self._table = open_table(self._path)
@@ -44,7 +47,9 @@ class StoredRecording:
         if self.samples > 1:
             last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
             length = float(last[0] - start.time[0])
-            self.rate = (self.samples - 1) / length if length > 0 else 0.0
+            if 0 < length < math.inf:  # else the part says so in which it happens
+                check_sampling_time(length / (self.samples - 1), str(path))
+                self.rate = (self.samples - 1) / length
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1; cheap where parts are asked for in their order.

@@ -25,6 +25,9 @@ SAYS = ("never", "only in combination", "alone")
 WIDEST = 5.0
 """Errors in sigmas that fill half a bar."""
 
+LONGEST = 21
+"""Characters of a value and its sigma with a sign between them; longer, sigma is in brackets."""
+
 
 def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
     """Everything that the page shows; drawings are under the keys "svg".
@@ -46,6 +49,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "methods": list(run.estimates),
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
+        "in_brackets": _in_brackets(run),
         "warnings": [*run.warnings, *look.warnings],
         "figures": [
             section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
@@ -95,7 +99,7 @@ def parameter_rows(run: Run) -> list[dict[str, Any]]:
     first = () if internal is None else internal.base.names
     external = run.estimates.get("external")
     second = () if external is None else external.names
-    rows = []
+    rows, short = [], _in_brackets(run)
     for name in dict.fromkeys((*first, *second, *units)):
         truth = run.truths.get(name)
         rows.append(
@@ -103,17 +107,23 @@ def parameter_rows(run: Run) -> list[dict[str, Any]]:
                 "name": name,
                 "unit": units[name],
                 "truth": "" if truth is None else f"{truth:.6g}",
-                "cells": [_cell(estimate, name, truth) for estimate in run.estimates.values()],
+                "cells": [_cell(e, name, truth, short) for e in run.estimates.values()],
             }
         )
     return rows
 
 
-def _cell(estimate: Estimate, name: str, truth: float | None) -> dict[str, Any]:
+def _in_brackets(run: Run) -> bool:
+    """Whether values would be too long for a page with their sigmas after a sign."""
+    every = (with_sigma(e, name) for e in run.estimates.values() for name in e.names)
+    return any(len(text.replace("+-", "±")) > LONGEST for text in every)
+
+
+def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> dict[str, Any]:
     """One method's value, and its error as a bar where the truth is known."""
     cell: dict[str, Any] = {
         "method": estimate.method,
-        "text": with_sigma(estimate, name),
+        "text": with_sigma(estimate, name, short),
         "value": None,
         "sigma": None,
         "z": None,

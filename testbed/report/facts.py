@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
@@ -23,8 +25,16 @@ def asked(run: Run) -> Facts:
     ]
     if run.model is not None:
         facts.append(("model file", run.model.path.name))
+        facts += [("held", held)] if (held := _held(run.model.lock)) else []
     facts += _of_recording(run) if run.experiment is None else _of_experiment(run.experiment)
     return [*facts, ("identification", _treatment(run))]
+
+
+def _held(lock: Mapping[str, float | None]) -> str:
+    """Joints that do not move in this run, and where they stand."""
+    at = {joint: "where it rests" if q is None else f"at {q:g}" for joint, q in lock.items()}
+    unit = " [rad or m]" if any(q is not None for q in lock.values()) else ""
+    return ", ".join(f"{joint} {place}" for joint, place in at.items()) + unit
 
 
 def _of_recording(run: Run) -> Facts:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -63,6 +64,8 @@ _STYLE: dict[Any, Any] = {
 WIDTH, HEIGHT = 4.1, 1.85
 """Of a plot [inches]."""
 _MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.245, "top": 0.89}  # parts of it
+_WIDER = 1.05
+"""Room for labels in a font wider than the one they are measured in."""
 _WIDTHS = {"measured": 2.6}  # what hides behind the predictions
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -105,7 +108,15 @@ class Panel:
             axis.set_title(self.title, loc="left")
             axis.set_xlabel(self.x_label, labelpad=3)
             (_logarithmic if self.log else _linear)(axis)
+            figure.subplots_adjust(left=max(_MARGINS["left"], _WIDER * _room(figure, axis)))
             return _svg(figure, self.title)
+
+
+def _room(figure: Figure, axis: Axes) -> float:
+    """What the labels of the vertical axis need, part of the figure's width."""
+    canvas: Any = FigureCanvasAgg(figure)
+    box = axis.yaxis.get_tightbbox(canvas.get_renderer())
+    return 0.0 if box is None else float((axis.bbox.x0 - box.x0) / figure.bbox.width)
 
 
 def _linear(axis: Axes) -> None:

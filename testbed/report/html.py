@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from testbed.experiment.run import Run
 from testbed.files import replacing
@@ -33,7 +34,7 @@ def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
     page = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    page.filters |= {"typeset": typeset, "drawing": Markup}
+    page.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
     text = page.from_string(
         files("testbed.report").joinpath("page/report.html").read_text("utf-8")
     ).render(content)
@@ -51,6 +52,11 @@ def typeset(text: str) -> str:
     for plain, sign in _SIGNS.items():
         text = text.replace(plain, sign)
     return text
+
+
+def breakable(name: str) -> Markup:
+    """A name that goes on in the next line, where it must, after an underscore or a slash."""
+    return Markup(re.sub("([_/])", r"\1<wbr>", str(escape(name))))
 
 
 def _without_drawings(content: Any) -> Any:

@@ -57,8 +57,11 @@ def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
 
 
 def _set_as_json(tree: Tree, each: MinimalSet, matrices: bool) -> dict[str, Any]:
-    whole = {"matrix": each.matrix.tolist(), "standard_matrix": each.standard_matrix.tolist()}
-    return {
+    whole = {}
+    if matrices:
+        whole["matrix"] = each.matrix.tolist()
+        whole["standard_matrix"] = each.standard_matrix.tolist()
+    return whole | {
         "names": list(each.names),
         "units": list(each.units),
         "formulas": [str(formula) for formula in each.formulas],
@@ -72,7 +75,7 @@ def _set_as_json(tree: Tree, each: MinimalSet, matrices: bool) -> dict[str, Any]
             for name, zero in zip(parameter_names(tree), each.known_zero.ravel(), strict=True)
             if zero
         ],
-    } | (whole if matrices else {})
+    }
 
 
 def _drives_as_json(drives: DriveSet, matrices: bool) -> dict[str, Any]:

@@ -12,8 +12,8 @@ from rich.table import Table
 
 from testbed.errors import printable
 
-_EXACT = 1e-7
-"""Relative sigma below which decimals would hide how small it is."""
+_EXACT, _EXACT_SHORT = 1e-7, 1e-10
+"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
 
 _NAME = 12
 """Columns that are left to a name, at least, when it gives way."""
@@ -159,7 +159,7 @@ def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
         return "-"
     k = estimate.names.index(name)
     value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
-    if sigma < _EXACT * abs(value):
+    if sigma < (_EXACT_SHORT if short else _EXACT) * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"
     digits = _digits(sigma)
     if short:

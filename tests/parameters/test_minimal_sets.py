@@ -11,7 +11,8 @@ import pytest
 import testbed as tb
 from testbed.dynamics.witnesses import sampled_regressor, verify
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import COMPONENTS, STANDARD
+from testbed.parameters.barycentric import COMPONENTS, STANDARD, on_standard
+from testbed.parameters.entries import dense_rows, static_entries
 from testbed.parameters.exact_recursion import recursive_space
 from testbed.parameters.identifiability import (
     ALONE,
@@ -20,13 +21,15 @@ from testbed.parameters.identifiability import (
     NEVER,
     identifiability,
 )
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.regroup import regroup
 from testbed.parameters.row_space import distance, row_space
 from testbed.parameters.rules import REASONS, Model
 from testbed.robot.load import mimic_joints
 from testbed.robot.tree import Joint, Tree
 from tests.helpers.cases import cases
 from tests.helpers.paths import GOLDEN, REAL
-from tests.helpers.robots import random_robot
+from tests.helpers.robots import random_robot, with_zeros
 
 SLIGHTLY_INCLINED = (691, 815, 1727, 1996)  # first axes close to vertical: large lifts
 UNCHANGED = 1e-12  # relative change of the model by regrouping
@@ -242,6 +245,42 @@ def test_the_map_is_that_of_a_sampled_regressor(seed: int) -> None:
         for column in np.flatnonzero(flat == ALONE)[:5]:
             rest = np.delete(rows, column, axis=1)
             assert row_space(rest, 1e-10).rank == row_space(rows, 1e-10).rank - 1
+
+
+def beside_a_pedestal(tree: Tree, gravity: np.ndarray, tared: MinimalSet) -> np.ndarray:
+    """What is told with an unknown mass and two moments on the plate, (k, 3 + 10 n)."""
+    bodies = regroup(tree, "reaction", gravity)
+    entries = static_entries(tree, gravity) if gravity.any() else []
+    static = np.where(tared.known_zero.ravel(), 0.0, dense_rows(tree, bodies, entries))
+    own = np.eye(3)[: len(static)]
+    return np.block([[np.zeros((tared.count, 3)), tared.matrix], [own, static]])
+
+
+def levels_by_orthonormal_rows(rows: np.ndarray) -> np.ndarray:
+    basis = np.linalg.qr(rows.T)[0]
+    inside = np.linalg.norm(basis, axis=1) > 1e-9
+    outside = np.linalg.norm(np.eye(len(basis)) - basis @ basis.T, axis=0) > 1e-9
+    return np.where(outside, np.where(inside, COMBINED, NEVER), ALONE)
+
+
+@pytest.mark.parametrize("zeros", [False, True])
+@pytest.mark.parametrize("gravity", GRAVITIES)
+@pytest.mark.parametrize("seed", range(5))
+def test_the_map_is_that_of_the_row_space(seed: int, gravity: str, zeros: bool) -> None:
+    """A unit parameter is outside of it, has a part in it, or is in it, told by a dense basis."""
+    rng = np.random.default_rng(seed)
+    tree = with_zeros(rng, random_robot(rng, int(rng.integers(1, 8)))).tree()
+    g = np.array(GRAVITIES[gravity])
+    torques, plate = (tb.minimal_set(tree, model, g, zeros) for model in MODELS)
+    tared = tb.minimal_set(tree, "reaction", g, zeros, tared=True)
+    rows = [torques.matrix, plate.matrix, tared.matrix, beside_a_pedestal(tree, g, tared)]
+    for found, told in zip(identifiability(tree, g, zeros), rows, strict=True):
+        others = told.shape[1] - 10 * tree.n
+        standard = np.hstack([told[:, :others], on_standard(tree, told[:, others:])])
+        assert found.count == len(told)
+        for table, own in ((found.standard, standard), (found.barycentric, told)):
+            expected = levels_by_orthonormal_rows(own)[others:]
+            np.testing.assert_array_equal(table.ravel(), expected)
 
 
 # text

@@ -14,6 +14,7 @@ import testbed as tb
 from testbed.arrays import Array, skew
 from testbed.parameters.barycentric import (
     COMPONENTS,
+    on_standard,
     parameter_names,
     standard,
     to_barycentric,
@@ -79,6 +80,18 @@ def test_barycentric_and_standard_parameters_are_one_to_one(seed: int) -> None:
     any_parameters = rng.normal(size=(7, 10))
     back = to_standard(tree, to_barycentric(tree, any_parameters))
     np.testing.assert_allclose(back, any_parameters, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_rows_on_barycentric_and_on_standard_parameters_say_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 7).tree()
+    rows, parameters = rng.normal(size=(3, 70)), rng.normal(size=(7, 10))
+    kept = rows.copy()
+    said = rows @ to_barycentric(tree, parameters).ravel()
+    found = on_standard(tree, rows) @ parameters.ravel()
+    np.testing.assert_allclose(found, said, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(rows, kept)
 
 
 def test_standard_parameters_are_in_pinocchio_order(tmp_path: Any) -> None:

@@ -10,7 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.errors import RecordingError
+from testbed.recordings.formats.parquet import ParquetTable
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import gathered, open_source
 from testbed.recordings.stored import write_parts
@@ -102,6 +104,35 @@ def test_short_files_have_no_rate_or_that_of_their_two_samples(
 def test_times_that_stand_still_have_no_rate(whole: Recording, tmp_path: Path) -> None:
     replace(whole, time=np.zeros(whole.samples)).save(tmp_path / "r.parquet")
     assert tb.StoredRecording(tmp_path / "r.parquet").rate == 0.0
+
+
+@pytest.mark.parametrize("step", [1e-323, 1e-12, 1e9, 1e300])
+def test_times_that_are_no_seconds_are_refused_when_the_file_is_opened(
+    step: float, whole: Recording, tmp_path: Path
+) -> None:
+    """A rate is a number that filters can be made for."""
+    replace(whole, time=whole.time * 100.0 * step).save(tmp_path / "r.parquet")
+    with pytest.raises(RecordingError, match="is no sampling time; time is in seconds"):
+        tb.StoredRecording(tmp_path / "r.parquet")
+
+
+@pytest.mark.parametrize("at_once", [1, 7, SIZE, 10**6])
+def test_a_recording_is_read_whole_by_parts_of_any_size(
+    at_once: int, whole: Recording, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader, which may hold what it is asked for, is never asked for more."""
+    asked = []
+    read = ParquetTable.read
+
+    def noted(table: ParquetTable, columns: list[str], first: int, last: int) -> dict[str, Array]:
+        asked.append(last - first)
+        return read(table, columns, first, last)
+
+    monkeypatch.setattr(ParquetTable, "read", noted)
+    monkeypatch.setattr("testbed.recordings.recording.AT_ONCE", at_once)
+    same(Recording.load(path), whole)
+    assert max(asked) == min(at_once, whole.samples)
+    assert sum(asked) == whole.samples
 
 
 def test_parts_in_memory_are_gathered_into_one(whole: Recording) -> None:

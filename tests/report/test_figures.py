@@ -7,11 +7,14 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
 
 from testbed.arrays import Array
 from testbed.report.figures import HEIGHT, WIDTH, Panel, power_of_ten, thinned, tick_label
 
 SVG = "{http://www.w3.org/2000/svg}"
+TICK = 7.0  # a tick and the gap to its label [pt]
 SIZES = [1e-9, 1e-5, 3e-3, 1.0, 47.0, 2e4, 6e8]
 
 
@@ -52,6 +55,21 @@ def test_plots_fill_their_panels(size: float) -> None:
         numbers = np.array(re.findall(r"[-\d.]+", patch[0].attrib["d"]), dtype=float).reshape(-1, 2)
         share = np.ptp(numbers, axis=0) / [width, height]
         assert (share >= 0.6).all()
+
+
+@pytest.mark.parametrize("size", [*SIZES, 7e-4, 2e-4, 12345.0])
+def test_the_labels_of_ticks_have_room_with_their_signs(size: float) -> None:
+    """Left of the axis, inside the panel: -0.0005 is never seen as 0.0005."""
+    for panel in panels(size):
+        root = ET.fromstring(panel.svg)
+        (axes,) = (g for g in root.iter(f"{SVG}g") if g.get("class") == "axes_1")
+        (patch,) = (g for g in axes if g.get("class") == "patch_2")
+        start = min(map(float, re.findall(r"[ML] ([\d.]+)", patch[0].attrib["d"])))
+        ticks = [g for g in root.iter(f"{SVG}g") if (g.get("class") or "").startswith("ytick")]
+        labels = [text.text or "" for g in ticks for text in g.iter(f"{SVG}text")]
+        font = FontProperties(family="DejaVu Sans", size=9)
+        longest = max(TextPath((0, 0), text, prop=font).get_extents().width for text in labels)
+        assert longest + TICK < start
 
 
 @pytest.mark.parametrize("size", SIZES)

@@ -160,7 +160,10 @@ def test_the_document_of_a_small_robot_has_its_matrices(puma: tb.Tree) -> None:
 
 
 def test_matrices_can_be_left_out(puma: tb.Tree) -> None:
-    document = as_document(findings(puma, "rotor"), matrices=False)
+    """Those on the standard parameters, which nothing else needs, are not even made."""
+    found = findings(puma, "rotor")
+    document = as_document(found, matrices=False)
+    assert "standard_matrix" not in vars(found.dynamic)
     assert "S" not in document
     assert "matrix" not in document["dynamic"]
     assert "columns" not in document["drives"]

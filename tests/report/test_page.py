@@ -17,8 +17,9 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import METHODS, SIGNAL_OF
 from testbed.recordings.recording import Recording
-from testbed.report.contents import contents
-from testbed.report.html import typeset, write_report
+from testbed.report.contents import LONGEST, contents
+from testbed.report.facts import asked
+from testbed.report.html import breakable, typeset, write_report
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
@@ -57,7 +58,7 @@ def test_the_report_says_what_was_found(page: Path, puma_run: Run) -> None:
     for method in METHODS:
         estimate = puma_run.estimates[method]
         for k, name in enumerate(estimate.names):
-            assert f">{name}<" in text
+            assert f">{name}<" in text.replace("<wbr>", "")
             (cell,) = (c for c in rows[name]["cells"] if c["method"] == method)
             assert cell["value"] == estimate.values[k]
             assert cell["sigma"] == estimate.sigma[k]
@@ -128,6 +129,40 @@ def test_warnings_are_all_said(puma_run: Run, tmp_path: Path) -> None:
     assert "mb*2z is 3 kg m² ± 1" in text
     write_report(replace(puma_run, warnings=()), tmp_path / "q.html")
     assert "Nothing: all parameters are excited" in plain_text((tmp_path / "q.html").read_text())
+
+
+def test_joints_that_are_held_are_said(puma_run: Run) -> None:
+    assert puma_run.model is not None
+    held = replace(puma_run.model, lock={"finger": 0.02, "thumb": None})
+    facts = dict(asked(replace(puma_run, model=held)))
+    assert facts["held"] == "finger at 0.02, thumb where it rests [rad or m]"
+    assert "held" not in dict(asked(puma_run))
+
+
+@pytest.mark.parametrize(("noise", "sign"), [(0.5, "±"), (1e-6, "(")])
+def test_values_that_would_be_too_long_have_their_sigma_in_brackets(
+    noise: float, sign: str, tmp_path: Path
+) -> None:
+    """All of a page alike, and it says which; in the numbers nothing changes."""
+    tree = robot("puma")
+    run = run_of(tree, noisy(ideal(tree), size=noise), asked=experiment())
+    write_report(run, tmp_path / "r.html")
+    rows = json.loads((tmp_path / "r.json").read_text())["parameters"]
+    texts = [c["text"].replace("+-", "±") for row in rows for c in row["cells"] if c["sigma"]]
+    assert all(sign in text for text in texts)
+    assert max(map(len, texts)) <= LONGEST
+    said = plain_text((tmp_path / "r.html").read_text())
+    assert ("After the sign ± stands" in said) == (sign == "±")
+    assert ("Digits in brackets are" in said) == (sign == "(")
+    for row in rows:
+        for cell, estimate in zip(row["cells"], run.estimates.values(), strict=True):
+            if row["name"] in estimate.names:
+                assert cell["sigma"] == estimate.sigma[estimate.names.index(row["name"])]
+
+
+def test_names_go_on_in_the_next_line_between_words() -> None:
+    assert breakable("coulomb/left_hip") == "coulomb/<wbr>left_<wbr>hip"
+    assert breakable("<b>_") == "&lt;b&gt;_<wbr>"
 
 
 @pytest.mark.slow

@@ -8,7 +8,8 @@ import pytest
 
 from testbed.report.html import write_report
 from tests.helpers.browser import browser
-from tests.helpers.runs import judged_run
+from tests.helpers.ideal import ideal
+from tests.helpers.runs import experiment, noisy, robot, run_of
 
 OVERLAPS = """
 const box = e => e.getBoundingClientRect();
@@ -59,16 +60,19 @@ def test_the_report_in_a_browser(page: Path, tmp_path: Path, width: int, dark: b
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [390, 1200])
-def test_a_longer_table_is_not_hidden_either(width: int, tmp_path: Path) -> None:
-    """Six joints with long names: every estimate is on the screen without scrolling sideways."""
-    write_report(judged_run("ur5"), tmp_path / "ur5.html")
+@pytest.mark.parametrize("noise", [0.5, 1e-6])
+@pytest.mark.parametrize("width", [390, 1000, 1200])
+def test_a_longer_table_is_not_hidden_either(width: int, noise: float, tmp_path: Path) -> None:
+    """Six joints with long names and many digits: every estimate is on the screen at once."""
+    tree = robot("ur5")
+    run = run_of(tree, noisy(ideal(tree), size=noise), asked=experiment())
+    write_report(run, tmp_path / "ur5.html")
     with browser(tmp_path, width) as seen:
         seen.open(tmp_path / "ur5.html")
         assert seen.run(HIDDEN) == []
         assert seen.run(OVERLAPS) == []
         off = seen.run(
-            "return [...document.querySelectorAll('.parameters td.value')]"
+            "return [...document.querySelectorAll('.parameters td, .map td')]"
             ".map(e => e.getBoundingClientRect())"
             ".filter(b => b.width && (b.left < 0 || b.right > innerWidth)).length"
         )
