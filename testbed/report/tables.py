@@ -118,14 +118,26 @@ def _sections(estimates: Sequence[Estimate]) -> set[str]:
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
-    """One line an estimate: number of unknowns, condition, residual of each channel."""
+    """One line an estimate: number of unknowns, condition, noise, residual of each channel."""
     lines = []
     for e in estimates:
         fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
         lines.append(
-            f"{e.method}: {len(e.names)} unknowns, condition {e.condition:.1f}, residual rms {fits}"
+            f"{e.method}: {len(e.names)} unknowns, condition {e.condition:.1f}, {_noise(e)}"
+            f"residual rms {fits}"
         )
     return lines
+
+
+def _noise(estimate: Estimate) -> str:
+    """How long the noise lasts and what that does to sigma."""
+    noise = estimate.noise
+    if noise is None:
+        return ""
+    constants = ", constants estimated" if noise.bias_sigma.any() else ""
+    return (
+        f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}), "
+    )
 
 
 def _cells(
