@@ -59,8 +59,7 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         _put(nest, place)
         done = True
     finally:
-        os.close(lock)
-        shutil.rmtree(nest, ignore_errors=True)
+        _remove(nest, lock)
         if not done:
             _remove_empty(made)
 
@@ -158,9 +157,15 @@ def _sweep(folder: Path) -> None:
             lock = None if nest.is_symlink() else _locked(nest, sweeping=True)
             if lock is not None:
                 _put_back(nest)
-                shutil.rmtree(nest, ignore_errors=True)
-                os.close(lock)
-                nest.rmdir()  # gone already, unless the file system keeps what is open
+                _remove(nest, lock)
+
+
+def _remove(nest: Path, lock: int) -> None:
+    """Remove a nest; its lock is held meanwhile, so that nobody else removes it too."""
+    shutil.rmtree(nest, ignore_errors=True)
+    os.close(lock)
+    with suppress(OSError):  # gone already, unless the file system keeps what is open
+        nest.rmdir()
 
 
 def _put(nest: Path, place: Path) -> None:

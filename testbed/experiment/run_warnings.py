@@ -21,6 +21,12 @@ MOST_PAIRS = 5
 FAR = 5.0
 """Errors in sigmas that noise does not make."""
 
+CAUSES: Mapping[Method, str] = {
+    "internal": "a wrong torque constant, friction of another law or an unmodelled rotor",
+    "external": "a plate that is turned, late or off in its scales, or encoders that are",
+}
+"""Of errors that sigma does not tell."""
+
 EXACT = 1e-6
 """Relative error that is of no matter, however small sigma is."""
 
@@ -91,7 +97,6 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[str]:
     worst = int(far.argmax())
     yield (
         f"the {estimate.method} estimate of {off.sum()} parameters is off by more than {FAR:g} "
-        f"sigma, {estimate.names[worst]} by {far[worst]:.0f}: its errors are systematic, such as a "
-        "wrong torque constant, friction of another law or an unmodelled rotor, and sigma does "
-        "not tell them"
+        f"sigma, {estimate.names[worst]} by {far[worst]:.0f}: its errors are systematic, such as "
+        f"{CAUSES[estimate.method]}, and sigma does not tell them"
     )

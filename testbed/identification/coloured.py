@@ -25,6 +25,9 @@ from testbed.identification.solvers import least_squares
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
 
+FEW = 50
+"""Rows below which constants are not looked for."""
+
 IMITATES = 0.1
 """An unknown with a larger part than this in what imitates a constant is named."""
 
@@ -108,6 +111,8 @@ def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Arra
         unknowns = given.products.shape[2] - 2
         return weighted_fit, weighted_fit(given, None), none, np.zeros((0, unknowns))
     there = constants(given)
+    if given.rows < FEW:
+        return whitened_fit, whitened_fit(given, None), none, there.hidden
     biased = with_constants(whitened_fit, there.directions)
     found = biased(given, None)
     count = there.directions.shape[1]

@@ -53,7 +53,7 @@ def identify(
 ) -> Estimate:
     """Minimal parameters from encoder positions and one kind of force measurement.
 
-    Two passes over the samples, in constant memory; the same to the bit for any number of
+    A few passes over the samples, in constant memory; the same to the bit for any number of
     threads and wherever the samples come from.
 
     Args:

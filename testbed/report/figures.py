@@ -107,7 +107,8 @@ class Panel:
                 axis.plot(x, y, **style)
             axis.set_title(self.title, loc="left")
             axis.set_xlabel(self.x_label, labelpad=3)
-            (_logarithmic if self.log else _linear)(axis)
+            drawn = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)
+            (_logarithmic if self.log and drawn else _linear)(axis)
             figure.subplots_adjust(left=max(_MARGINS["left"], _WIDER * _room(figure, axis)))
             return _svg(figure, self.title)
 
@@ -132,9 +133,8 @@ def _logarithmic(axis: Axes) -> None:
     axis.set_yscale("log")
     shown = [line.get_ydata() for line in axis.lines]
     positive = np.concatenate([np.asarray(y)[np.asarray(y) > 0] for y in shown])
-    if positive.size:
-        low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
-        axis.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
+    low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
+    axis.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
     for scale, most in ((axis.xaxis, 6), (axis.yaxis, 4)):
         scale.set_major_locator(LogLocator(numticks=most))
         scale.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))

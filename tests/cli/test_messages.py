@@ -234,7 +234,8 @@ def interrupts(words: tuple[str, ...], times: int, within: float, folder: Path) 
     seen = 0
     for _ in range(times):
         code, said = interrupted(chance.uniform(0, within), *words, cwd=folder)
-        assert (code, said) in ((130, "testbed: interrupted\n"), (0, ""))
+        # or it had come to its end: a claim that fails makes it 1
+        assert (code, said) in ((130, "testbed: interrupted\n"), (0, ""), (1, ""))
         seen += code == 130
     assert seen
 

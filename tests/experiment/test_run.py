@@ -139,6 +139,18 @@ def test_errors_that_sigma_does_not_tell_are_named() -> None:
     assert line.startswith(
         f"the internal estimate of 2 parameters is off by more than 5 sigma, {name} by 40"
     )
+    assert "torque constant" in line
+
+
+def test_systematic_errors_of_the_plate_are_not_laid_on_drives() -> None:
+    run = judged_run("puma")
+    assert run.score is not None
+    estimate, errors = run.estimates["external"], run.score.errors["external"]
+    z = np.full(len(errors.z), 9.0)
+    off = replace(estimate, values=errors.truth + z * estimate.sigma)
+    (line,) = systematic_errors(off, replace(errors, z=z, relative=np.full(len(z), 0.1)))
+    assert "torque" not in line
+    assert "a plate that is turned" in line
 
 
 def test_rounding_is_no_systematic_error() -> None:

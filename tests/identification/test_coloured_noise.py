@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.errors import TestbedError
 from testbed.identification.estimate import METHODS, Estimate
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
@@ -129,3 +130,20 @@ def test_dry_friction_that_jumps_at_reversals_does_not_enter(puma: tb.Tree) -> N
         truth = estimate.minimal.values(tb.barycentric(puma))
         found[reach] = float(np.abs(estimate.base.values / truth - 1).max())
     assert found[None] < 0.2 * found[0.0]
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("robot", ["puma", "ur5", "gantry_ppp_rrr"])
+def test_few_rows_are_enough_for_some_estimate_or_named(robot: str, method: str) -> None:
+    """Whitening takes no more rows than there are."""
+    tree = load(robot)
+    recording = measured(tree)
+    made = 0
+    for samples in (160, 200, 240, 300, 400, 600, 1000):
+        try:
+            estimate = tb.identify(tree, recording.part(0, samples), method)  # type: ignore[arg-type]
+        except TestbedError:
+            continue
+        made += 1
+        assert np.isfinite(estimate.covariance).all()
+    assert made >= 3

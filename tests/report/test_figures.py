@@ -132,3 +132,10 @@ def test_thinned_curves_keep_their_shape(samples: int) -> None:
     np.testing.assert_array_equal(b, 2 * a)
     assert np.ptp(np.diff(a)) == 0 if len(a) > 2 else True
     assert a[-1] >= samples - 1 - samples / len(a)
+
+
+def test_a_spectrum_of_nothing_is_drawn_all_the_same() -> None:
+    """Perfect predictions leave zeros, which have no logarithm."""
+    x = np.linspace(0.3, 512.0, 40)
+    found = Panel("spectra", {"external": (x, np.zeros(40))}, "frequency [Hz]", log=True).svg
+    assert "spectra" in texts(found)

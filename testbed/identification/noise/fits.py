@@ -32,6 +32,12 @@ REWEIGHTINGS = 3
 """Times that the channels' weights are found anew from the residuals."""
 
 
+ENOUGH = 2
+"""Times as many rows as unknowns, of all channels together, that whitening has to leave."""
+
+ROWS_PER_ORDER = 10
+"""Rows that a coefficient of the noise has to be found from."""
+
 LEAST = 1e-6
 """Least noise of a channel, in the units that rows come in: channels without noise are possible."""
 
@@ -69,9 +75,11 @@ def whitened_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     m = given.products.shape[2] - 2
     squares = given.products[0]
     values, _, _ = _weighted(squares, given.rows, m)
-    start = min(HIGHEST, given.lags, max(given.rows // 10, 1))
-    moments = _moments(given, values, start)
-    order = best_order(moments, given.rows - start, start) if order is None else order
+    if order is None:
+        highest = _highest(given, m)
+        order = highest and best_order(
+            _moments(given, values, highest), given.rows - highest, highest
+        )
     for _ in range(ROUNDS):
         coefficients = fit(_moments(given, values, order), order)
         white = given.whitened(coefficients)
@@ -106,6 +114,12 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     order = given.lags if order is None else order
     noise = _from_covariances(covariances, order)
     return NoiseFit(values, inverse @ middle @ inverse, noise)
+
+
+def _highest(given: LaggedProducts, m: int) -> int:
+    """Largest order that leaves rows enough for the unknowns, and for itself."""
+    needed = ENOUGH * m // int(given.products.shape[1]) + 1
+    return max(0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed))
 
 
 def _at_least(share: float, least: Array, matrix: Array) -> Array:
