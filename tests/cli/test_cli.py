@@ -16,6 +16,8 @@ import testbed as tb
 from tests.helpers.command import command_line
 from tests.helpers.paths import GOLDEN, ROOT
 
+pytestmark = pytest.mark.slow
+
 QUICK = ["motion.duration=4", "simulation.step=5e-4", "motion.candidates=2"]
 PUMA = str(ROOT / "models/puma562.xml")
 TABLE6 = str(ROOT / "experiments/table6.toml")

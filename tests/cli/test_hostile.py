@@ -59,6 +59,7 @@ def test_what_a_killed_writer_was_to_replace_stays_whole() -> None:
     assert found["left something"] == found["swept by the next"]
 
 
+@pytest.mark.slow
 def test_the_same_numbers_make_the_same_inputs() -> None:
     for maker in MAKERS.values():
         assert list(maker(8, 3)) == list(maker(8, 3))

@@ -15,6 +15,8 @@ import pytest
 from tests.helpers.command import CLI, command_line
 from tests.helpers.paths import ROOT
 
+pytestmark = pytest.mark.slow
+
 PUMA = str(ROOT / "models/puma562.xml")
 TABLE6 = str(ROOT / "experiments/table6.toml")
 OURS = "testbed: "

@@ -15,6 +15,8 @@ from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS, noisy, robot, without
 
+pytestmark = pytest.mark.slow
+
 PUMA = str(ROOT / "models/puma562.xml")
 
 

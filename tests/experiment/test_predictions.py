@@ -22,6 +22,8 @@ from testbed.robot.friction import friction_torque
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, noisy, robot, run_of, without
 
+pytestmark = pytest.mark.slow
+
 
 def signal_of(found: Predictions, kind: str) -> Signal:
     return next(signal for signal in found.signals if signal.kind == kind)

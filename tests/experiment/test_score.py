@@ -19,6 +19,8 @@ from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
+pytestmark = pytest.mark.slow
+
 Row = tuple[str, str, float, float, float]  # name, unit, value, sigma, truth
 
 judged = cache(judged_run)

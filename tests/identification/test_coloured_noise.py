@@ -15,6 +15,8 @@ from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = {
     name: GOLDEN / f"robots/{name}.urdf"
     for name in ("ur5", "gantry_ppp_rrr", "two_trunks", "humanoid_pelvis")

@@ -23,6 +23,8 @@ from testbed.robot.inertia import NOTHING
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
 
+pytestmark = pytest.mark.slow
+
 PUMA = ROOT / "models/puma562.xml"
 ROBOTS = {
     name: GOLDEN / f"robots/{name}.urdf"

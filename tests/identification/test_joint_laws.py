@@ -20,6 +20,8 @@ from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = ("puma560_3", "ur5", "gantry_ppp_rrr", "kuka_lwr4", "scara_rrpr", "two_trunks", "stanford")
 KINDS = tuple(law.kind for law in LAWS)
 COMBINATIONS = tuple(some for k in range(5) for some in combinations(KINDS, k))

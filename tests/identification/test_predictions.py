@@ -24,6 +24,8 @@ from testbed.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.robots import random_robot
 
+pytestmark = pytest.mark.slow
+
 EVERY = tuple(law.kind for law in LAWS)
 FILTERED = tb.Settings(position_cutoff=20.0, cutoff=5.0)
 MOON = np.array([0.3, -0.2, -1.62])

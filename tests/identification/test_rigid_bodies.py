@@ -17,6 +17,8 @@ from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.paths import GOLDEN
 from tests.helpers.robots import random_robot
 
+pytestmark = pytest.mark.slow
+
 
 def estimate_of(tree: tb.Tree, method: Method, seed: int = 0) -> Estimate:
     settings = replace(EXACT, terms=("coulomb", "rotor"))

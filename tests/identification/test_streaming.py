@@ -32,6 +32,8 @@ from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
+pytestmark = pytest.mark.slow
+
 FILTERED = Settings(position_cutoff=20.0, cutoff=5.0)
 
 

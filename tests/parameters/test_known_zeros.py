@@ -19,6 +19,8 @@ from testbed.robot.tree import Joint, Tree
 from tests.helpers.paths import REAL
 from tests.helpers.robots import random_robot, with_zeros
 
+pytestmark = pytest.mark.slow
+
 UNCHANGED = 1e-11  # relative change of the model by regrouping; lifts of short lengths are large
 FILE_ROUNDING = 1e-8  # the same, for files whose angles are rounded: an axis almost vertical
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")

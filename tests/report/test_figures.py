@@ -13,6 +13,8 @@ from matplotlib.textpath import TextPath
 from testbed.arrays import Array
 from testbed.report.figures import HEIGHT, WIDTH, Panel, power_of_ten, thinned, tick_label
 
+pytestmark = pytest.mark.slow
+
 SVG = "{http://www.w3.org/2000/svg}"
 TICK = 7.0  # a tick and the gap to its label [pt]
 SIZES = [1e-9, 1e-5, 3e-3, 1.0, 47.0, 2e4, 6e8]

@@ -23,6 +23,8 @@ from testbed.report.html import breakable, typeset, write_report
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
+pytestmark = pytest.mark.slow
+
 
 def numbers_of(page: Path) -> dict[str, object]:
     found: dict[str, object] = json.loads(page.with_suffix(".json").read_text())

@@ -27,6 +27,8 @@ from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_robot, random_states
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = sorted((GOLDEN / "robots").glob("*.urdf"), key=lambda path: (path.stat().st_size, path))
 LONG = ("humanoid_pelvis", "kuka_lwr4")
 """All kinds of their literal forms take minutes to write and compile."""

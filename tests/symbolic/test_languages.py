@@ -30,6 +30,8 @@ from tests.helpers.generated import LatexReader, c_call, c_library, latex_blocks
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.robots import random_robot, random_states
 
+pytestmark = pytest.mark.slow
+
 HOSTILE = (
     "coding: utf-7",
     "# -*- coding: rot13 -*-",

@@ -22,6 +22,8 @@ from tests.helpers.robots import random_robot
 from tests.helpers.runs import ROBOTS, noisy, robot, run_of
 from tests.helpers.viewer import entities
 
+pytestmark = pytest.mark.slow
+
 
 def views(part: Any) -> Iterator[Any]:
     """All views of a blueprint's part."""

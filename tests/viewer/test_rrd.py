@@ -22,6 +22,8 @@ from tests.helpers.paths import ROOT
 from tests.helpers.runs import noisy, robot, run_of, without
 from tests.helpers.viewer import columns, entities, words
 
+pytestmark = pytest.mark.slow
+
 SCALARS = "Scalars:scalars"
 
 

@@ -13,6 +13,8 @@ from testbed.viewer.scene import Scene, means, plain, pressure, scene_of
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, noisy, robot, run_of
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_centre_of_pressure_balances_the_moments() -> None:
     rng = np.random.default_rng(0)
