@@ -70,7 +70,7 @@ def _of_experiment(experiment: Experiment) -> Facts:
             f"{plate.encoder_noise:g} [rad or m]",
         ),
         ("bedplate", f"noise {plate.force_noise:g} N and {plate.moment_noise:g} N m a sample"),
-        ("faults", ", ".join(fault.kind for fault in plate.fault) or "none besides"),
+        ("faults", ", ".join(fault.kind for fault in plate.fault) or "none"),
         (
             "drives",
             f"torque noise {plate.torque_noise:g} [N m or N]"
