@@ -16,6 +16,9 @@ from testbed.errors import ExperimentError, UnknownName
 LARGEST_FILE = 1_000_000
 """Bytes of an experiment file."""
 
+LONGEST_KEY = 1000
+"""Parts of a dotted key: the parser's memory grows with their square."""
+
 Checked = TypeVar("Checked", bound=BaseModel)
 
 
@@ -32,7 +35,10 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE:.0e} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        if any(line.partition("=")[0].count(".") > LONGEST_KEY for line in text.splitlines()):
+            raise ValueError(f"a key has more than {LONGEST_KEY} parts")
+        return tomllib.loads(text)
     except RecursionError:
         raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
     except (OSError, ValueError) as error:

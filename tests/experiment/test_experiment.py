@@ -140,3 +140,11 @@ def test_different_experiments_go_to_different_folders(quick: tb.Experiment) -> 
     other = quick.model_copy(update={"seed": 5})
     assert default_folder(quick) != default_folder(other)
     assert default_folder(quick) == default_folder(tb.Experiment.load(TABLE6, QUICK))
+
+
+def test_a_key_of_very_many_parts_is_refused_before_it_is_parsed(tmp_path: Path) -> None:
+    """The parser takes memory with the square of their number."""
+    path = tmp_path / "e.toml"
+    path.write_text(".".join("a" * 50_000) + " = 1\n")
+    with pytest.raises(ExperimentError, match="a key has more than 1000 parts"):
+        tb.Experiment.load(path)
