@@ -2,7 +2,7 @@
 
 Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen,
 and draws the robot's portrait. Needs Mesa's software Vulkan driver, Chromium with its
-driver and OSMesa or EGL: on Debian mesa-vulkan-drivers, chromium, chromium-driver, libosmesa6.
+driver and EGL: on Debian mesa-vulkan-drivers, chromium, chromium-driver.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def smaller(path: Path) -> None:
 def portrait() -> None:
     """The robot with the reaction at rest."""
     command = [sys.executable, str(HERE / "portrait.py"), "models/puma562.xml"]
-    environment = os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "osmesa")}
+    environment = os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
     subprocess.run([*command, str(HERE / "puma562.png")], cwd=ROOT, env=environment, check=True)
 
 
