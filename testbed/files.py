@@ -156,8 +156,10 @@ def _sweep(folder: Path) -> None:
         with suppress(OSError):
             lock = None if nest.is_symlink() else _locked(nest, sweeping=True)
             if lock is not None:
-                _put_back(nest)
-                _remove(nest, lock)
+                try:
+                    _put_back(nest)
+                finally:  # its owner may be removing it at this moment
+                    _remove(nest, lock)
 
 
 def _remove(nest: Path, lock: int) -> None:
