@@ -252,10 +252,9 @@ def _large(estimate: Estimate, tree: Tree) -> Array:
     The weight is among the plate's forces, and all moments could be less than its moment. Joint
     torques have no such measure: where all of them are small, noise may be most of them.
     """
-    equations = estimate.normal_equations
+    rms = estimate.normal_equations.rms
     if estimate.method == "internal":
-        return np.full(len(equations.channels), np.inf)
-    rms = np.sqrt(equations.squares / np.maximum(equations.used, 1.0))
+        return np.full(len(rms), np.inf)
     force, moment = float(rms[:3].max()), float(rms[3:].max())
     reach = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
     moment = max(UNEXPLAINED * moment, NEGLIGIBLE * reach * force)

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-import numpy as np
-
 from testbed.arrays import Array, readonly
 from testbed.identification.finding import Finding
 from testbed.identification.noise.found_noise import FoundNoise
@@ -141,8 +139,7 @@ class Estimate:
     @cached_property
     def matters(self) -> tuple[bool, ...]:
         """Whether each channel's residual is large enough to matter among like channels."""
-        equations = self.normal_equations
-        rms = np.sqrt(equations.squares / np.maximum(equations.used, 1.0))
+        rms = self.normal_equations.rms
         like = [[other == unit for other in self.channel_units] for unit in self.channel_units]
         largest = [rms[same].max() for same in like]
         return tuple(bool(r > MATTERS * s) for r, s in zip(self.residual, largest, strict=True))

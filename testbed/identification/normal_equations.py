@@ -47,6 +47,11 @@ class NormalEquations:
         """Sum of the squares of each channel's measurements, (C,)."""
         return np.diagonal(self.square) if self.joined else self.square
 
+    @property
+    def rms(self) -> Array:
+        """Of each channel's measurements over the rows that count, (C,)."""
+        return np.asarray(np.sqrt(self.squares / np.maximum(self.used, 1.0)))
+
     def of_channel(self, c: int) -> tuple[Array, Array, float]:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
         at = (c, c) if self.joined else (c,)

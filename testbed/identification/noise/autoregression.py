@@ -68,6 +68,23 @@ def fit(moments: Array, order: int) -> Array:
     return found
 
 
+def prediction_errors(coefficients: Array) -> Array:
+    """1, -a_1 ... -a_P channel by channel, (C, P + 1): what makes white noise of the coloured."""
+    return np.hstack([np.ones((len(coefficients), 1)), -coefficients])
+
+
+def unforetold(moments: Array, coefficients: Array) -> Array:
+    """Sums of the squares of u, (C,).
+
+    Args:
+        moments: As for `fit`.
+        coefficients: (C, P).
+    """
+    alpha, order = prediction_errors(coefficients), coefficients.shape[1]
+    part = moments[:, : order + 1, : order + 1]
+    return np.asarray(np.einsum("ci,cij,cj->c", alpha, part, alpha))
+
+
 def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """The order, 1 to `highest`, by Akaike's criterion, the same for all channels.
 
@@ -78,9 +95,7 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """
     scores = []
     for order in range(1, highest + 1):
-        alpha = np.hstack([np.ones((len(moments), 1)), -fit(moments, order)])
-        part = moments[:, : order + 1, : order + 1]
-        left = np.maximum(np.einsum("ci,cij,cj->c", alpha, part, alpha), np.finfo(float).tiny)
+        left = np.maximum(unforetold(moments, fit(moments, order)), np.finfo(float).tiny)
         scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 

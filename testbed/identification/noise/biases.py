@@ -40,7 +40,7 @@ def constants(given: LaggedProducts) -> Constants:
         given: Products of unknowns' columns, residuals and ones.
     """
     squares = given.products[0]
-    channels, m = len(squares), squares.shape[2] - 2
+    m = squares.shape[2] - 2
     normal = squares[:, :m, :m].sum(axis=0)
     mixed = squares[:, :m, m + 1].T  # (m, C)
     counts = squares[:, m + 1, m + 1]
@@ -48,7 +48,6 @@ def constants(given: LaggedProducts) -> Constants:
     left = np.diag(counts) - mixed.T @ imitating
     spread, axes = np.linalg.eigh((left + left.T) / 2)
     told = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
-    assert len(axes) == channels
     return Constants(axes[:, told], (imitating @ axes[:, ~told]).T)
 
 

@@ -22,6 +22,7 @@ from testbed.identification.noise.autoregression import (
     Autoregression,
     best_order,
     fit,
+    unforetold,
 )
 from testbed.identification.noise.lagged_products import LaggedProducts
 
@@ -99,8 +100,7 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     squares = given.products[0]
     used = np.maximum(counts[0], 1.0)
     values, inverse, spread = _weighted(squares, used, m)
-    combine = np.append(-values, 1.0)
-    left = np.einsum("kcij,i,j->kc", given.products[:, :, : m + 1, : m + 1], combine, combine)
+    left = _of_residuals(given.products, values)
     share = m / len(used)
     covariances = left / np.maximum(counts - share, 1.0)  # (K + 1, C)
     covariances[0] = spread**2  # which is not zero
@@ -147,24 +147,21 @@ def _weighted(
     for _ in range(REWEIGHTINGS):
         weights = 1 / spread**2
         normal = np.tensordot(weights, squares[:, :m, :m], 1)
-        values = np.linalg.solve(normal, weights @ squares[:, :m, m])
-        combine = np.append(-values, 1.0)
-        left = np.einsum("cij,i,j->c", squares[:, : m + 1, : m + 1], combine, combine)
+        values = np.asarray(np.linalg.solve(normal, weights @ squares[:, :m, m]), dtype=float)
+        left = _of_residuals(squares, values)
         spread = np.maximum(np.sqrt(np.maximum(left, 0.0) / free), LEAST)
     inverse = np.linalg.inv(np.tensordot(1 / spread**2, squares[:, :m, :m], 1))
     symmetric: Array = (inverse + inverse.T) / 2
-    return np.asarray(values), symmetric, np.asarray(spread)
+    return values, symmetric, np.asarray(spread)
 
 
 def _moments(given: LaggedProducts, values: Array, order: int) -> Array:
     """e_(t-i) e_(t-j) summed over t >= order, of the residuals e, (C, order + 1, order + 1)."""
-    m = len(values)
-    combine = np.append(-values, 1.0)
     found = np.zeros((given.products.shape[1], order + 1, order + 1))
     for i in range(order + 1):
         for j in range(i, order + 1):
-            part = given.shifted(i, j, order)[:, : m + 1, : m + 1]
-            found[:, i, j] = found[:, j, i] = np.einsum("cij,i,j->c", part, combine, combine)
+            part = given.shifted(i, j, order)
+            found[:, i, j] = found[:, j, i] = _of_residuals(part, values)
     return found
 
 
@@ -173,6 +170,12 @@ def _from_covariances(covariances: Array, order: int) -> Autoregression:
     lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
     moments = covariances.T[:, lag]
     coefficients = fit(moments, order)
-    alpha = np.hstack([np.ones((len(moments), 1)), -coefficients])
-    left = np.einsum("ci,cij,cj->c", alpha, moments, alpha)
+    left = unforetold(moments, coefficients)
     return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
+
+
+def _of_residuals(products: Array, values: Array) -> Array:
+    """Products of what values leave of the residuals, (...,) of (..., q, q)."""
+    m, combine = len(values), np.append(-values, 1.0)
+    part = products[..., : m + 1, : m + 1]
+    return np.asarray(np.einsum("...ij,i,j->...", part, combine, combine))

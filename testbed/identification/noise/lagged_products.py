@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.identification.noise.autoregression import prediction_errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +81,7 @@ class LaggedProducts:
         Args:
             coefficients: a, channel by channel, (C, P), P at most K.
         """
-        channels, order = coefficients.shape
-        alpha = np.hstack([np.ones((channels, 1)), -coefficients])
+        alpha, order = prediction_errors(coefficients), coefficients.shape[1]
         total: Array = np.zeros_like(self.products[0])
         for i in range(order + 1):
             for j in range(order + 1):
