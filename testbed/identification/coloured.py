@@ -2,12 +2,14 @@
 
 Two passes after the one that has found the weighted solution: residuals with columns made
 orthonormal, so that nothing is lost to the equations' condition; then replicas of the noise.
+Unknowns of the instrument, and columns whose traces are looked for, stand beside the robot's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -19,7 +21,8 @@ from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, white
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
-from testbed.identification.passes import Passes
+from testbed.identification.noise.traces import Clues, Question, Trace, answerable
+from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
 
 ROUNDING = 1e-9
@@ -33,6 +36,27 @@ IMITATES = 0.1
 
 
 @dataclass(frozen=True, eq=False)
+class Beside:
+    """Columns beside the robot's.
+
+    Attributes:
+        columns: Makes them; None for none.
+        unknown: How many come first, and are estimated.
+        trends: How many come next, and are in the tests' base.
+        tested: Numbers of those that follow, kind by kind.
+    """
+
+    columns: Columns | None = None
+    unknown: int = 0
+    trends: int = 0
+    tested: tuple[int, ...] = ()
+
+
+NOTHING = Beside()
+"""No columns beside the robot's."""
+
+
+@dataclass(frozen=True, eq=False)
 class Refined:
     """A solution after the passes that look at the residuals themselves.
 
@@ -42,6 +66,9 @@ class Refined:
         covariance: (p, p).
         squares: Sums of the squares of each channel's residuals, (C,).
         noise: What they are like; None where they are taken as white.
+        further: Values of the instrument's unknowns, (s,).
+        further_covariance: Theirs, (s, s).
+        traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
     fit: least_squares.Fit
@@ -49,38 +76,48 @@ class Refined:
     covariance: Array
     squares: Array
     noise: FoundNoise | None = None
+    further: Array = field(default_factory=lambda: np.zeros(0))
+    further_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    traces: tuple[tuple[Trace, float], ...] = ()
 
 
 def under_coloured_noise(
-    start: least_squares.Fit, passes: Passes, names: tuple[str, ...]
+    start: least_squares.Fit, passes: Passes, names: tuple[str, ...], beside: Beside = NOTHING
 ) -> Refined:
     """Go on from a weighted solution.
 
     Args:
         start: The solution, and the weights in whose units rows are taken.
         passes: Over all rows.
-        names: Of the unknowns.
+        names: Of the robot's unknowns.
+        beside: Columns beside theirs.
     """
     plan, p = passes.plan, len(names)
-    root, lead = (_cholesky(matrix) for matrix in (start.weights, start.inverse))
-    units = _Units(root, lead)
+    m = p + beside.unknown
+    units = _units(start, beside)
     sums = LaggedSums(HIGHEST)
-    for columns, left, counts, _ in units.rows(passes, start.values):
-        sums.add(np.concatenate([columns, left[..., None], counts[..., None]], axis=2))
-    fit, found, directions, hidden = _fit(sums.finish(), plan.layout.model == "reaction")
+    for rows in units.rows(passes, start.values):
+        sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
+    products = sums.finish()
+    width = products.products.shape[2] - 2
+    own = products.picked([*range(m), width, width + 1])
+    fit, found, directions, hidden = _fit(own, plan.layout.model == "reaction")
     values = start.values + units.lead @ found.values[:p]
-    replicas, squares = Replicas(found, HIGHEST), np.zeros(len(units.root))
+    clues = _clues(products, Question(m + beside.trends, beside.tested))
+    replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
-    bias = back @ found.values[p:]
-    for columns, _, counts, own in units.rows(passes, values):
-        ones = counts[..., None] * directions[:, None]
-        replicas.add(np.concatenate([columns, ones], axis=2), counts)
-        squares += ((own - bias[:, None]) ** 2 * counts).sum(axis=1)
+    bias = back @ found.values[m:]
+    for rows in units.rows(passes, values):
+        ones = rows.ones[..., None] * directions[:, None]
+        replicas.add(np.concatenate([rows.columns[..., :m], ones], axis=2), rows.ones)
+        clues.add(rows.columns, rows.ones)
+        far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ found.values[p:m]
+        squares += (far**2 * rows.ones).sum(axis=1)
     factor = replicas.factor(fit, units.lead)
     covariance, count = factor**2 * found.covariance, directions.shape[1]
-    spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[p:, p:], back))
-    part = np.abs(hidden @ units.lead.T)
+    spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
+    part = np.abs(hidden[:, :p] @ units.lead.T)
     imitates = part > IMITATES * part.max(axis=1, keepdims=True, initial=0.0)
     return Refined(
         fit=start,
@@ -96,7 +133,31 @@ def under_coloured_noise(
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
             hidden=tuple(n for n, seen in zip(names, imitates.any(axis=0), strict=True) if seen),
         ),
+        further=found.values[p:m],
+        further_covariance=covariance[p:m, p:m],
+        traces=clues.found(units.lead),
     )
+
+
+def further_values(start: least_squares.Fit, passes: Passes, beside: Beside) -> tuple[Array, Array]:
+    """The instrument's unknowns alone, (s,), and their covariance by the formula, (s, s).
+
+    Args:
+        start: A weighted solution of the robot's unknowns.
+        passes: Over all rows.
+        beside: Columns beside theirs, no tested ones among them.
+    """
+    units, sums, p = _units(start, beside), LaggedSums(HIGHEST), len(start.values)
+    for rows in units.rows(passes, start.values):
+        sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
+    _, found, _, _ = _fit(sums.finish(), whole=True)
+    own = slice(p, p + beside.unknown)
+    return found.values[own], found.covariance[own, own]
+
+
+def _clues(products: LaggedProducts, question: Question) -> Clues:
+    asked = bool(question.kinds) and answerable(question, products)
+    return Clues(products, question) if asked else Clues(None, question)
 
 
 def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:
@@ -129,30 +190,51 @@ def _cholesky(matrix: Array) -> Array:
     return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
+class _Rows(NamedTuple):
+    """A block of rows: columns and what values leave in units of the noise; and as measured.
+
+    Attributes:
+        columns: The robot's and those beside, (C, k, q).
+        left: What the values leave, (C, k).
+        ones: Where a row counts, (C, k).
+        own: What the values leave, (C, k) [N, N m].
+        further: Those beside, (C, k, s) [N or N m per unit].
+    """
+
+    columns: Array
+    left: Array
+    ones: Array
+    own: Array
+    further: Array
+
+
 @dataclass(frozen=True, eq=False)
 class _Units:
-    """Units in which all noise is one and columns are orthonormal.
+    """Units in which all noise is one and the robot's columns are orthonormal.
 
     Attributes:
         root: Of the weights, (C, C): W = root root'.
         lead: Unknowns of the columns, (p, p).
+        beside: Columns beside.
     """
 
     root: Array
     lead: Array
+    beside: Beside
 
-    def rows(self, passes: Passes, values: Array) -> Iterator[tuple[Array, Array, Array, Array]]:
-        """Rows, block by block.
-
-        Columns, (C, k, p), and what values leave, (C, k), in these units; ones where a row
-        counts, (C, k); and what values leave in N and N m, (C, k).
-        """
+    def rows(self, passes: Passes, values: Array) -> Iterator[_Rows]:
+        """Rows, block by block."""
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
-        for columns, measured in passes.rows(np.column_stack([self.lead, values])):
+        combined = np.column_stack([self.lead, values])
+        for columns, further, measured in passes.rows_beside(combined, self.beside.columns):
             own = measured - columns[..., -1]
-            counts = ((columns != 0).any(axis=2) | (measured != 0)).astype(float)
+            ones = ((columns != 0).any(axis=2) | (measured != 0)).astype(float)
             if not alone:  # each is then a mixture of all
-                counts = np.broadcast_to(counts.max(axis=0), counts.shape)
-            stack = np.concatenate([columns[..., :-1], own[..., None]], axis=2)
+                ones = np.broadcast_to(ones.max(axis=0), ones.shape)
+            stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
             units = np.tensordot(self.root.T, stack, 1)
-            yield units[..., :-1], units[..., -1], counts, own
+            yield _Rows(units[..., :-1], units[..., -1], ones, own, further)
+
+
+def _units(start: least_squares.Fit, beside: Beside) -> _Units:
+    return _Units(_cholesky(start.weights), _cholesky(start.inverse), beside)

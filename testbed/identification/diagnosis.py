@@ -17,6 +17,7 @@ from testbed.identification.finding import Finding
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
+from testbed.identification.trace_findings import trace_findings
 from testbed.robot.tree import Tree
 
 SIGNIFICANT = 0.3
@@ -96,7 +97,7 @@ def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tup
         negative += _mass(estimate, tree, survey.measured, tare)
     else:
         negative += _friction(estimate)
-    found += [*negative, *_residuals(estimate, tree)]
+    found += [*negative, *trace_findings(estimate), *_residuals(estimate, tree)]
     if not negative:
         found += _impossible(estimate)
     return tuple(found)

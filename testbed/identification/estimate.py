@@ -11,6 +11,7 @@ from testbed.arrays import Array, readonly
 from testbed.identification.finding import Finding
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
@@ -106,6 +107,8 @@ class Estimate:
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
         noise: What the residuals are like; None where they are taken as white.
+        nuisances: Numbers of the instrument that were estimated with the parameters.
+        trace_tests: Faults of the instrument whose traces were looked for in the residuals.
     """
 
     method: Method
@@ -128,6 +131,8 @@ class Estimate:
     drives: DriveSet | None
     joints: tuple[str, ...]
     noise: FoundNoise | None = None
+    nuisances: tuple[NuisanceEstimate, ...] = ()
+    trace_tests: tuple[TraceTest, ...] = ()
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)

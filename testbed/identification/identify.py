@@ -21,6 +21,13 @@ from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sa
 from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
 from testbed.identification.finding import in_lines
+from testbed.identification.instrument import (
+    nuisance_estimates,
+    nuisance_warnings,
+    settled,
+    side,
+    trace_tests,
+)
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
@@ -28,11 +35,11 @@ from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.weights import noise_weights
 from testbed.identification.windows import Plan, make_plan
-from testbed.kernel.layout import layout
+from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.columns import AXES
+from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
@@ -86,25 +93,38 @@ def identify(
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
-    plan, warnings = _plan(tree, source, settings, minimal, drives)
-    passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
+    rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
     channels = AXES if method == "external" else tree.names
-    with one_blas_thread():
+    tare = tare_of(tree, source)
+    gathered: list[NormalEquations] = []
+
+    def begin(source: Source) -> tuple[Passes, Fit]:
+        plan = make_plan(source, rows, tare, settings)
+        passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
         sums = passes.sums(products_wanted(len(channels)))
-        equations = gather(plan.layout, names, channels, sums)
+        gathered[:] = [gather(rows, names, channels, sums)]
         full = settings.joined and settings.covariance is None
-        weights = noise_weights(equations, settings.covariance, full)
-        fit = solve(equations, weights, passes.rows)
-        coloured = settings.noise == "ar"
-        found = (
-            under_coloured_noise(fit, passes, names) if coloured else _refined(plan, fit, passes)
-        )
+        weights = noise_weights(gathered[0], settings.covariance, full)
+        return passes, solve(gathered[0], weights, passes.rows)
+
+    with one_blas_thread():
+        beside = side(rows, names, settings, tare)
+        passes, fit, nuisances, calm = settled(source, begin, beside)
+        if settings.noise == "ar":
+            columns = beside.beside(passes.plan, fit.values)
+            found = under_coloured_noise(fit, passes, names, columns)
+        else:
+            found = _refined(passes.plan, fit, passes)
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        estimate = _estimate(method, tree, equations, found, minimal, drives)
-        wrong = findings(estimate, tree, passes.surveyor.survey(), plan.tare)
-    warnings += in_lines(wrong) + quality_warnings(estimate)
+        estimate = replace(
+            _estimate(method, tree, gathered[0], found, minimal, drives),
+            nuisances=nuisance_estimates(beside, nuisances, found),
+            trace_tests=trace_tests(rows, beside, names, found),
+        )
+        wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
+    warnings += in_lines(wrong) + nuisance_warnings(beside, calm) + quality_warnings(estimate)
     return replace(estimate, findings=wrong, warnings=tuple(warnings))
 
 
@@ -145,10 +165,10 @@ def tare_of(tree: Tree, source: Source) -> Array:
     return pedestal_wrench(tree) if source.tare is None else source.tare
 
 
-def _plan(
+def _layout(
     tree: Tree, source: Source, settings: Settings, minimal: MinimalSet, drives: DriveSet | None
-) -> tuple[Plan, list[str]]:
-    """How the source becomes rows, and warnings so far."""
+) -> tuple[Layout, list[str]]:
+    """The robot's rows, and warnings so far."""
     terms = () if drives is None else drives.terms
     rows = layout(tree.without_inertias(), minimal, terms, settings.joined)
     if settings.covariance is not None and len(settings.covariance) != rows.width:
@@ -165,7 +185,7 @@ def _plan(
         )
     if drives is not None:
         warnings += _not_asked_for(tree, settings)
-    return make_plan(source, rows, tare, settings), warnings
+    return rows, warnings
 
 
 def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
@@ -222,7 +242,7 @@ def _estimate(
         covariance=found.covariance,
         gravity=tree.gravity,
         channels=equations.channels,
-        channel_units=("N",) * 3 + ("N m",) * 3 if drives is None else tuple(units),
+        channel_units=PLATE_UNITS if drives is None else tuple(units),
         residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
         samples=tuple(int(n) for n in equations.used),

@@ -29,6 +29,9 @@ from testbed.recordings.recording import Recording
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
 
+Columns = Callable[[Signals, int], Array]
+"""Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
+
 Answer = TypeVar("Answer")
 
 SMALL = 2.0
@@ -93,15 +96,29 @@ class Passes:
         Args:
             combined: How the unknowns' columns are combined, (p, q).
         """
+        return ((columns, y) for columns, _, y in self.rows_beside(combined, None))
+
+    def rows_beside(
+        self, combined: Array, beside: Columns | None
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """The same with further columns between the two, (C, k, s).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+            beside: Makes the further columns of a window, (C, rows, s).
+        """
         layout = self.plan.layout
         lead = layout.basis @ combined
-        for blocks in self._pass(self._rows):
+        for blocks, further in self._pass(partial(self._rows, beside)):
+            first = 0
             for block in blocks:
                 columns = np.empty((layout.width, block.shape[1], lead.shape[1]))
                 for c, own in enumerate(layout.channels):
                     at = layout.rows.start[c]
                     columns[c] = block[at : at + len(own)].T @ lead[own]
-                yield columns, block[layout.rows.measured]
+                last = first + block.shape[1]
+                yield columns, further[:, first:last], block[layout.rows.measured]
+                first = last
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
         with ThreadPoolExecutor(self.threads) as pool:
@@ -150,15 +167,19 @@ class Passes:
         finally:
             self._rooms.put(work)
 
-    def _rows(self, part: Recording, window: Window) -> list[Array]:
+    def _rows(
+        self, beside: Columns | None, part: Recording, window: Window
+    ) -> tuple[list[Array], Array]:
         signals = self.plan.signals(part, window)
+        none = np.zeros((self.plan.layout.width, window.rows, 0))
+        further = none if beside is None else beside(signals, window.row)
         if not self.compiled:
-            return [block.rows for block in self._blocks(signals, window)]
+            return [block.rows for block in self._blocks(signals, window)], further
         from testbed.kernel import numba_engine
 
         work = self._room(signals)
         try:
-            return numba_engine.rows(self.plan.layout, signals, work)
+            return numba_engine.rows(self.plan.layout, signals, work), further
         finally:
             self._rooms.put(work)
 

@@ -15,6 +15,9 @@ from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.robot.friction import JointLaw, joint_law
 
+KINDS = ("bias", "slope", "pose", "height", "skew", "joint_zeros", "tare")
+"""Nuisances that can be estimated."""
+
 Cutoff = float | Literal["off"]
 """A frequency [Hz], or "off"."""
 
@@ -59,6 +62,10 @@ class Settings:
     """What residuals are taken for: "ar", an autoregression in each channel, found with the
     parameters; "white", noise of no memory before the filters."""
 
+    nuisances: Sequence[str] = ()
+    """What of the instrument is unknown beside the parameters, for the external method: "bias",
+    "slope", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
@@ -71,9 +78,12 @@ class Settings:
             "terms": _terms(self.terms),
             "weights": _weights(self.weights),
             "noise": _noise(self.noise),
+            "nuisances": _nuisances(self.nuisances),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+        if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
+            raise SettingsError('nuisances need noise = "ar" and a cutoff: rows are filtered')
         slow, fast = self.row_low_pass, self.position_low_pass
         if slow is not None and fast is not None and fast < 2 * slow:
             raise SettingsError(
@@ -167,6 +177,18 @@ def _noise(given: object) -> str:
     if given not in ("ar", "white"):
         raise UnknownName("noise", str(given), ("ar", "white"))
     return str(given)
+
+
+def _nuisances(given: object) -> tuple[str, ...]:
+    names = (given,) if isinstance(given, str) else given
+    if not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise SettingsError(f"nuisances is a list of names, found {given!r}")
+    for name in names:
+        if name not in KINDS:
+            raise UnknownName("nuisance", name, KINDS)
+    if len(set(names)) < len(names):
+        raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
+    return tuple(names)
 
 
 def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:

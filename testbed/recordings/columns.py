@@ -17,6 +17,9 @@ from testbed.arrays import Array
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """The plate's channels."""
 
+PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
+"""Theirs."""
+
 JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque")
 """What is measured joint by joint."""
 

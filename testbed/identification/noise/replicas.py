@@ -10,10 +10,12 @@ Source    [ET93] for the bootstrap
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.noise.autoregression import NoiseMaker
+from testbed.identification.noise.autoregression import HIGHEST, Autoregression, NoiseMaker
 from testbed.identification.noise.fits import Fit, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 
@@ -27,26 +29,32 @@ SEED = 1996
 class Replicas:
     """Products of rows with replicas of their noise."""
 
-    def __init__(self, found: NoiseFit, lags: int) -> None:
+    def __init__(self, noise: Autoregression, columns: int) -> None:
         """Nothing yet.
 
         Args:
-            found: The fit whose noise is to be made.
-            lags: As in the fit's own products.
+            noise: What is to be made.
+            columns: How many columns rows have.
         """
-        self._found = found
-        self._maker = NoiseMaker(found.noise, REPLICAS, np.random.default_rng(SEED))
-        self._sums = LaggedSums(lags)
+        self._columns, self._order = columns, noise.order
+        self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(SEED))
+        self._sums = LaggedSums(HIGHEST)
 
-    def add(self, columns: Array, counts: Array) -> None:
+    def add(self, columns: Array, ones: Array) -> None:
         """Go on with consecutive rows.
 
         Args:
             columns: Of the unknowns, (C, rows, m).
-            counts: Ones where a row counts, (C, rows).
+            ones: Where a row counts, (C, rows).
         """
-        noise = self._maker.rows(columns.shape[1]) * counts[..., None]
-        self._sums.add(np.concatenate([columns, noise, counts[..., None]], axis=2))
+        noise = self._maker.rows(columns.shape[1]) * ones[..., None]
+        self._sums.add(np.concatenate([columns, noise, ones[..., None]], axis=2))
+
+    def each(self) -> Iterator[LaggedProducts]:
+        """Products with one replica after the other in the residuals' place."""
+        given, m = self._sums.finish(), self._columns
+        for replica in range(REPLICAS):
+            yield given.picked([*range(m), m + replica, m + REPLICAS])
 
     def factor(self, fit: Fit, lead: Array) -> float:
         """By how much sigma has to be multiplied: at least one.
@@ -55,14 +63,8 @@ class Replicas:
             fit: What found the noise.
             lead: How the rows' unknowns make up the parameters, (p, m).
         """
-        given, order = self._sums.finish(), self._found.noise.order
-        m = len(self._found.values)
-        squares = [_squares(fit(_one(given, m, k), order), lead) for k in range(REPLICAS)]
+        squares = [_squares(fit(given, self._order), lead) for given in self.each()]
         return max(1.0, float(np.sqrt(np.mean(squares))))
-
-
-def _one(given: LaggedProducts, m: int, replica: int) -> LaggedProducts:
-    return given.picked([*range(m), m + replica, m + REPLICAS])
 
 
 def _squares(found: NoiseFit, lead: Array) -> Array:

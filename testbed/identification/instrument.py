@@ -1,0 +1,207 @@
+"""The instrument's unknowns in an estimate: which can be told, found by Gauss and Newton, tested.
+
+Columns of the unknowns are first-order effects. Each round corrects the recording by what was
+found so far and estimates the rest, until nothing is left: the last fit has the columns beside
+the robot's, and its covariance counts them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.coloured import Beside, Refined, further_values
+from testbed.identification.nuisances.catalogue import NUISANCES, TESTED
+from testbed.identification.nuisances.corrected import Corrected
+from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
+from testbed.identification.nuisances.foretold import row_filter
+from testbed.identification.nuisances.offsets import SLOPE
+from testbed.identification.nuisances.structure import Imitated, told_apart
+from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
+from testbed.identification.passes import Passes
+from testbed.identification.settings import Settings
+from testbed.identification.solvers.least_squares import Fit
+from testbed.identification.windows import Plan
+from testbed.kernel.layout import Layout
+from testbed.recordings.source import Source
+
+ROUNDS = 8
+"""Most corrections of a recording."""
+
+LISTED = 6
+"""Most names in one line."""
+
+SETTLED = 0.05
+"""Of sigma: a correction that is smaller is the last."""
+
+Start = Callable[[Source], tuple[Passes, Fit]]
+"""The weighted solution of a recording."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """The instrument's unknowns beside the robot's.
+
+    Attributes:
+        settings: How signals are treated.
+        unknowns: Which are estimated.
+        imitated: Those asked for that cannot be told from others.
+        tested: Faults whose traces are looked for.
+        trends: Trends of the channels, which are beside them.
+    """
+
+    settings: Settings
+    unknowns: Unknowns
+    imitated: tuple[Imitated, ...]
+    tested: Unknowns
+    trends: Unknowns
+
+    def beside(self, plan: Plan, values: Array, tests: bool = True) -> Beside:
+        """Columns to first order around an estimate.
+
+        Args:
+            plan: The rows.
+            values: Minimal parameters, (p,).
+            tests: Whether those of tested faults are among them.
+        """
+        shown = (self.unknowns, self.trends, self.tested) if tests else (self.unknowns,)
+        if not any(each.kept for each in shown):
+            return Beside()
+        filtered = row_filter(plan, self.settings.row_low_pass)
+        kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
+        return Beside(
+            columns=Columns(plan, filtered, values, [each for each in shown if each.kept]),
+            unknown=len(self.unknowns.kept),
+            trends=len(self.trends.kept) if tests else 0,
+            tested=tuple(kinds) if tests else (),
+        )
+
+
+def side(layout: Layout, names: Sequence[str], settings: Settings, tare: Array) -> Side:
+    """Which unknowns of the instrument stand beside a robot's, before any data.
+
+    Args:
+        layout: The robot's rows.
+        names: Of its parameters.
+        settings: Which nuisances are asked for; tests need coloured noise and filtered rows.
+        tare: Static wrench of the pedestal, (6,) [N, N m].
+    """
+    tree, none = layout.tree, unknowns_of(layout.tree, ())
+    plate = layout.model == "reaction"
+    asked = [n for n in NUISANCES if plate and n.kind in settings.nuisances]
+    unknowns, imitated = told_apart(layout, names, asked, tare) if asked else (none, ())
+    tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
+    looked_for = [n for n in TESTED if n.kind not in settings.nuisances]
+    return Side(
+        settings=settings,
+        unknowns=unknowns,
+        imitated=imitated,
+        tested=unknowns_of(tree, looked_for) if tests else none,
+        trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
+    )
+
+
+def settled(source: Source, begin: Start, side: Side) -> tuple[Passes, Fit, Array, bool]:
+    """Passes over a recording whose nuisances are taken back, and the weighted solution.
+
+    Args:
+        source: The recording.
+        begin: Finds the weighted solution of a recording.
+        side: The instrument's unknowns.
+
+    Returns:
+        Also the nuisances' values, and whether the last correction was small.
+    """
+    values = np.zeros(len(side.unknowns.kept))
+    passes, fit = begin(source)
+    if not len(values):
+        return passes, fit, values, True
+    for _ in range(ROUNDS):
+        beside = side.beside(passes.plan, fit.values, tests=False)
+        step, covariance = further_values(fit, passes, beside)
+        values = values + step
+        tree = passes.plan.layout.tree
+        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values)))
+        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diagonal(covariance))):
+            return passes, fit, values, True
+    return passes, fit, values, False
+
+
+def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[NuisanceEstimate, ...]:
+    """The instrument's numbers.
+
+    Args:
+        side: Which they are.
+        values: What was taken back.
+        found: What the last fit leaves of them.
+    """
+    sigma = np.sqrt(np.maximum(np.diagonal(found.further_covariance), 0.0))
+    numbers = zip(
+        side.unknowns.names, side.unknowns.units, values + found.further, sigma, strict=True
+    )
+    return tuple(
+        NuisanceEstimate(name.split("/")[0], name, unit, float(value), float(spread))
+        for name, unit, value, spread in numbers
+    )
+
+
+def nuisance_warnings(side: Side, calm: bool) -> list[str]:
+    """What was asked for and cannot be, a line each.
+
+    Args:
+        side: The instrument's unknowns.
+        calm: Whether the last correction was small.
+    """
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for each in side.imitated:
+        groups.setdefault(each.by, []).append(each.name)
+    lines = [
+        f"no motion tells {', '.join(names)} from {_few(by)}: taken as zero, and "
+        f"{'that is' if len(by) == 1 else 'those are'} unseen but for that"
+        for by, names in groups.items()
+    ]
+    if not calm:
+        lines.append(
+            f"the nuisances did not settle in {ROUNDS} rounds: ask for fewer of them, or look for "
+            "a larger fault first"
+        )
+    return lines
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def trace_tests(
+    layout: Layout, side: Side, names: Sequence[str], found: Refined
+) -> tuple[TraceTest, ...]:
+    """What the residuals hold of each kind of fault, the clearest first.
+
+    Args:
+        layout: The robot's rows.
+        side: Which kinds were looked for.
+        names: Of the parameters.
+        found: The fit.
+    """
+    sigma = np.sqrt(np.maximum(np.diagonal(found.covariance), np.finfo(float).tiny))
+    tests = []
+    for nuisance, (trace, chance) in zip(side.tested.nuisances, found.traces, strict=False):
+        moved = np.abs(trace.shift) / sigma
+        parts = nuisance.parts(layout.tree)
+        tests.append(
+            TraceTest(
+                nuisance=nuisance,
+                chance=chance,
+                clearness=trace.square - 2 * trace.count,
+                names=tuple(part.name for part in parts),
+                units=tuple(part.unit for part in parts),
+                size=tuple(float(x) for x in trace.size),
+                shift=float(moved.max()),
+                parameter=names[int(moved.argmax())],
+            )
+        )
+    return tuple(sorted(tests, key=lambda test: -test.clearness))

@@ -1,0 +1,16 @@
+"""All nuisances: those that can be estimated, and those that are only tested for."""
+
+from __future__ import annotations
+
+from testbed.identification.nuisances.clock import SKEW
+from testbed.identification.nuisances.encoders import ENCODER_GAINS, JOINT_ZEROS
+from testbed.identification.nuisances.nuisance import Nuisance
+from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
+from testbed.identification.nuisances.pose import HEIGHT, POSE
+from testbed.identification.nuisances.sensitivities import CROSSTALK, GAINS
+
+NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, POSE, HEIGHT, JOINT_ZEROS)
+"""Those that can be estimated, in the order in which they are taken back: last made, first."""
+
+TESTED: tuple[Nuisance, ...] = (SKEW, POSE, GAINS, CROSSTALK, JOINT_ZEROS, ENCODER_GAINS)
+"""Those whose traces are looked for in every estimate. A drift is not: slow noise looks alike."""

@@ -1,0 +1,52 @@
+"""What an estimate says of the instrument."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from testbed.identification.nuisances.nuisance import Nuisance
+
+
+@dataclass(frozen=True)
+class NuisanceEstimate:
+    """One number of the instrument that was estimated with the parameters.
+
+    Attributes:
+        kind: Of the nuisance.
+        name: Such as "pose/rx".
+        unit: Its unit.
+        value: What the instrument adds or does.
+        sigma: Its standard deviation.
+    """
+
+    kind: str
+    name: str
+    unit: str
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class TraceTest:
+    """Whether residuals hold what one kind of fault of the instrument would leave.
+
+    Attributes:
+        nuisance: The kind.
+        chance: Probability of residuals like these where the model holds.
+        clearness: How much it explains beyond what its numbers alone would, by Akaike's
+            criterion.
+        names: Of its numbers.
+        units: One each.
+        size: What they would be if it were the only fault.
+        shift: By how many sigma the parameter moves that moves most if it is estimated.
+        parameter: Which one that is.
+    """
+
+    nuisance: Nuisance
+    chance: float
+    clearness: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    size: tuple[float, ...]
+    shift: float
+    parameter: str

@@ -1,0 +1,174 @@
+"""What an estimate foretells near the rows of a window, and the filter on rows applied to it.
+
+First-order effects of an instrument's faults are columns of the equations, too. They are made
+of the foretold wrench, at fewer instants than there are samples: slow signals behind a low-pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import SettingsError
+from testbed.identification.windows import Plan
+from testbed.kernel.records import Signals
+from testbed.robot.tree import Tree
+
+INSTANTS_PER_CUTOFF = 10.0
+"""Instants a second at which wrenches are foretold, per Hz of the filter on rows, at least."""
+
+SMALL = 1e-6
+"""Difference [rad, m, 1] by which derivatives are taken: rounding and curvature are 1e-9."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowFilter:
+    """The filter on rows at every so many samples.
+
+    Attributes:
+        stride: Samples from one instant to the next.
+        weights: Of the instants around a row, (2 J + 1,), of sum one.
+        slopes: The same for a signal's derivative in time, (2 J + 1,) [1/s].
+        step: Instants from row to row.
+    """
+
+    stride: int
+    weights: Array
+    slopes: Array
+    step: int
+
+    @property
+    def reach(self) -> int:
+        """Samples that the instants lie to either side of a row."""
+        return self.stride * (len(self.weights) // 2)
+
+
+def row_filter(plan: Plan, cutoff: float | None) -> RowFilter:
+    """The filter that a plan's rows pass.
+
+    Args:
+        plan: The rows.
+        cutoff: Of the filter [Hz].
+
+    Raises:
+        SettingsError: Rows are not filtered.
+    """
+    if cutoff is None:
+        raise SettingsError('nuisances need the filter on rows: give cutoff, not "off"')
+    rate, middle = plan.source.rate, len(plan.weights) // 2
+    least = INSTANTS_PER_CUTOFF * cutoff
+    stride = max(
+        d for d in range(1, plan.step + 1) if (plan.step % d == 0 and least * d <= rate) or d == 1
+    )
+    places = np.arange(-(middle // stride), middle // stride + 1) * stride
+    weights = plan.weights[middle + places]
+    slopes = np.gradient(plan.weights)[middle - places] if len(plan.weights) > 1 else 0 * weights
+    moment = float(slopes @ places) / rate
+    return RowFilter(stride, weights / weights.sum(), slopes / moment, plan.step // stride)
+
+
+@dataclass(frozen=True, eq=False)
+class Foretold:
+    """A window's motion, and the wrench that an estimate foretells, at instants around its rows.
+
+    Attributes:
+        tree: The robot; only its geometry matters.
+        gravity: (3,) [m/s^2], bedplate frame.
+        theta: Barycentric parameters that the estimate allows, (n, 10).
+        motion: At m instants.
+        tare: Static wrench of the pedestal, (6,) [N, N m].
+        time: Of the rows, from the middle of the recording, (rows,) [s].
+        filter: From instants to rows.
+    """
+
+    tree: Tree
+    gravity: Array
+    theta: Array
+    motion: Motion
+    tare: Array
+    time: Array
+    filter: RowFilter
+
+    @cached_property
+    def moving(self) -> Array:
+        """Wrench of the moving bodies, (m, 6) [N, N m]."""
+        return self._wrench(self.motion.q, self.motion.qd, self.motion.qdd)
+
+    @cached_property
+    def wrench(self) -> Array:
+        """Wrench of robot and pedestal, (m, 6) [N, N m]."""
+        found: Array = self.moving + self.tare
+        return found
+
+    def along(self, joint: int, scaled: bool) -> Array:
+        """Derivative of the wrench by a joint's zero, or by its encoder's scale, (m, 6).
+
+        Args:
+            joint: Index.
+            scaled: Whether position, velocity and acceleration all grow in proportion.
+        """
+        motion = self.motion
+        unit = np.zeros(self.tree.n)
+        unit[joint] = SMALL
+        if scaled:
+            moved = (motion.q * (1 + unit), motion.qd * (1 + unit), motion.qdd * (1 + unit))
+        else:
+            moved = (motion.q + unit, motion.qd, motion.qdd)
+        found: Array = (self._wrench(*moved) - self.moving) / SMALL
+        return found
+
+    def rows(self, signals: Array) -> Array:
+        """Signals at the instants, (m, 6, k), filtered at the rows, (rows, 6, k)."""
+        return self._filtered(signals, self.filter.weights)
+
+    def rates(self, signals: Array) -> Array:
+        """Their derivatives in time, filtered, (rows, 6, k)."""
+        return self._filtered(signals, self.filter.slopes)
+
+    def _filtered(self, signals: Array, weights: Array) -> Array:
+        windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
+        return np.asarray(windows[:: self.filter.step] @ weights)
+
+    def _wrench(self, q: Array, qd: Array, qdd: Array) -> Array:
+        motion = Motion(self.motion.t, q, qd, qdd)
+        return linear(self.tree, motion, self.theta[..., None], self.gravity)[1][..., 0]
+
+
+def foretold(
+    plan: Plan, filtered: RowFilter, theta: Array, signals: Signals, first: int
+) -> Foretold:
+    """What an estimate foretells of a window.
+
+    Args:
+        plan: The rows.
+        filtered: The filter that they pass.
+        theta: Barycentric parameters, (n, 10).
+        signals: The window's.
+        first: Number of its first row.
+    """
+    at = signals.start - filtered.reach
+    count = ((signals.number - 1) * signals.step + 2 * filtered.reach) // filtered.stride + 1
+    rate = plan.source.rate
+    middle = (plan.source.samples - 1) / 2 / rate
+    rows = (plan.reach + (first + np.arange(signals.number)) * plan.step) / rate - middle
+    motion = _motion(signals, at, count, filtered.stride)
+    layout = plan.layout
+    return Foretold(layout.tree, layout.gravity, theta, motion, plan.tare, rows, filtered)
+
+
+def _motion(signals: Signals, first: int, count: int, stride: int) -> Motion:
+    """Coordinates at every so many samples."""
+    time = np.arange(count, dtype=np.float64)
+    if len(signals.velocity):
+        part = slice(first, first + (count - 1) * stride + 1, stride)
+        found = (signals.position[part], signals.velocity[part], signals.acceleration[part])
+        return Motion(time, *found)
+    half = signals.taps.shape[1] // 2
+    around = signals.position[first - half : first + (count - 1) * stride + half + 1]
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)[::stride]
+    return Motion(time, *(windows @ taps for taps in signals.taps))

@@ -1,0 +1,58 @@
+"""An unknown of the instrument: how it shows in the wrench, and how it is taken back.
+
+To add one, write a `Nuisance` in a file of this folder and put it into the catalogue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from testbed.arrays import Array
+from testbed.identification.nuisances.foretold import Foretold
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+
+
+class Part(NamedTuple):
+    """One number of a nuisance: its name, such as "pose/rx", and its unit."""
+
+    name: str
+    unit: str
+
+
+Undo = Callable[[Recording, Array, Array], Recording]
+"""A recording as it would be without: of a recording, the nuisance's numbers, (k,), and the
+samples' times from the middle of the whole recording, (M,) [s]."""
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One kind of unknown of the instrument.
+
+    Attributes:
+        kind: Its name in `identification.nuisances`.
+        said: What it is called in a sentence.
+        parts: Its numbers, for a robot.
+        columns: How much the measured wrench grows with each of them, to first order,
+            (rows, 6, k).
+        undo: What takes it back exactly; None where it can only be tested for.
+        cure: What to do about it.
+    """
+
+    kind: str
+    said: str
+    parts: Callable[[Tree], tuple[Part, ...]]
+    columns: Callable[[Foretold], Array]
+    undo: Undo | None = None
+    cure: str = ""
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it: estimate it, where that can be."""
+        if self.undo is None:
+            return self.cure
+        return (
+            f"estimate it with the parameters: --set 'identification.nuisances=[\"{self.kind}\"]'"
+        )

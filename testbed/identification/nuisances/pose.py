@@ -1,0 +1,66 @@
+"""A plate that is turned or shifted against the bedplate frame.
+
+The plate's frame has the origin p and the axes R = exp(r), both in the bedplate frame; it shows
+R' F and R' (M - p x F), of robot and pedestal alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.nuisances.foretold import Foretold
+from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.recordings.recording import Recording
+from testbed.robot.rotations import about
+from testbed.robot.tree import Tree
+
+_PARTS = tuple(Part(f"pose/r{a}", "rad") for a in "xyz") + tuple(
+    Part(f"pose/p{a}", "m") for a in "xyz"
+)
+
+
+def _six(tree: Tree) -> tuple[Part, ...]:
+    del tree
+    return _PARTS
+
+
+def _one(tree: Tree) -> tuple[Part, ...]:
+    del tree
+    return (Part("height", "m"),)
+
+
+def _pose(foretold: Foretold) -> Array:
+    force, moment = foretold.wrench[:, :3], foretold.wrench[:, 3:]
+    found = np.zeros((len(force), 6, 6))
+    for k, axis in enumerate(np.eye(3)):
+        found[:, :3, k] = -np.cross(axis, force)
+        found[:, 3:, k] = -np.cross(axis, moment)
+        found[:, 3:, 3 + k] = -np.cross(axis, force)
+    return foretold.rows(found)
+
+
+def _height(foretold: Foretold) -> Array:
+    return _pose(foretold)[..., 5:]
+
+
+def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
+    del time
+    wrench = recording.measured("wrench")
+    angle = float(np.linalg.norm(values[:3]))
+    turn = about(values[:3] / angle, angle) if angle else np.eye(3)
+    force = wrench[:, :3] @ turn.T
+    moment = wrench[:, 3:] @ turn.T + np.cross(values[3:], force)
+    return replace(recording, wrench=np.hstack([force, moment]))
+
+
+def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
+    return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time)
+
+
+POSE = Nuisance("pose", "a plate that is turned or shifted", _six, _pose, _moved_back)
+
+HEIGHT = Nuisance("height", "an origin of the plate at another height", _one, _height, _lowered)
+"""The third component of the pose's shift alone."""

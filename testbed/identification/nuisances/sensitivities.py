@@ -1,0 +1,46 @@
+"""Channels of the plate on wrong scales, or that show some of the others' loads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.nuisances.foretold import Foretold
+from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.recordings.columns import AXES
+from testbed.robot.tree import Tree
+
+_PAIRS = [(shown, felt) for shown in range(6) for felt in range(6) if shown != felt]
+
+
+def _of_channels(tree: Tree) -> tuple[Part, ...]:
+    del tree
+    return tuple(Part(f"gains/{axis}", "") for axis in AXES)
+
+
+def _of_pairs(tree: Tree) -> tuple[Part, ...]:
+    del tree
+    return tuple(Part(f"crosstalk/{AXES[shown]}/{AXES[felt]}", "") for shown, felt in _PAIRS)
+
+
+def _own(foretold: Foretold) -> Array:
+    return foretold.rows(foretold.wrench[:, :, None] * np.eye(6))
+
+
+def _others(foretold: Foretold) -> Array:
+    filtered = foretold.rows(foretold.wrench[:, :, None])[..., 0]
+    found = np.zeros((len(filtered), 6, len(_PAIRS)))
+    for k, (shown, felt) in enumerate(_PAIRS):
+        found[:, shown, k] = filtered[:, felt]
+    return found
+
+
+GAINS = Nuisance(
+    "gains", "gains of the plate that are wrong", _of_channels, _own, cure="calibrate the plate"
+)
+"""Relative."""
+
+CROSSTALK = Nuisance(
+    "crosstalk", "crosstalk of the plate", _of_pairs, _others, cure="calibrate the plate"
+)
+"""What a channel shows of another's load."""

@@ -1,0 +1,55 @@
+"""Faults of the instrument that have left a trace in the residuals, as a person is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from testbed.identification.estimate import Estimate
+from testbed.identification.finding import Finding
+from testbed.identification.nuisances.estimates import TraceTest
+
+FALSE_ALARMS = 1e-3
+"""Probability of a word about a recording without any fault: all tests of an estimate together."""
+
+NAMED = 3
+"""Most causes, and most numbers of a cause, that are named."""
+
+LACKING = "something on the plate that the model lacks"
+
+
+def trace_findings(estimate: Estimate) -> Iterator[Finding]:
+    """What the residuals hold that is no noise.
+
+    Args:
+        estimate: With its tests, the clearest first.
+    """
+    tests = estimate.trace_tests
+    clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
+    if not clear:
+        return
+    best = clear[0]
+    yield Finding(
+        "the plate's residuals",
+        f"hold what noise does not explain ({_chance(best)}), but {best.nuisance.said} would "
+        f"({_sizes(best)}); estimating it would move {best.parameter} by {best.shift:.2g} sigma",
+        best.shift,
+        (*(test.nuisance.said for test in clear[:NAMED]), LACKING),
+        best.nuisance.remedy,
+    )
+
+
+def _chance(test: TraceTest) -> str:
+    return f"chance {test.chance:.0e}" if test.chance > 1e-99 else "chance below 1e-99"
+
+
+def _sizes(test: TraceTest) -> str:
+    """The largest numbers of a unit, the units in turn."""
+    told = []
+    for unit in dict.fromkeys(test.units):
+        own = [
+            (abs(s), n, s)
+            for s, n, u in zip(test.size, test.names, test.units, strict=True)
+            if u == unit
+        ]
+        told += [f"{name} {size:.3g} {unit}".strip() for _, name, size in sorted(own)[::-1][:NAMED]]
+    return ", ".join(told)
