@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.nuisances.foretold import Foretold
+from testbed.identification.nuisances.foretold import Change, Foretold, Number
 from testbed.identification.nuisances.nuisance import Nuisance, Part
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
@@ -22,18 +23,48 @@ def _gains(tree: Tree) -> tuple[Part, ...]:
     return tuple(Part(f"encoder_gains/{joint}", "") for joint in tree.names)
 
 
+def _waves(tree: Tree) -> tuple[Part, ...]:
+    turning = [joint.name for joint in tree.joints if joint.revolute]
+    return tuple(
+        Part(f"eccentricity/{j}/{wave}", "rad") for j in turning for wave in ("sin", "cos")
+    )
+
+
 def _moved(foretold: Foretold) -> Array:
-    return _derivatives(foretold, scaled=False)
+    return _derivatives(foretold, [(j, _constant) for j in range(foretold.tree.n)])
 
 
 def _scaled(foretold: Foretold) -> Array:
-    return _derivatives(foretold, scaled=True)
+    return _derivatives(foretold, [(j, _proportion) for j in range(foretold.tree.n)])
 
 
-def _derivatives(foretold: Foretold, scaled: bool) -> Array:
+def _waved(foretold: Foretold) -> Array:
+    turning = [j for j, joint in enumerate(foretold.tree.joints) if joint.revolute]
+    return _derivatives(foretold, [(j, wave) for j in turning for wave in (_sine, _cosine)])
+
+
+def _derivatives(foretold: Foretold, errors: Sequence[tuple[int, Change]]) -> Array:
     """The robot was where the encoders show it less their errors."""
-    each = [-foretold.along(joint, scaled) for joint in range(foretold.tree.n)]
-    return foretold.rows(np.stack(each, axis=2))
+    each = [-foretold.along(joint, change) for joint, change in errors]
+    none = np.zeros((foretold.motion.samples, 6, 0))
+    return foretold.rows(np.stack(each, axis=2) if each else none)
+
+
+def _constant(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    del q, qd, qdd
+    return 1.0, 0.0, 0.0
+
+
+def _proportion(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return q, qd, qdd
+
+
+def _sine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return np.sin(q), np.cos(q) * qd, np.cos(q) * qdd - np.sin(q) * qd**2
+
+
+def _cosine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return np.cos(q), -np.sin(q) * qd, -np.sin(q) * qdd - np.cos(q) * qd**2
 
 
 def _back(recording: Recording, values: Array, time: Array) -> Recording:
@@ -52,3 +83,12 @@ ENCODER_GAINS = Nuisance(
     cure="correct the encoders' scales",
 )
 """Relative."""
+
+ECCENTRICITY = Nuisance(
+    "eccentricity",
+    "eccentric encoders",
+    _waves,
+    _waved,
+    cure="correct the encoders once a turn",
+)
+"""Errors that repeat with every turn."""
