@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from testbed.identification.nuisances.clock import CLOCK_RATE, SKEW
-from testbed.identification.nuisances.encoders import ECCENTRICITY, ENCODER_GAINS, JOINT_ZEROS
+from testbed.identification.nuisances.encoder_errors import ECCENTRICITY, ENCODER_GAINS, JOINT_ZEROS
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
 from testbed.identification.nuisances.pose import HEIGHT, POSE
