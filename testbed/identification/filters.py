@@ -7,6 +7,7 @@ recording can be cut anywhere without a trace.
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from testbed.arrays import Array
 
@@ -80,8 +81,6 @@ def slope_weights(weights: Array, places: Array, rate: float) -> Array:
     """
     if len(places) == 1:
         return np.zeros(1)
-    from scipy.interpolate import make_interp_spline
-
     middle = len(weights) // 2
     spline = make_interp_spline(np.arange(-middle, middle + 1), weights, k=5)
     found = -float(places[1] - places[0]) * spline.derivative()(places)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from tests.helpers.runs import ROBOTS, robot
 SETTINGS = {"position_cutoff": "off", "terms": ()}
 TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 
-PLATE = {
+PLATE: dict[str, dict[str, Any]] = {
     "bias": {"kind": "plate_bias", "force": [1.0, -2.0, 0.0], "moment": [0.3, -0.4, 0.5]},
     "slope": {"kind": "plate_drift", "force": [0.1, -0.2, 0.1], "moment": [0.01, 0.02, -0.03]},
     "pose": {
