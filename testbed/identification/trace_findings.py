@@ -33,7 +33,8 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
     yield Finding(
         "the plate's residuals",
         f"hold what noise does not explain ({_chance(best)}), but {best.nuisance.said} would "
-        f"({_sizes(best)}); estimating it would move {best.parameter} by {best.shift:.2g} sigma",
+        f"({', '.join(best.largest(NAMED))}); estimating it would move {best.parameter} by "
+        f"{best.shift:.2g} sigma",
         best.shift,
         (*(test.nuisance.said for test in clear[:NAMED]), LACKING),
         best.nuisance.remedy,
@@ -42,16 +43,3 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
 
 def _chance(test: TraceTest) -> str:
     return f"chance {test.chance:.0e}" if test.chance > 1e-99 else "chance below 1e-99"
-
-
-def _sizes(test: TraceTest) -> str:
-    """The largest numbers of a unit, the units in turn."""
-    told = []
-    for unit in dict.fromkeys(test.units):
-        own = [
-            (abs(s), n, s)
-            for s, n, u in zip(test.size, test.names, test.units, strict=True)
-            if u == unit
-        ]
-        told += [f"{name} {size:.3g} {unit}".strip() for _, name, size in sorted(own)[::-1][:NAMED]]
-    return ", ".join(told)

@@ -12,6 +12,7 @@ from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
 from testbed.report.facts import asked, origin
+from testbed.report.instrument_tables import instrument_tables
 from testbed.report.portrait import portrait
 from testbed.report.sections import SHOWN, sections
 from testbed.report.tables import with_sigma
@@ -55,6 +56,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
             section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
             for section in sections(predict(run, unseen), unseen is not None)
         ],
+        "instrument": instrument_tables(run),
         "maps": _maps(run.tree),
         "origin": origin(run),
     }

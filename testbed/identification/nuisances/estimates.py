@@ -50,3 +50,18 @@ class TraceTest:
     size: tuple[float, ...]
     shift: float
     parameter: str
+
+    def largest(self, count: int) -> list[str]:
+        """The fault's largest numbers in words, so many of each unit.
+
+        Args:
+            count: How many.
+        """
+        numbers = sorted(
+            zip(self.names, self.units, self.size, strict=True), key=lambda n: -abs(n[2])
+        )
+        told = []
+        for unit in dict.fromkeys(self.units):
+            own = [(name, size) for name, own_unit, size in numbers if own_unit == unit]
+            told += [f"{name} {size:.3g} {unit}".rstrip() for name, size in own[:count]]
+        return told

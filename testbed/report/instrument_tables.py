@@ -1,0 +1,47 @@
+"""What an estimate says of the instrument: its numbers, and tests for traces of its faults."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from testbed.experiment.run import Run
+from testbed.identification.nuisances.estimates import TraceTest
+
+LARGEST = 3
+"""Numbers of a fault that are shown."""
+
+
+def instrument_tables(run: Run) -> list[dict[str, Any]]:
+    """Tables, each with its caption, heads and rows of words; none without the plate's estimate.
+
+    Args:
+        run: The run.
+    """
+    tables: list[dict[str, Any]] = []
+    for estimate in run.estimates.values():
+        if estimate.nuisances:
+            tables.append(
+                {
+                    "caption": "Estimated with the parameters",
+                    "heads": ["what", "unit", "value", "sigma"],
+                    "rows": [
+                        [n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"]
+                        for n in estimate.nuisances
+                    ],
+                }
+            )
+        if estimate.trace_tests:
+            tables.append(
+                {
+                    "caption": "Faults whose traces were looked for, the clearest first",
+                    "heads": ["fault", "chance in mere noise", "moves", "if it were the only one"],
+                    "rows": [_test(test) for test in estimate.trace_tests],
+                }
+            )
+    return tables
+
+
+def _test(test: TraceTest) -> list[str]:
+    chance = "below 1e-99" if test.chance < 1e-99 else f"{test.chance:.2g}"
+    shift = f"{test.parameter} by {test.shift:.2g} sigma"
+    return [test.nuisance.said, chance, shift, ", ".join(test.largest(LARGEST))]
