@@ -124,7 +124,7 @@ def settled(source: Source, begin: Start, side: Side) -> tuple[Passes, Fit, Arra
         step, covariance = further_values(fit, passes, beside)
         values = values + step
         tree = passes.plan.layout.tree
-        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values)))
+        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
         if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diagonal(covariance))):
             return passes, fit, values, True
     return passes, fit, values, False
