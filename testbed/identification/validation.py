@@ -184,10 +184,9 @@ def _validation(
         noise=np.where(np.isnan(used), np.nan, said.residual),
         spread=np.sqrt(added / used),
     )
-    if np.isinf([found.signal, found.residual, found.mean, found.spread]).any():
-        raise RecordingError(
-            "the recording or the estimate holds numbers too large to compute with"
-        )
+    numbers = [found.signal, found.residual, found.mean, found.spread]
+    if not np.isfinite(numbers)[:, equations.used > 0].all():
+        raise RecordingError("the recording or the estimate holds numbers too large for sums")
     return found
 
 
