@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel
+from pydantic import BaseModel, ConfigDict
 
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import robot_of
@@ -55,12 +55,16 @@ class _Model(Table):
     lock: dict[str, Finite | None]
 
 
-class _Nuisance(BaseModel):
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True)  # what else is there does not matter
+
+
+class _Nuisance(_Part):
     name: str
     value: Finite
 
 
-class _Estimate(BaseModel):
+class _Estimate(_Part):
     names: tuple[str, ...]
     values: tuple[Finite, ...]
     covariance: tuple[tuple[Finite, ...], ...]
@@ -81,7 +85,10 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
         ExperimentError: The file is no such result, or the model file is another.
         OSError: The file cannot be read.
     """
-    path = path / RESULT if path.is_dir() else path
+    if path.is_dir():
+        if not (path / RESULT).is_file():
+            raise ExperimentError(f"'{path}' is no folder of a run that ended: no {RESULT} in it")
+        path = path / RESULT
     if not path.exists():
         raise ExperimentError(
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
