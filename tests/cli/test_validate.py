@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import testbed as tb
@@ -31,6 +32,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_identify_printed_is_validated(place: Path) -> None:
+    shown = command_line("validate", "other.parquet", "result.json", cwd=place)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "wrist_3_joint" in shown.stdout
     done = command_line("validate", "other.parquet", "result.json", "--json", cwd=place)
     assert (done.returncode, done.stderr) == (0, "")
     found = json.loads(done.stdout)
@@ -43,43 +47,19 @@ def test_what_identify_printed_is_validated(place: Path) -> None:
         assert found[said.method]["residual"] == here.residual.tolist()
 
 
-@pytest.mark.parametrize("columns", [60, 80, 140])
-def test_no_number_is_cut_at_any_width(
-    columns: int, place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", str(columns))
-    done = command_line("validate", "other.parquet", "result.json", cwd=place)
-    assert done.returncode == 0
-    assert max(map(len, done.stdout.splitlines())) <= columns
-    assert "…" not in done.stdout
-    whole = json.loads(
-        command_line("validate", "other.parquet", "result.json", "--json", cwd=place).stdout
-    )
-    for each in whole.values():
-        for key in ("residual", "mean", "noise", "spread", "ratio"):
-            assert all(f"{number:.3g}" in done.stdout for number in each[key])
-
-
 def test_what_does_not_fit_is_one_line_and_exit_code_two(place: Path) -> None:
     without(measured(robot("ur5"), 3), "wrench").save(place / "torques.parquet")
     both = json.loads((place / "result.json").read_text())
     both.pop("internal")
     (place / "external.json").write_text(json.dumps(both))
     cases = {
-        ("other.parquet", "nowhere.json"): "there is no result",
-        ("other.parquet", "."): "",
         ("other.parquet", "one.parquet"): "not JSON",
-        ("nowhere.parquet", "result.json"): "there is no recording",
         ("torques.parquet", "external.json"): "no wrench",
         ("other.parquet", "result.json", "--model", str(MODELS["puma"])): "SHA-256",
-        ("other.parquet", "result.json", "--set", "identification.zeros=true"): "not of this robot",
-        ("other.parquet", "result.json", "--set", "identification.cutof=1"): "unknown key",
+        ("other.parquet", "result.json", "--set", "identification.terms=[]"): "not of this robot",
     }
     for words, said in cases.items():
         done = command_line("validate", *words, cwd=place)
-        if not said:  # the folder has a result
-            assert done.returncode == 0
-            continue
         assert (done.returncode, done.stdout) == (2, ""), words
         assert done.stderr.count("\n") == 1
         assert said in done.stderr
@@ -98,5 +78,6 @@ def test_a_run_is_validated_and_its_folder_can_be(place: Path) -> None:
     assert sorted(found) == ["external", "internal"]
     assert max(found["external"]["ratio"]) < 2
     words = ("validate", "run/recording.parquet", "run", "--json")
-    again = json.loads(command_line(*words, cwd=place).stdout)
-    assert all(ratio < 1.1 for ratio in again["external"]["ratio"])  # its own recording
+    own = json.loads(command_line(*words, cwd=place).stdout)["external"]
+    for residual, mean, noise in zip(own["residual"], own["mean"], own["noise"], strict=True):
+        assert np.sqrt(residual**2 - mean**2) == pytest.approx(noise, rel=0.1)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.experiment import unseen as module
 from testbed.experiment.results import result
 from testbed.experiment.run import Run
@@ -17,18 +18,6 @@ from testbed.experiment.unseen import on_unseen_motion, unseen, validated
 from testbed.identification.validation import validate
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.runs import MODELS, noisy, robot, run_of
-
-QUIET = 'kind = "plate_bias"\n'
-
-
-def experiment(folder: Path, fault: str = "") -> tb.Experiment:
-    path = folder / "e.toml"
-    path.write_text(
-        f'name = "e"\nmodel = "{MODELS["ur5"]}"\n[motion]\nduration = 4.0\ncandidates = 1\n'
-        "[measurement]\nrate = 200.0\nforce_noise = 0.5\nmoment_noise = 0.1\ntorque_noise = 0.5\n"
-        f"[simulation]\nbandwidth = 30.0\nstep = 1e-3\n{fault}"
-    )
-    return tb.Experiment.load(path)
 
 
 def test_a_run_holds_the_validation_of_both_estimates() -> None:
@@ -48,7 +37,9 @@ def test_a_run_holds_the_validation_of_both_estimates() -> None:
 def test_what_another_motion_shows_is_among_the_runs_warnings() -> None:
     run = run_of(robot("puma"))
     done = validated(run, plus(noisy(ideal(run.tree, seed=8), 4), wrench=[0, 0, 0, 0, 0, 50.0]))
-    assert [line for line in done.warnings if line not in run.warnings][0].startswith("channel Mz")
+    new = [line for line in done.warnings if line not in run.warnings]
+    assert len(new) == 1
+    assert new[0].startswith("channel Mz")
 
 
 def test_what_cannot_be_simulated_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -61,4 +52,31 @@ def test_what_cannot_be_simulated_is_a_warning(monkeypatch: pytest.MonkeyPatch) 
     assert other is None
     assert done.validation == {}
     assert "no motion" in done.warnings[-1]
-    assert on_unseen_motion(replace(run, estimates={})) == (replace(run, estimates={}), None)
+    empty = replace(run, estimates={})
+    assert on_unseen_motion(empty) == (empty, None)
+
+
+def gains(recording: tb.Recording) -> Array:
+    """Of the plate's channels, (6,)."""
+    assert recording.truth is not None
+    return np.asarray(np.median(recording.measured("wrench") / recording.truth.wrench, axis=0))
+
+
+@pytest.mark.slow
+def test_the_other_motion_is_measured_by_the_same_instrument(tmp_path: Path) -> None:
+    """What chance decides once stays; noise and motion are others."""
+    path = tmp_path / "e.toml"
+    path.write_text(
+        f'name = "e"\nmodel = "{MODELS["ur5"]}"\n[motion]\nduration = 4.0\ncandidates = 1\n'
+        "[measurement]\nrate = 200.0\n[[measurement.fault]]\nkind = 'plate_gain'\n"
+        "[simulation]\nbandwidth = 30.0\nstep = 1e-3\n"
+    )
+    run = tb.carry_out(tb.Experiment.load(path))
+    assert tuple(run.validation) == ("external", "internal")
+    other = unseen(run)
+    assert other is not None
+    assert np.ptp(gains(run.recording)) > 0.005
+    np.testing.assert_allclose(gains(other), gains(run.recording), rtol=1e-12)
+    assert abs(other.position - run.recording.position).max() > 0.1
+    another = tb.simulate(tb.Experiment.load(path, ["seed=1"]))
+    assert abs(gains(another) - gains(run.recording)).max() > 0.005
