@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -60,7 +59,23 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "samples": list(estimate.samples),
         "condition": estimate.condition,
         "noise": _noise(estimate),
-        "nuisances": [asdict(each) for each in estimate.nuisances],
+        "nuisances": [
+            {"name": n.name, "unit": n.unit, "value": n.value, "sigma": n.sigma}
+            for n in estimate.nuisances
+        ],
+        "trace_tests": [
+            {
+                "kind": t.nuisance.kind,
+                "chance": t.chance,
+                "names": list(t.names),
+                "units": list(t.units),
+                "size": list(t.size),
+                "parameter": t.parameter,
+                "shift": t.shift,
+            }
+            for t in estimate.trace_tests
+        ],
+        "doubtful": estimate.doubtful,
         "warnings": list(estimate.warnings),
     }
 

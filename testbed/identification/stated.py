@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.estimate import MODEL_OF, Estimate, Method
-from testbed.identification.nuisances.catalogue import NUISANCES
+from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.parameters.joint_terms import with_joint_terms

@@ -110,7 +110,7 @@ def test_a_gain_that_has_changed_is_noticed_and_named(name: str, method: Method)
         gains = np.ones(len(estimate.channels))
         gains[c] = 1.05
         signal = "wrench" if method == "external" else "torque"
-        wrong = replace(other, **{signal: other.measured(signal) * gains})
+        wrong = plus(other, **{signal: other.measured(signal) * (gains - 1)})
         found = validate(tree, wrong, estimate)
         assert [f.subject for f in found.findings] == [estimate.label(c)]
         assert estimate.label(c) in found.warnings[0]
