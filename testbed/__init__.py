@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from testbed.identification.normal_equations import NormalEquations as NormalEquations
     from testbed.identification.settings import Settings as Settings
     from testbed.identification.solvers import fit as fit
-    from testbed.identification.validation import validate as validate
+    from testbed.identification.validate import validate as validate
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
     from testbed.parameters.joint_terms import DriveSet as DriveSet
@@ -62,7 +62,7 @@ _HOMES = {
     "testbed.identification.settings": ("Settings",),
     "testbed.identification.normal_equations": ("NormalEquations",),
     "testbed.identification.solvers": ("fit",),
-    "testbed.identification.validation": ("validate",),
+    "testbed.identification.validate": ("validate",),
     "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),

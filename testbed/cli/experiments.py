@@ -225,7 +225,7 @@ def validate(
     from testbed.experiment.read_result import read_result
     from testbed.experiment.results import validation_as_json
     from testbed.identification.estimate import SIGNAL_OF
-    from testbed.identification.validation import validate as validated
+    from testbed.identification.validate import validate as validated
     from testbed.recordings.source import open_source
     from testbed.report import terminal
 

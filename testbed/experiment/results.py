@@ -14,7 +14,7 @@ from testbed.experiment.score import Errors
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.estimate import Estimate
-from testbed.identification.validation import Validation
+from testbed.identification.validate import Validation
 from testbed.robot.model_file import ModelFile
 
 

@@ -18,7 +18,7 @@ from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
-from testbed.identification.validation import Validation
+from testbed.identification.validate import Validation
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree

@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.validation import Validation
+from testbed.identification.validate import Validation
 
 _SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
 

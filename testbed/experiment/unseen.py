@@ -8,7 +8,7 @@ from testbed.errors import TestbedError
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.identification.passes import Progress
-from testbed.identification.validation import validate
+from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
 
 UNSEEN = 12.0

@@ -21,7 +21,7 @@ from testbed.report.validation_tables import validation_tables
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
-    from testbed.identification.validation import Validation
+    from testbed.identification.validate import Validation
 
 
 class Progress:

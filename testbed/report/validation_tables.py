@@ -13,7 +13,7 @@ from testbed.arrays import Array
 from testbed.errors import printable
 
 if TYPE_CHECKING:
-    from testbed.identification.validation import Validation
+    from testbed.identification.validate import Validation
 
 _NAME = 12
 """Columns that are left to a channel's name, at least, when it gives way."""

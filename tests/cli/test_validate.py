@@ -10,7 +10,7 @@ import pytest
 
 import testbed as tb
 from testbed.experiment.read_result import read_result
-from testbed.identification.validation import validate
+from testbed.identification.validate import validate
 from tests.helpers.command import command_line
 from tests.helpers.measured import measured
 from tests.helpers.runs import MODELS, robot, without

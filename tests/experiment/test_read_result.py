@@ -16,7 +16,7 @@ from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.read_result import LARGEST_RESULT, read_result
 from testbed.experiment.results import identified_as_json
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.validation import validate
+from testbed.identification.validate import validate
 from testbed.robot.model_file import ModelFile
 from tests.helpers.measured import measured
 from tests.helpers.runs import MODELS

@@ -15,7 +15,7 @@ from testbed.experiment.results import result
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary
 from testbed.experiment.unseen import on_unseen_motion, unseen, validated
-from testbed.identification.validation import validate
+from testbed.identification.validate import validate
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.runs import MODELS, noisy, robot, run_of
 

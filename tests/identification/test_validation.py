@@ -14,7 +14,7 @@ from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.filters import reversal_samples, row_weights
 from testbed.identification.predict import motion_in, predictions
 from testbed.identification.stated import stated
-from testbed.identification.validation import LIMIT, validate
+from testbed.identification.validate import LIMIT, validate
 from testbed.identification.windows import ROWS_PER_CUTOFF
 from testbed.recordings.recording import Recording
 from tests.helpers.cases import cases

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from testbed.identification.validation import Validation
+from testbed.identification.validate import Validation
 from testbed.report.validation_tables import validation_tables
 
 LONG = "the_third_joint_of_the_left_index_finger_of_a_humanoid"
