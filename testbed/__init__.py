@@ -19,13 +19,14 @@ if TYPE_CHECKING:
     from testbed.dynamics.motion import Motion as Motion
     from testbed.errors import TestbedError as TestbedError
     from testbed.experiment.carry_out import carry_out as carry_out
-    from testbed.experiment.carry_out import simulate as simulate
     from testbed.experiment.experiment import Experiment as Experiment
+    from testbed.experiment.simulate import simulate as simulate
     from testbed.identification.estimate import Estimate as Estimate
     from testbed.identification.identify import identify as identify
     from testbed.identification.normal_equations import NormalEquations as NormalEquations
     from testbed.identification.settings import Settings as Settings
     from testbed.identification.solvers import fit as fit
+    from testbed.identification.validate import validate as validate
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
     from testbed.parameters.joint_terms import DriveSet as DriveSet
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
     from testbed.symbolic.languages import write_equations as write_equations
 
 _HOMES = {
-    "testbed.experiment.carry_out": ("carry_out", "simulate"),
+    "testbed.experiment.carry_out": ("carry_out",),
+    "testbed.experiment.simulate": ("simulate",),
     "testbed.experiment.experiment": ("Experiment",),
     "testbed.dynamics.inverse_dynamics": (
         "base_wrench",
@@ -60,6 +62,7 @@ _HOMES = {
     "testbed.identification.settings": ("Settings",),
     "testbed.identification.normal_equations": ("NormalEquations",),
     "testbed.identification.solvers": ("fit",),
+    "testbed.identification.validate": ("validate",),
     "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),

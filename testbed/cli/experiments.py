@@ -1,4 +1,4 @@
-"""Commands about runs and recordings: run, simulate, faults, identify, warmup."""
+"""Commands about runs and recordings: run, simulate, faults, identify, validate, warmup."""
 
 from __future__ import annotations
 
@@ -57,7 +57,6 @@ def run(
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
     from testbed.errors import RecordingError
-    from testbed.experiment.carry_out import simulate as simulated
     from testbed.experiment.evaluate import evaluate
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.results import result
@@ -67,6 +66,8 @@ def run(
         write_recorded,
         write_result,
     )
+    from testbed.experiment.simulate import simulate as simulated
+    from testbed.experiment.unseen import on_unseen_motion
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
@@ -78,6 +79,8 @@ def run(
     write_recorded(experiment, recording, folder)
     with terminal.Progress("identifying") as progress:
         done = evaluate(experiment, recording, progress)
+    with terminal.Progress("validating on an unseen motion") as progress:
+        done, _ = on_unseen_motion(done, progress)
     write_result(done, folder)
     if as_json:
         terminal.print_json(result(done) | {"folder": str(folder)})
@@ -99,8 +102,8 @@ def simulate(
 
     Example: testbed simulate experiments/table6.toml --out recording.parquet
     """
-    from testbed.experiment.carry_out import simulate as simulated
     from testbed.experiment.experiment import Experiment
+    from testbed.experiment.simulate import simulate as simulated
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
@@ -156,7 +159,7 @@ def identify(
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
-    from testbed.experiment.results import estimate_as_json
+    from testbed.experiment.results import identified_as_json
     from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
@@ -164,7 +167,11 @@ def identify(
     from testbed.report import terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
-    table, tree = reading.tables().identification, reading.tree(model)
+    table, tree, file = (
+        reading.tables().identification,
+        reading.tree(model),
+        reading.model_file(model),
+    )
     source = open_source(recording)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
@@ -184,10 +191,63 @@ def identify(
             )
         estimates.append(estimate)
     if as_json:
-        terminal.print_json({e.method: estimate_as_json(e) for e in estimates})
+        terminal.print_json(identified_as_json(estimates, file, reading.tables()))
     else:
         warnings += warnings_between(estimates)
         terminal.print_estimates(estimates, [*tree.warnings, *warnings])
+
+
+@app.command()
+def validate(
+    recording: Annotated[
+        Path, typer.Argument(metavar="RECORDING", help="Of another motion (Parquet).")
+    ],
+    result: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RESULT.json", help="What identify --json printed, or a run folder (result)."
+        ),
+    ],
+    model: Annotated[
+        Path | None, typer.Option(help="Where the model file is now; default as the result says.")
+    ] = None,
+    settings: RecordingSet = None,
+    as_json: Json = False,
+) -> None:
+    """Hold estimates against a recording of a motion that they have not seen.
+
+    Residuals stand beside the noise that the estimate found in its own recording and what the
+    parameters' sigma adds; above twice what both make together there is a warning.
+
+    Example: testbed validate other.parquet runs/table6-286a25ef
+    """
+    from testbed.errors import RecordingError
+    from testbed.experiment.read_result import read_result
+    from testbed.experiment.results import validation_as_json
+    from testbed.identification.estimate import SIGNAL_OF
+    from testbed.identification.validate import validate as validated
+    from testbed.recordings.source import open_source
+    from testbed.report import terminal
+
+    kept, source = read_result(result, model, settings or ()), open_source(recording)
+    there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
+    warnings = [
+        f"the recording has no {SIGNAL_OF[e.method]}: the {e.method} estimate is not validated"
+        for e in kept.estimates
+        if e not in there
+    ]
+    if not there:
+        raise RecordingError("; ".join(warnings))
+    found = {}
+    for estimate in there:
+        with terminal.Progress(f"validating, {estimate.method}") as progress:
+            found[estimate.method] = validated(
+                kept.tree, source, estimate, settings=kept.settings, progress=progress
+            )
+    if as_json:
+        terminal.print_json({method: validation_as_json(each) for method, each in found.items()})
+    else:
+        terminal.print_validations(list(found.values()), warnings)
 
 
 @app.command()

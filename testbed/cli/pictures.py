@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app, note
+from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
@@ -89,8 +89,7 @@ def report(
 
     Example: testbed report runs/table6-286a25ef
     """
-    from testbed.errors import TestbedError
-    from testbed.experiment.unseen import unseen
+    from testbed.experiment.unseen import on_unseen_motion
     from testbed.report import terminal
     from testbed.report.html import write_report
 
@@ -105,11 +104,7 @@ def report(
     _check_said([run], model, reading)
     done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
-        try:
-            other = unseen(done, progress)
-        except TestbedError as error:
-            other = None
-            note([f"predictions are checked on the identified motion only: {error}"])
+        done, other = on_unseen_motion(done, progress)
     beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
+from testbed.arrays import Array
+from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
 from testbed.experiment.versions import versions
+from testbed.files import fingerprint
 from testbed.identification.estimate import Estimate
+from testbed.identification.validate import Validation
+from testbed.robot.model_file import ModelFile
 
 
 def result(run: Run) -> dict[str, Any]:
@@ -30,6 +36,7 @@ def result(run: Run) -> dict[str, Any]:
         "verdicts": run.verdicts,
         "as_expected": run.as_expected,
         "warnings": list(run.warnings),
+        "validation": {m: validation_as_json(found) for m, found in run.validation.items()},
         "model_sha256": run.recording.facts.get("model_sha256"),
         "versions": versions(),
     }
@@ -44,6 +51,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "values": estimate.values.tolist(),
         "sigma": estimate.sigma.tolist(),
         "covariance": estimate.covariance.tolist(),
+        "gravity": estimate.gravity.tolist(),
         "count": len(estimate.base.names),
         "channels": list(estimate.channels),
         "residual": estimate.residual.tolist(),
@@ -88,12 +96,59 @@ def _noise(estimate: Estimate) -> dict[str, Any] | None:
     }
 
 
+def identified_as_json(
+    estimates: Iterable[Estimate], model: ModelFile, tables: RecordingTables
+) -> dict[str, Any]:
+    """Estimates of a recording by method, and what is needed to make their robot again.
+
+    Args:
+        estimates: By one method or by both.
+        model: The model file, and how it was read.
+        tables: What else was said of robot and identification.
+    """
+    settings = tables.model_dump(mode="json", exclude_none=True)
+    for key in ("lock", "lock_mimic"):  # the model's lock is all that was held
+        settings["robot"].pop(key)
+    return {
+        **{estimate.method: estimate_as_json(estimate) for estimate in estimates},
+        "model": {
+            "path": str(model.path),
+            "sha256": fingerprint(model.path),
+            "weld_root": model.weld_root,
+            "accept_inertia": model.accept_inertia,
+            "lock": dict(model.lock),
+        },
+        "settings": settings,
+    }
+
+
+def validation_as_json(found: Validation) -> dict[str, Any]:
+    """A validation as JSON takes it: null where there is no number."""
+    numbers = {
+        "signal": found.signal,
+        "residual": found.residual,
+        "relative_residual": found.relative_residual,
+        "mean": found.mean,
+        "noise": found.noise,
+        "spread": found.spread,
+        "ratio": found.ratio,
+    }
+    return {
+        "channels": list(found.channels),
+        "units": list(found.units),
+        "rows": list(found.rows),
+        **{name: _finite(values) for name, values in numbers.items()},
+        "warnings": list(found.warnings),
+    }
+
+
 def _errors(errors: Errors | None) -> dict[str, Any]:
     """Errors as JSON takes them: null where there is no number."""
     if errors is None:
         return {}
     numbers = {"truth": errors.truth, "relative_error": errors.relative, "z": errors.z}
-    return {
-        name: [x if np.isfinite(x) else None for x in values.tolist()]
-        for name, values in numbers.items()
-    }
+    return {name: _finite(values) for name, values in numbers.items()}
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [x if np.isfinite(x) else None for x in values.tolist()]

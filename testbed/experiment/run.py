@@ -18,6 +18,7 @@ from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
+from testbed.identification.validate import Validation
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
@@ -38,6 +39,8 @@ class Run:
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
         warnings: What a careful reader should know, one line each.
+        validation: What the estimates leave of a motion that they have not seen, by method;
+            {} where there is none.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Run:
     score: Score | None = None
     model: ModelFile | None = None
     warnings: tuple[str, ...] = ()
+    validation: Mapping[Method, Validation] = field(default_factory=dict)
 
     @property
     def truths(self) -> dict[str, float]:

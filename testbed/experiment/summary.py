@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
+import numpy as np
+
 from testbed.experiment.run import Run
-from testbed.identification.estimate import METHODS
+from testbed.identification.estimate import METHODS, Method
+from testbed.identification.validate import Validation
 
 _SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
 
@@ -14,7 +19,7 @@ def summary(run: Run) -> list[str]:
     Args:
         run: The run.
     """
-    return [_found(run), *_accuracy(run), *_cautions(run)]
+    return [_found(run), *_accuracy(run), *validation_lines(run.validation), *_cautions(run)]
 
 
 def _found(run: Run) -> str:
@@ -52,6 +57,26 @@ def _accuracy(run: Run) -> list[str]:
         if f"{method}_max_z" in metrics
     ]
     return [f"{lines[0]}.", f"Largest error in sigmas: {', '.join(sigmas)}."]
+
+
+def validation_lines(validation: Mapping[Method, Validation]) -> list[str]:
+    """How well estimates foretell another motion, a sentence for all; none without.
+
+    Args:
+        validation: By method.
+    """
+    told = []
+    for method, found in validation.items():
+        ratio = np.where(found.matters, found.ratio, np.nan)
+        if not np.isnan(ratio).all():
+            worst = int(np.nanargmax(ratio))
+            told.append(f"{method} {ratio[worst]:.3g} ({found.channels[worst]})")
+    if not told:
+        return []
+    return [
+        "On a motion that no estimate has seen, the largest residual over what noise and sigma "
+        f"allow: {', '.join(told)}."
+    ]
 
 
 def _fit(run: Run) -> list[str]:

@@ -1,14 +1,40 @@
-"""A motion that no estimate has seen, to check a run's predictions on."""
+"""A motion that no estimate has seen: a run's estimates are validated on it."""
 
 from __future__ import annotations
 
-from testbed.experiment.carry_out import simulate
+from dataclasses import replace
+
+from testbed.errors import TestbedError
 from testbed.experiment.run import Run
+from testbed.experiment.simulate import simulate
 from testbed.identification.passes import Progress
+from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
 
 UNSEEN = 12.0
 """Seconds of it."""
+
+
+def on_unseen_motion(
+    run: Run, progress: Progress = lambda done, total: None
+) -> tuple[Run, Recording | None]:
+    """A run with its estimates validated on another motion, and the recording of that.
+
+    Args:
+        run: The run.
+        progress: Called with samples done and samples in all.
+
+    Returns:
+        The run as it is, with a warning, and no recording where the other motion cannot be
+        simulated; without a warning where no experiment made the run, or it has no estimate.
+    """
+    if not run.estimates:
+        return run, None
+    try:
+        recording = unseen(run, progress)
+    except TestbedError as error:
+        return _warned(run, f"predictions are checked on the identified motion only: {error}"), None
+    return (run if recording is None else validated(run, recording)), recording
 
 
 def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording | None:
@@ -31,4 +57,26 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
     motion = asked.model_copy(update={"duration": duration, "candidates": 1})
     other = experiment.model_copy(update={"motion": motion, "seed": experiment.seed + 1})
-    return simulate(other, progress)
+    return simulate(other, progress, installed=experiment.seed)
+
+
+def validated(run: Run, recording: Recording) -> Run:
+    """A run with its estimates validated.
+
+    Args:
+        run: The run.
+        recording: Another one of the same robot and instrument.
+    """
+    try:
+        found = {
+            method: validate(run.tree, recording, estimate, settings=run.settings)
+            for method, estimate in run.estimates.items()
+        }
+    except TestbedError as error:
+        return _warned(run, f"not validated on another motion: {error}")
+    lines = [line for validation in found.values() for line in validation.warnings]
+    return _warned(replace(run, validation=found), *lines)
+
+
+def _warned(run: Run, *lines: str) -> Run:
+    return replace(run, warnings=tuple(dict.fromkeys((*run.warnings, *lines))))

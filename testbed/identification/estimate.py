@@ -15,7 +15,9 @@ from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTe
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
+from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.friction import JointLaw
+from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]
 
@@ -31,6 +33,38 @@ SIGNAL_OF: Mapping[Method, str] = {"external": "wrench", "internal": "torque"}
 
 MATTERS = 1e-4
 """Part of the like channels' signals below which a residual is of no matter."""
+
+
+def channels_of(tree: Tree, method: Method) -> tuple[str, ...]:
+    """What a method measures: the plate's six components, or the joints' torques.
+
+    Args:
+        tree: The robot.
+        method: Which.
+    """
+    return AXES if method == "external" else tree.names
+
+
+def channel_units(tree: Tree, method: Method) -> tuple[str, ...]:
+    """N or N m, one a channel.
+
+    Args:
+        tree: The robot.
+        method: Which channels are meant.
+    """
+    if method == "external":
+        return PLATE_UNITS
+    return tuple("N m" if joint.revolute else "N" for joint in tree.joints)
+
+
+def channel_label(method: Method, name: str) -> str:
+    """What a channel is called in a sentence.
+
+    Args:
+        method: Whose.
+        name: Of the channel.
+    """
+    return f"channel {name}" if method == "external" else f"the torque of '{name}'"
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +190,7 @@ class Estimate:
 
     def label(self, c: int) -> str:
         """What a channel is called in a sentence."""
-        name = self.channels[c]
-        return f"channel {name}" if self.method == "external" else f"the torque of '{name}'"
+        return channel_label(self.method, self.channels[c])
 
     @cached_property
     def base(self) -> BaseEstimate:

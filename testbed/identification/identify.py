@@ -19,7 +19,15 @@ from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
-from testbed.identification.estimate import METHODS, MODEL_OF, SIGNAL_OF, Estimate, Method
+from testbed.identification.estimate import (
+    METHODS,
+    MODEL_OF,
+    SIGNAL_OF,
+    Estimate,
+    Method,
+    channel_units,
+    channels_of,
+)
 from testbed.identification.finding import in_lines
 from testbed.identification.instrument import (
     nuisance_estimates,
@@ -39,7 +47,6 @@ from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Question, products_wanted
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
@@ -89,13 +96,13 @@ def identify(
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
-    _check_signal(source, method)
+    check_signal(source, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
-    channels = AXES if method == "external" else tree.names
+    channels = channels_of(tree, method)
     tare = tare_of(tree, source)
     gathered: list[NormalEquations] = []
 
@@ -128,8 +135,12 @@ def identify(
     return replace(estimate, findings=wrong, warnings=tuple(warnings))
 
 
-def _check_signal(source: Source, method: Method) -> None:
-    """Whether the recording has what the method needs.
+def check_signal(source: Source, method: Method) -> None:
+    """Whether a recording has what a method needs.
+
+    Args:
+        source: The recording.
+        method: Reads torques or the wrench.
 
     Raises:
         RecordingError: It has not.
@@ -232,7 +243,6 @@ def _estimate(
     drives: DriveSet | None,
 ) -> Estimate:
     square = equations.squares
-    units = ("N m" if joint.revolute else "N" for joint in tree.joints)
     return Estimate(
         method=method,
         names=equations.unknowns,
@@ -242,7 +252,7 @@ def _estimate(
         covariance=found.covariance,
         gravity=tree.gravity,
         channels=equations.channels,
-        channel_units=PLATE_UNITS if drives is None else tuple(units),
+        channel_units=channel_units(tree, method),
         residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
         samples=tuple(int(n) for n in equations.used),

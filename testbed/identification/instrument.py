@@ -127,7 +127,7 @@ def settled(source: Source, begin: Start, side: Side) -> tuple[Passes, Fit, Arra
         step, covariance = further_values(fit, passes, beside)
         values = values + step
         tree = passes.plan.layout.tree
-        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values)))
+        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
         sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
             return passes, fit, values, True

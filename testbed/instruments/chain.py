@@ -140,6 +140,7 @@ def measure(
     tare: Array,
     facts: Mapping[str, Any],
     seed: int,
+    installed: int | None = None,
 ) -> Recording:
     """What the instrument shows of what happened.
 
@@ -151,6 +152,7 @@ def measure(
         tare: Known static wrench of the pedestal, (6,) [N, N m].
         facts: Kept with the recording.
         seed: Of the noise.
+        installed: Seed of what chance decides once; default `seed`.
     """
     senses = instrument.senses_kinematics
     exact = Recording(
@@ -165,7 +167,8 @@ def measure(
         truth=truth,
         facts=facts,
     )
-    chains = instrument.installed(names, truth.position, seed)
+    once = seed if installed is None else installed
+    chains = instrument.installed(names, truth.position, once)
     seen: dict[str, Any] = {
         signal: applied(chains[signal], exact.measured(signal), time, seed)
         for signal in ("position", "torque", "wrench")

@@ -10,7 +10,7 @@ from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
-from testbed.identification.estimate import METHODS, Method
+from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.report.figures import Panel, thinned
 from testbed.report.spectrum import rms_within, spectrum
 
@@ -62,7 +62,9 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
             drawn = {label: thinned(time[shown], line[shown]) for label, line in curves.items()}
             if drawn:
                 panels.append(Panel(title, drawn, "time [s]"))
-        rows.append([name, unit, *_residual_cells(smooth, signal, c)])
+        rows.append(
+            [name, unit, *_residual_cells(smooth, signal, c), *_ratio_cells(found, signal, c)]
+        )
     motion = "a motion that no estimate has seen" if unseen else "the motion that was identified"
     methods = list(found.run.estimates)
     return {
@@ -71,7 +73,12 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
         "says": "What was measured, grey, and what the estimates predict; beside it, or below, "
         "what is left over. The external estimate knows no friction, so its joint torques are "
         "those of a robot without; the internal one takes from the external what joint torques "
-        "cannot tell.",
+        "cannot tell."
+        + (
+            " What is allowed is the noise that the estimate found and what its sigma adds."
+            if _validated(found)
+            else ""
+        ),
         "legend": {label: label for label in ("measured", *methods)},
         "panels": panels,
         "caption": f"The first {SHOWN:g} s, all through one low-pass of {CUTOFF:g} Hz.",
@@ -79,6 +86,7 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
             "channel", "unit", "spread (rms)",
             *(f"residual rms, {method}" for method in methods),
             *(f"of spread, {method}" for method in methods),
+            *(f"over what is allowed, {method}" for method in _validated(found)),
         ],
         "rows": rows,
     }  # fmt: skip
@@ -97,6 +105,22 @@ def _residual_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
             sizes.append("")
             shares.append("")
     return [f"{spread:.3g}", *sizes, *shares]
+
+
+def _validated(found: Predictions) -> list[Method]:
+    """Methods whose residuals on this motion are known in units of their noise."""
+    run = found.run
+    return [] if found.recording is run.recording else list(run.validation)
+
+
+def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
+    """Residuals over what noise and sigma allow; "" for what there is not."""
+    cells = []
+    for method in _validated(found):
+        validation = found.run.validation[method]
+        own = SIGNAL_OF[method] == signal.kind
+        cells.append(f"{validation.ratio[c]:.3g}" if own and validation.rows[c] else "")
+    return cells
 
 
 def _spectra(found: Predictions) -> dict[str, Any]:

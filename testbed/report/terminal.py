@@ -14,11 +14,14 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from testbed.errors import printable
+from testbed.experiment.summary import validation_lines
 from testbed.report.tables import quality_lines, result_tables
+from testbed.report.validation_tables import validation_tables
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
+    from testbed.identification.validate import Validation
 
 
 class Progress:
@@ -71,6 +74,20 @@ def print_estimates(estimates: list[Estimate], warnings: Sequence[str]) -> None:
     print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
 
 
+def print_validations(validations: Sequence[Validation], warnings: Sequence[str]) -> None:
+    """Print what estimates leave of another recording.
+
+    Args:
+        validations: Of one recording, one a method.
+        warnings: About the recording.
+    """
+    out = console()
+    for found in validations:
+        for table in validation_tables(out, found):
+            out.print(table)
+    print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
+
+
 def print_run(run: Run, folder: Path) -> None:
     """Print what came of an experiment.
 
@@ -84,6 +101,8 @@ def print_run(run: Run, folder: Path) -> None:
         out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
+    for line in validation_lines(run.validation):
+        out.print(printable(line), soft_wrap=True)
     print_warnings(out, run.warnings)
     _print_metrics(out, run)
     out.print(f"run folder: {folder}", soft_wrap=True)

@@ -15,6 +15,7 @@ from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
+from testbed.experiment.unseen import validated
 from testbed.identification.estimate import METHODS, SIGNAL_OF
 from testbed.recordings.recording import Recording
 from testbed.report.contents import LONGEST, contents
@@ -249,3 +250,16 @@ def test_hostile_names_stay_text(puma_run: Run, tmp_path: Path) -> None:
         replace(puma_run, name=hostile, tree=tree, warnings=(hostile,)), tmp_path / "r.html"
     )
     assert "<script" not in (tmp_path / "r.html").read_text()
+
+
+def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(
+    puma_run: Run, other: Recording, tmp_path: Path
+) -> None:
+    run = validated(puma_run, other)
+    numbers = json.loads(write_report(run, tmp_path / "r.html", other).read_text())
+    table = numbers["figures"][0]
+    for method, found in run.validation.items():
+        column = table["heads"].index(f"over what is allowed, {method}")
+        told = {row[0]: row[column] for row in table["rows"] if row[column]}
+        assert told == {c: f"{x:.3g}" for c, x in zip(found.channels, found.ratio, strict=True)}
+    assert any("no estimate has seen" in line for line in numbers["summary"])

@@ -12,27 +12,29 @@ from testbed.identification.nuisances import clock
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
+from testbed.robot.tree import Tree
 
 Values = Mapping[str, Array]
 """Numbers of nuisances, by kind."""
 
 
 class Corrected:
-    """A recording as another instrument would have made it.
+    """A recording as another instrument would have made it, joints in the order of the tree.
 
     Samples at the ends that a delay leaves without neighbours are left out.
     """
 
-    def __init__(self, source: Source, values: Values) -> None:
+    def __init__(self, source: Source, values: Values, tree: Tree) -> None:
         """The same samples, corrected.
 
         Args:
             source: As they were measured.
             values: What is to be taken back.
+            tree: The robot.
         """
-        self._source, self._values = source, values
+        self._source, self._values, self._tree = source, values, tree
         self._ends = clock.reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
-        self.names, self.rate = source.names, source.rate
+        self.names, self.rate = tree.names, source.rate
         self.samples = source.samples - 2 * self._ends
         self.tare, self.facts, self.signals = source.tare, source.facts, source.signals
         self.senses_kinematics = source.senses_kinematics
@@ -47,7 +49,7 @@ class Corrected:
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth."""
-        found = self._source.part(first, last + 2 * self._ends)
+        found = self._source.part(first, last + 2 * self._ends).ordered(self._tree)
         number = np.arange(first, last + 2 * self._ends, dtype=np.float64)
         time = (number - (self._source.samples - 1) / 2) / self.rate
         for nuisance in NUISANCES:

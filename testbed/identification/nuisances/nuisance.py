@@ -45,6 +45,7 @@ class Nuisance:
             (rows, 6, k).
         undo: What takes it back exactly; None where it can only be tested for.
         cure: What to do about it.
+        passing: Whether it is of one recording only, so that another has its own.
     """
 
     kind: str
@@ -53,6 +54,7 @@ class Nuisance:
     columns: Effect
     undo: Undo | None = None
     cure: str = ""
+    passing: bool = False
 
     @property
     def remedy(self) -> str:

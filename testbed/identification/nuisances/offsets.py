@@ -51,9 +51,11 @@ def _tares(tree: Tree) -> tuple[Part, ...]:
     return _channels("tare")
 
 
-BIAS = Nuisance("bias", "a zero of the plate that is off", _biases, _constant, _without_constant)
+BIAS = Nuisance(
+    "bias", "a zero of the plate that is off", _biases, _constant, _without_constant, passing=True
+)
 
-SLOPE = Nuisance("slope", "a drift of the plate", _slopes, _trend, _without_trend)
+SLOPE = Nuisance("slope", "a drift of the plate", _slopes, _trend, _without_trend, passing=True)
 """From the middle of the recording."""
 
 TARE = Nuisance("tare", "a wrong tare", _tares, _constant, _without_constant)

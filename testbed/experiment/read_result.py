@@ -1,0 +1,193 @@
+"""Estimates read back from what `identify --json` printed or from a run folder.
+
+Nothing in such a file is trusted: only the parts that a validation needs are taken, each
+checked, and a path in it is opened as a model file if that has the SHA-256 that stands there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict
+
+from testbed.errors import ExperimentError
+from testbed.experiment.evaluate import robot_of
+from testbed.experiment.experiment import Experiment, RecordingTables
+from testbed.experiment.experiment_tables import Finite, Table
+from testbed.experiment.run_folder import EXPERIMENT, RESULT
+from testbed.experiment.toml_text import checked, override
+from testbed.files import fingerprint, read_text
+from testbed.identification.estimate import METHODS, Method
+from testbed.identification.settings import Settings
+from testbed.identification.stated import Stated
+from testbed.robot.model_file import ModelFile
+from testbed.robot.tree import Tree
+
+LARGEST_RESULT = 50_000_000
+"""Bytes of a file with estimates; a thousand parameters have less."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeptResult:
+    """Estimates of a file, and what they are of.
+
+    Attributes:
+        tree: The robot.
+        settings: How the signals were treated.
+        estimates: One a method.
+    """
+
+    tree: Tree
+    settings: Settings
+    estimates: tuple[Stated, ...]
+
+
+class _Model(Table):
+    path: str
+    sha256: str
+    weld_root: bool
+    accept_inertia: bool
+    lock: dict[str, Finite | None]
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True)  # what else is there does not matter
+
+
+class _Nuisance(_Part):
+    name: str
+    value: Finite
+
+
+class _Estimate(_Part):
+    names: tuple[str, ...]
+    values: tuple[Finite, ...]
+    covariance: tuple[tuple[Finite, ...], ...]
+    gravity: tuple[Finite, Finite, Finite]
+    residual: tuple[Finite, ...]
+    nuisances: tuple[_Nuisance, ...]
+
+
+def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
+    """The estimates of a file, and the robot and settings that they are of.
+
+    Args:
+        path: What `identify --json` printed, a run folder, or the result in it.
+        model: Where the model file is now; default where the file says.
+        settings: Overrides "table.key=value" of robot and identification.
+
+    Raises:
+        ExperimentError: The file is no such result, or the model file is another.
+        OSError: The file cannot be read.
+    """
+    if path.is_dir():
+        if not (path / RESULT).is_file():
+            raise ExperimentError(f"'{path}' is no folder of a run that ended: no {RESULT} in it")
+        path = path / RESULT
+    if not path.exists():
+        raise ExperimentError(
+            f"there is no result '{path}': name what `identify --json` printed, or a run folder"
+        )
+    content = _json(path)
+    found = tuple(
+        _stated(content[method], method, f"{path}: {method}")
+        for method in METHODS
+        if method in content
+    )
+    if not found:
+        raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
+    if "model" in content:
+        return KeptResult(*_of_recording(content, path, model, settings), found)
+    return KeptResult(*_of_run(content, path, model, settings), found)
+
+
+def _json(path: Path) -> dict[str, Any]:
+    """What a file says.
+
+    Raises:
+        ExperimentError: It is not JSON, or no object.
+    """
+    try:
+        content = json.loads(read_text(path, LARGEST_RESULT))
+    except RecursionError:
+        raise ExperimentError(f"{path}: no result: nested too deeply") from None
+    except ValueError as error:
+        raise ExperimentError(f"{path}: no result: it is not JSON: {error}") from None
+    if not isinstance(content, dict):
+        raise ExperimentError(f"{path}: no result: it is JSON, but no object with estimates")
+    return content
+
+
+def _stated(content: Any, method: Method, source: str) -> Stated:
+    """One method's estimate.
+
+    Raises:
+        ExperimentError: A part is missing, or is not what it should be.
+    """
+    kept = checked(_Estimate, content, source)
+    p = len(kept.names)
+    if len(kept.values) != p:
+        raise ExperimentError(f"{source}: {p} names, but {len(kept.values)} values")
+    if len(kept.covariance) != p or any(len(row) != p for row in kept.covariance):
+        raise ExperimentError(f"{source}: covariance is not {p} rows of {p} numbers")
+    if any(each < 0 for each in kept.residual):
+        raise ExperimentError(f"{source}: a residual's rms cannot be negative")
+    return Stated(
+        method=method,
+        names=kept.names,
+        values=np.array(kept.values),
+        covariance=np.array(kept.covariance).reshape(p, p),
+        gravity=np.array(kept.gravity),
+        residual=np.array(kept.residual),
+        nuisances={each.name: each.value for each in kept.nuisances},
+    )
+
+
+def _of_recording(
+    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
+) -> tuple[Tree, Settings]:
+    """Robot and settings of a recording's estimates."""
+    kept = checked(_Model, content["model"], f"{path}: model")
+    said = content.get("settings")
+    if not isinstance(said, dict):
+        raise ExperimentError(f"{path}: no result: it has no settings")
+    override(said, words)
+    tables = checked(RecordingTables, said, f"{path}: settings")
+    place = _checked_model(model or Path(kept.path), kept.sha256, path)
+    held = kept.lock | tables.robot.lock
+    file = ModelFile(place, kept.weld_root, kept.accept_inertia, held)
+    return file.tree().with_joints(tables.robot.settings), tables.identification
+
+
+def _of_run(
+    content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
+) -> tuple[Tree, Settings]:
+    """Robot and settings of a run's estimates: they stand beside them."""
+    beside = path.parent / EXPERIMENT
+    if not beside.is_file():
+        raise ExperimentError(
+            f"{path}: no result: it names no model, as `identify --json` does, and is in no run "
+            f"folder, with {EXPERIMENT}"
+        )
+    experiment = Experiment.load(beside, words)
+    place = _checked_model(model or Path(experiment.model), content.get("model_sha256"), path)
+    experiment = experiment.model_copy(update={"model": str(place)})
+    return robot_of(experiment), experiment.identification
+
+
+def _checked_model(place: Path, sha256: object, path: Path) -> Path:
+    """A model file, if it is the one that a result is of.
+
+    Raises:
+        ExperimentError: It is not there, or is another.
+    """
+    if "\0" in str(place) or not place.is_file():
+        raise ExperimentError(f"{path}: its model file '{place}' is not there; --model names it")
+    if fingerprint(place) != sha256:
+        raise ExperimentError(f"'{place}' is not the model of {path}: its SHA-256 is another")
+    return place

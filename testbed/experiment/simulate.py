@@ -1,0 +1,182 @@
+"""What an experiment records: excite, simulate, measure."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import ExperimentError
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limits import limits_of
+from testbed.excitation.random_motion import best_motion
+from testbed.experiment.evaluate import model_of, robot_of
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.versions import versions
+from testbed.files import fingerprint
+from testbed.identification.passes import Progress
+from testbed.instruments.chain import Instrument, measure
+from testbed.instruments.stage import stream
+from testbed.parameters.minimal_set import minimal_set
+from testbed.recordings.geometry import geometry
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+from testbed.simulation.build import build_plant
+from testbed.simulation.drive_model import believed
+from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
+
+MOST_SAMPLES = 2e6
+"""Most samples of one run: they are held in memory."""
+
+LEAST_PERIODS = 0.02
+"""Least part of a period that is a motion."""
+
+MOST_STEPS = 10_000
+"""Most simulation steps a sample: a thousand samples are held in full."""
+
+_QUIET_PLATE = np.repeat([0.5, 0.1], 3)
+"""Noise assumed for choosing a motion when the plate has none [N, N m]."""
+
+
+def simulate(
+    experiment: Experiment,
+    progress: Progress = lambda done, total: None,
+    watch: Watch = lambda time, truth: None,
+    forces: StepForces | None = None,
+    installed: int | None = None,
+) -> Recording:
+    """Simulate an experiment's robot on its bedplate and measure it.
+
+    Args:
+        experiment: What to do.
+        progress: Called with samples done and samples in all.
+        watch: Called with what happens while it is simulated, a second or so at a time.
+        forces: On the joints, besides motors and the model's friction, asked before every step.
+        installed: Seed of what chance decides once of the instrument; default the experiment's.
+    """
+    tree, sampling = robot_of(experiment), _sampling(experiment)
+    instrument, simulation = experiment.measurement, experiment.simulation
+    instrument.stages(tree.names)  # refuses what speaks of other joints before work is done
+    motion = _motion(experiment, tree, instrument)
+    plant = build_plant(
+        model_of(experiment),
+        tree,
+        simulation.step,
+        changed=experiment.robot.joint,
+        friction=simulation.friction,
+    )
+    run = simulate_motion(
+        plant,
+        _drives_model(experiment, tree),
+        motion,
+        experiment.motion.duration,
+        simulation.bandwidth,
+        sampling,
+        progress,
+        watch,
+        forces,
+    )
+    facts, seed = _facts(experiment, tree, run), experiment.seed
+    return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, seed, installed)
+
+
+def _drives_model(experiment: Experiment, tree: Tree) -> Tree:
+    """The robot as its controller believes it to be."""
+    simulation = experiment.simulation
+    own = tree if simulation.friction else tree.without_friction()
+    if not simulation.drive_model_error:
+        return own
+    rng = stream("drive_model_error", experiment.seed)
+    return believed(own, simulation.drive_model_error, rng)
+
+
+def _sampling(experiment: Experiment) -> Sampling:
+    """How the run is cut into samples.
+
+    Raises:
+        ExperimentError: The step does not divide the sample, or there are too many.
+    """
+    simulation, table, motion = experiment.simulation, experiment.measurement, experiment.motion
+    _check_rates(experiment)
+    steps = round(1 / (table.rate * simulation.step))
+    if steps < 1 or abs(steps * table.rate * simulation.step - 1) > 1e-9:
+        raise ExperimentError(
+            f"simulation.step = {simulation.step:g} s does not divide the sampling time "
+            f"1 / measurement.rate = {1 / table.rate:g} s"
+        )
+    samples = table.rate * (motion.duration + simulation.warm_up)
+    if steps > MOST_STEPS:
+        raise ExperimentError(
+            f"simulation.step = {simulation.step:g} s makes {steps} steps a sample, more than "
+            f"{MOST_STEPS}; choose a larger step"
+        )
+    if table.rate * motion.duration < 2:
+        raise ExperimentError(f"motion.duration = {motion.duration:g} s holds no two samples")
+    if samples > MOST_SAMPLES:
+        raise ExperimentError(
+            f"motion.duration and measurement.rate make {samples:.1e} samples, more than the "
+            f"{MOST_SAMPLES:.0e} that one run holds in memory; make several runs"
+        )
+    return Sampling(table.rate, steps, table.averaged, simulation.warm_up)
+
+
+def _check_rates(experiment: Experiment) -> None:
+    """Whether controller and motion fit the rate and each other.
+
+    Raises:
+        ExperimentError: They do not.
+    """
+    motion, rate = experiment.motion, experiment.measurement.rate
+    if experiment.simulation.bandwidth > rate / 2:
+        raise ExperimentError(
+            f"simulation.bandwidth = {experiment.simulation.bandwidth:g} rad/s is too fast for a "
+            f"controller at measurement.rate = {rate:g} Hz; lower it to {rate / 2:g} or less"
+        )
+    if 10 * motion.fundamental * motion.harmonics > rate:
+        raise ExperimentError(
+            f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
+            f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
+        )
+    periods = motion.fundamental * motion.duration
+    if periods < LEAST_PERIODS:
+        raise ExperimentError(
+            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of "
+            "motion.fundamental: the robot would hardly move"
+        )
+
+
+def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
+    """What a recording keeps about how it was made."""
+    saturated = [
+        f"the motor of joint '{name}' was at its limit in {share:.1%} of the samples"
+        for name, share in zip(tree.names, run.saturated, strict=True)
+        if share
+    ]
+    return {
+        "robot": tree.name,
+        "geometry": geometry(tree),
+        "gravity": tree.gravity.tolist(),
+        "model_sha256": fingerprint(Path(experiment.model)),
+        "seed": experiment.seed,
+        "versions": versions(),
+        "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
+        "warnings": saturated,
+    }
+
+
+def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fourier:
+    table = experiment.motion
+    noise = instrument.plate_noise
+    minimal = minimal_set(tree, "reaction", zeros=experiment.identification.zeros)
+    motion, _ = best_motion(
+        tree,
+        limits_of(tree, table.max_velocity, table.max_acceleration),
+        minimal,
+        noise if noise.all() else _QUIET_PLATE,
+        table.fundamental,
+        table.harmonics,
+        table.candidates,
+        np.random.default_rng(experiment.seed),
+    )
+    return motion

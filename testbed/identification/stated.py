@@ -1,0 +1,133 @@
+"""What an estimate says, without the data that it was made from; and the rows that it is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.errors import SettingsError, UnknownName
+from testbed.identification.estimate import MODEL_OF, Estimate, Method
+from testbed.identification.nuisances.all_nuisances import NUISANCES
+from testbed.identification.settings import Settings
+from testbed.kernel.layout import Layout, layout
+from testbed.parameters.joint_terms import with_joint_terms
+from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.tree import Tree
+
+LISTED = 4
+"""Most parameters that are named in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """What an estimate says, without the data that it was made from.
+
+    Attributes:
+        method: "external" or "internal".
+        names: Of the parameters, (p,).
+        values: (p,).
+        covariance: (p, p).
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        residual: Rms of the estimate's own residuals, (channels,) [N, N m].
+        nuisances: Numbers of the instrument that were estimated, by name, such as "pose/rx".
+    """
+
+    method: Method
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    gravity: Array
+    residual: Array
+    nuisances: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        p = len(self.names)
+        shapes = {"values": (p,), "covariance": (p, p), "gravity": (3,)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+
+def stated(estimate: Estimate) -> Stated:
+    """What an estimate says.
+
+    Args:
+        estimate: With its data.
+    """
+    return Stated(
+        method=estimate.method,
+        names=estimate.names,
+        values=estimate.values,
+        covariance=estimate.covariance,
+        gravity=estimate.gravity,
+        residual=estimate.residual,
+        nuisances={each.name: each.value for each in estimate.nuisances},
+    )
+
+
+def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
+    """The robot's rows for the parameters that an estimate is of.
+
+    Args:
+        tree: The robot, under the gravity of another recording.
+        said: The estimate.
+        settings: Those of the estimate.
+
+    Raises:
+        SettingsError: They are not those of this robot, gravity and settings.
+    """
+    model = MODEL_OF[said.method]
+    minimal = minimal_set(tree, model, zeros=settings.zeros)
+    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros)
+    if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
+        raise SettingsError(
+            f"the estimate was made under gravity {_vector(said.gravity)}, the recording has "
+            f"{_vector(tree.gravity)} m/s^2: other combinations of parameters count there"
+        )
+    drives = None
+    if said.method == "internal":
+        drives = with_joint_terms(tree, minimal, settings.laws)
+    names = minimal.names if drives is None else drives.names
+    if names != said.names:
+        extra = [name for name in said.names if name not in names]
+        lacking = [name for name in names if name not in said.names]
+        told = [f"{_few(extra)} are not among them"] if extra else []
+        told += [f"it lacks {_few(lacking)}"] if lacking else []
+        raise SettingsError(
+            f"the {said.method} estimate is not of this robot's parameters under these settings: "
+            f"{', and '.join(told) or 'they are in another order'}"
+        )
+    terms = () if drives is None else drives.terms
+    return layout(tree.without_inertias(), minimal, terms)
+
+
+def lasting_numbers(tree: Tree, said: Stated) -> dict[str, Array]:
+    """Numbers of the instrument that another recording has, too, by kind.
+
+    Args:
+        tree: The robot.
+        said: The estimate.
+
+    Raises:
+        UnknownName: There is no such number.
+    """
+    parts = {n: [part.name for part in n.parts(tree)] for n in NUISANCES}
+    known = [name for names in parts.values() for name in names]
+    for name in said.nuisances:
+        if name not in known:
+            raise UnknownName("nuisance", name, known)
+    return {
+        nuisance.kind: np.array([said.nuisances.get(name, 0.0) for name in names])
+        for nuisance, names in parts.items()
+        if not nuisance.passing and any(name in said.nuisances for name in names)
+    }
+
+
+def _few(names: list[str]) -> str:
+    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" * (len(names) > LISTED))
+
+
+def _vector(values: Array) -> str:
+    return " ".join(f"{value:.4g}" for value in values)

@@ -1,0 +1,222 @@
+"""How well an estimate foretells a recording that it was not made from.
+
+The other recording's rows are made as identification makes them. What is left of its signals is
+held against what must be left: the noise that the estimate's own recording had, and what the
+covariance of the parameters adds along the other motion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.errors import RecordingError, SettingsError
+from testbed.identification.estimate import (
+    MATTERS,
+    Estimate,
+    Method,
+    channel_label,
+    channel_units,
+    channels_of,
+)
+from testbed.identification.finding import Finding, in_lines
+from testbed.identification.identify import check_signal, in_its_gravity, tare_of
+from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.nuisances.corrected import Corrected
+from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.settings import Settings
+from testbed.identification.stated import Stated, lasting_numbers, rows_of, stated
+from testbed.identification.windows import make_plan
+from testbed.kernel.records import products_wanted
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source
+from testbed.robot.tree import Tree
+
+LIMIT = 2.0
+"""Times what noise and covariance allow beyond which a residual is worth a warning."""
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """An estimate against another recording, channel by channel.
+
+    Attributes:
+        method: Of the estimate.
+        channels: The measured channels, C.
+        units: One each, N or N m.
+        rows: Rows that count; where there are none, all numbers are nan.
+        signal: Rms of the measured rows, (C,) [N, N m].
+        residual: Rms of what the estimate leaves of them, (C,) [N, N m].
+        mean: Of what it leaves: a zero that is another than in the estimate's own recording
+            shows here, (C,) [N, N m].
+        noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
+        spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
+    """
+
+    method: Method
+    channels: tuple[str, ...]
+    units: tuple[str, ...]
+    rows: tuple[int, ...]
+    signal: Array
+    residual: Array
+    mean: Array
+    noise: Array
+    spread: Array
+
+    def __post_init__(self) -> None:
+        for name in ("signal", "residual", "mean", "noise", "spread"):
+            shape = (len(self.channels),)
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def relative_residual(self) -> Array:
+        """Residual as part of the signal, (C,); nan where there is none."""
+        return _over(self.residual, self.signal)
+
+    @property
+    def allowed(self) -> Array:
+        """Rms that noise and covariance make together, (C,) [N, N m]."""
+        return np.asarray(np.hypot(self.noise, self.spread))
+
+    @property
+    def ratio(self) -> Array:
+        """Residual over what is allowed, (C,): about one, or less."""
+        return _over(self.residual, self.allowed)
+
+    @property
+    def scatter(self) -> Array:
+        """Rms of the residual about its mean, (C,) [N, N m]."""
+        return np.asarray(np.sqrt(np.maximum(self.residual**2 - self.mean**2, 0.0)))
+
+    @property
+    def matters(self) -> tuple[bool, ...]:
+        """Whether each channel's residual is large enough to matter among like channels."""
+        like = [[other == unit for other in self.units] for unit in self.units]
+        largest = [np.nan_to_num(self.signal[same]).max() for same in like]
+        return tuple(bool(r > MATTERS * s) for r, s in zip(self.residual, largest, strict=True))
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Channels in which the estimate foretells worse than its sigma says."""
+        return tuple(_findings(self))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The findings, a line for those that are alike."""
+        return tuple(in_lines(self.findings))
+
+
+def validate(
+    tree: Tree,
+    recording: Recording | Source | str | Path | Iterable[Recording],
+    estimate: Estimate | Stated,
+    *,
+    settings: Settings | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Validation:
+    """What an estimate leaves of a recording that it has not seen.
+
+    Rows are made as by `identify`: same filters, rows that count, tare and gravity. Numbers of
+    the instrument that were estimated are taken back first, but for those that are of one
+    recording only, the plate's zero and drift; nor are constants subtracted: see `mean`.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: Another one of the same robot and instrument, as for `identify`.
+        estimate: What is to be validated.
+        settings: Those of the estimate; default `Settings()`.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording cannot be used for the estimate's method.
+        SettingsError: Robot and settings have other parameters than the estimate.
+    """
+    said = estimate if isinstance(estimate, Stated) else stated(estimate)
+    source, settings = open_source(recording), settings or Settings()
+    if source.samples < 2:
+        raise RecordingError(f"the recording: {source.samples} samples are no recording")
+    check_robot(source, tree)
+    check_signal(source, said.method)
+    tree = in_its_gravity(tree.with_gravity(said.gravity), source)
+    rows = rows_of(tree, said, settings)
+    channels = channels_of(tree, said.method)
+    if len(said.residual) != len(channels):
+        raise SettingsError(
+            f"the {said.method} estimate has residuals of {len(said.residual)} channels, the "
+            f"robot has {len(channels)}"
+        )
+    lasting = lasting_numbers(tree, said)
+    shown = Corrected(source, lasting, tree) if lasting else source
+    passes = Passes(make_plan(shown, rows, tare_of(tree, source), settings), threads, progress, 2)
+    with one_blas_thread():
+        sums = passes.sums(products_wanted(len(channels)))
+        equations = gather(rows, said.names, channels, sums)
+        total, squares = np.zeros((2, len(channels)))
+        for columns, measured in passes.rows(said.values[:, None]):
+            left = measured - columns[..., 0]
+            total += left.sum(axis=1)
+            squares += (left**2).sum(axis=1)
+    return _validation(said, tree, equations, total, squares)
+
+
+def _validation(
+    said: Stated, tree: Tree, equations: NormalEquations, total: Array, squares: Array
+) -> Validation:
+    """Sums over rows as numbers of channels."""
+    used = np.where(equations.used > 0, equations.used, np.nan)
+    normal = np.stack([equations.of_channel(c)[0] for c in range(len(used))])
+    added = np.maximum(np.einsum("cij,ij->c", normal, said.covariance), 0.0)
+    found = Validation(
+        method=said.method,
+        channels=equations.channels,
+        units=channel_units(tree, said.method),
+        rows=tuple(int(n) for n in equations.used),
+        signal=np.sqrt(equations.squares / used),
+        residual=np.sqrt(squares / used),
+        mean=total / used,
+        noise=np.where(np.isnan(used), np.nan, said.residual),
+        spread=np.sqrt(added / used),
+    )
+    numbers = [found.signal, found.residual, found.mean, found.spread]
+    if not np.isfinite(numbers)[:, equations.used > 0].all():
+        raise RecordingError("the recording or the estimate holds numbers too large for sums")
+    return found
+
+
+def _findings(found: Validation) -> Iterator[Finding]:
+    """Channels that are foretold worse than is said."""
+    steady = _over(found.scatter, found.allowed) <= LIMIT
+    for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
+        if not (ratio > LIMIT and found.matters[c]):
+            continue
+        unit = found.units[c]
+        told = f"{found.residual[c]:.3g} {unit} where {found.allowed[c]:.3g} {unit} are allowed"
+        causes: tuple[str, ...] = (
+            "a gain, sign or place of the instrument that has changed",
+            "an effect that the model lacks and the other motion shows",
+        )
+        remedy = "plot it beside its prediction (`testbed view`)"
+        if steady[c]:
+            told += f", a constant of {found.mean[c]:.3g} {unit} among it"
+            causes = ("a zero or tare that is another than in the estimate's own recording",)
+            remedy = "compare the instrument at rest before both"
+        yield Finding(
+            channel_label(found.method, name),
+            f"is foretold {ratio:.3g} times worse than noise and sigma say ({told})",
+            float(ratio),
+            causes,
+            remedy,
+        )
+
+
+def _over(above: Array, below: Array) -> Array:
+    """A quotient; nan where nothing is over nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(above / below)

@@ -1,0 +1,82 @@
+"""A run is validated on a motion that its estimates have not seen, made by the same instrument."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.experiment import unseen as module
+from testbed.experiment.results import result
+from testbed.experiment.run import Run
+from testbed.experiment.summary import summary
+from testbed.experiment.unseen import on_unseen_motion, unseen, validated
+from testbed.identification.validate import validate
+from tests.helpers.ideal import ideal, plus
+from tests.helpers.runs import MODELS, noisy, robot, run_of
+
+
+def test_a_run_holds_the_validation_of_both_estimates() -> None:
+    run = run_of(robot("puma"))
+    other = noisy(ideal(run.tree, seed=8), 4)
+    done = validated(run, other)
+    assert done.warnings == run.warnings
+    assert tuple(done.validation) == ("external", "internal")
+    for method, found in done.validation.items():
+        same = validate(run.tree, other, run.estimates[method], settings=run.settings)
+        np.testing.assert_array_equal(found.residual, same.residual)
+        assert result(done)["validation"][method]["ratio"] == found.ratio.tolist()
+    assert any("no estimate has seen" in line for line in summary(done))
+    assert not any("no estimate has seen" in line for line in summary(run))
+
+
+def test_what_another_motion_shows_is_among_the_runs_warnings() -> None:
+    run = run_of(robot("puma"))
+    done = validated(run, plus(noisy(ideal(run.tree, seed=8), 4), wrench=[0, 0, 0, 0, 0, 50.0]))
+    new = [line for line in done.warnings if line not in run.warnings]
+    assert len(new) == 1
+    assert new[0].startswith("channel Mz")
+
+
+def test_what_cannot_be_simulated_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    def impossible(run: Run, progress: object) -> None:
+        raise tb.TestbedError("no motion")
+
+    monkeypatch.setattr(module, "unseen", impossible)
+    run = run_of(robot("puma"))
+    done, other = on_unseen_motion(run)
+    assert other is None
+    assert done.validation == {}
+    assert "no motion" in done.warnings[-1]
+    empty = replace(run, estimates={})
+    assert on_unseen_motion(empty) == (empty, None)
+
+
+def gains(recording: tb.Recording) -> Array:
+    """Of the plate's channels, (6,)."""
+    assert recording.truth is not None
+    return np.asarray(np.median(recording.measured("wrench") / recording.truth.wrench, axis=0))
+
+
+@pytest.mark.slow
+def test_the_other_motion_is_measured_by_the_same_instrument(tmp_path: Path) -> None:
+    """What chance decides once stays; noise and motion are others."""
+    path = tmp_path / "e.toml"
+    path.write_text(
+        f'name = "e"\nmodel = "{MODELS["ur5"]}"\n[motion]\nduration = 4.0\ncandidates = 1\n'
+        "[measurement]\nrate = 200.0\n[[measurement.fault]]\nkind = 'plate_gain'\n"
+        "[simulation]\nbandwidth = 30.0\nstep = 1e-3\n"
+    )
+    run = tb.carry_out(tb.Experiment.load(path))
+    assert tuple(run.validation) == ("external", "internal")
+    other = unseen(run)
+    assert other is not None
+    assert np.ptp(gains(run.recording)) > 0.005
+    np.testing.assert_allclose(gains(other), gains(run.recording), rtol=1e-12)
+    assert abs(other.position - run.recording.position).max() > 0.1
+    another = tb.simulate(tb.Experiment.load(path, ["seed=1"]))
+    assert abs(gains(another) - gains(run.recording)).max() > 0.005
