@@ -51,6 +51,23 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "samples": list(estimate.samples),
         "condition": estimate.condition,
         "noise": _noise(estimate),
+        "nuisances": [
+            {"name": n.name, "unit": n.unit, "value": n.value, "sigma": n.sigma}
+            for n in estimate.nuisances
+        ],
+        "trace_tests": [
+            {
+                "kind": t.nuisance.kind,
+                "chance": t.chance,
+                "names": list(t.names),
+                "units": list(t.units),
+                "size": list(t.size),
+                "parameter": t.parameter,
+                "shift": t.shift,
+            }
+            for t in estimate.trace_tests
+        ],
+        "doubtful": estimate.doubtful,
         "warnings": list(estimate.warnings),
     }
 

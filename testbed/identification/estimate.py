@@ -141,6 +141,11 @@ class Estimate:
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether the data show that something is wrong: sigma is then of no use."""
+        return bool(self.findings)
+
     @cached_property
     def matters(self) -> tuple[bool, ...]:
         """Whether each channel's residual is large enough to matter among like channels."""

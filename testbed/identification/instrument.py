@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.coloured import Beside, Refined, further_values
-from testbed.identification.nuisances.catalogue import NUISANCES, TESTED
+from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
 from testbed.identification.nuisances.foretold import row_filter

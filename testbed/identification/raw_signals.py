@@ -9,7 +9,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
 from testbed.identification.finding import Finding
-from testbed.identification.survey import Survey
+from testbed.identification.survey import Repeats, Survey
 from testbed.robot.tree import Joint, Tree
 
 OUTSIDE = 0.02
@@ -28,6 +28,13 @@ CLIFF = 5.0
 """Times as many samples as at the next value that are at the extreme one if it is a stop."""
 
 
+FEW_REPEATS = 5
+"""Repeated samples that may be chance."""
+
+TOGETHER = 10.0
+"""Times as often as channels one by one that samples are repeated if it is no chance."""
+
+
 def signal_findings(estimate: Estimate, tree: Tree, survey: Survey) -> list[Finding]:
     """Encoders outside their joints' ranges, dead and saturated channels, impossible torques.
 
@@ -37,9 +44,28 @@ def signal_findings(estimate: Estimate, tree: Tree, survey: Survey) -> list[Find
         survey: Some of the raw samples.
     """
     found = [*_encoders(tree, survey.position), *_channels(estimate, survey.measured)]
+    found += _repeated(estimate, survey.repeats)
     if estimate.method == "internal":
         found += _efforts(tree, survey.measured)
     return found
+
+
+def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Finding]:
+    """Samples in which all channels are what they were before, too often for chance."""
+    if not repeats.steps or repeats.together < FEW_REPEATS:
+        return
+    share = repeats.together / repeats.steps
+    by_chance = float(np.prod(repeats.channels / repeats.steps))
+    if share > TOGETHER * by_chance:
+        what = "the plate's samples" if estimate.method == "external" else "the torques' samples"
+        yield Finding(
+            what,
+            f"repeat the ones before while the robot moves ({repeats.together} of "
+            f"{repeats.steps}, all channels together)",
+            share,
+            ("samples lost on the way and filled with the last", "a device slower than the others"),
+            "record at the slowest device's rate, and look for losses on the bus",
+        )
 
 
 def _encoders(tree: Tree, position: Array) -> Iterator[Finding]:

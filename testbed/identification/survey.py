@@ -14,6 +14,21 @@ SAMPLES = 20_000
 
 
 @dataclass(frozen=True, eq=False)
+class Repeats:
+    """How often a sample is the same as the one before, while the encoders' are not.
+
+    Attributes:
+        steps: Pairs of samples whose encoders differ.
+        channels: Of these, those in which a channel is the same, (C,).
+        together: Those in which all channels are.
+    """
+
+    steps: int
+    channels: Array
+    together: int
+
+
+@dataclass(frozen=True, eq=False)
 class Survey:
     """Samples of the raw signals.
 
@@ -21,10 +36,12 @@ class Survey:
         position: Encoders, (m, n) [rad or m].
         measured: Motor torques, (m, n) [N m or N], or the plate's wrench without its tare,
             (m, 6) [N, N m].
+        repeats: How often samples are like the ones before, among all samples.
     """
 
     position: Array
     measured: Array
+    repeats: Repeats
 
 
 class Surveyor:
@@ -34,6 +51,7 @@ class Surveyor:
         """Nothing yet, of a recording of that many samples."""
         self.stride = max(1, samples // SAMPLES)
         self._kept: dict[int, tuple[Array, Array]] = {}
+        self._repeats: dict[int, Repeats] = {}
 
     def look(self, signals: Signals, first: int, count: int) -> None:
         """Keep some of a window's samples.
@@ -45,9 +63,25 @@ class Surveyor:
         """
         own = slice(-first % self.stride, count, self.stride)
         self._kept[first] = signals.position[own].copy(), signals.measured[own].copy()
+        self._repeats[first] = _repeats(
+            signals.position[: count + 1], signals.measured[: count + 1]
+        )
 
     def survey(self) -> Survey:
         """All that was kept, in the order of time."""
         parts = [self._kept[first] for first in sorted(self._kept)]
         position, measured = (np.concatenate(group) for group in zip(*parts, strict=True))
-        return Survey(position, measured)
+        counts = self._repeats.values()
+        repeats = Repeats(
+            steps=sum(each.steps for each in counts),
+            channels=np.sum([each.channels for each in counts], axis=0),
+            together=sum(each.together for each in counts),
+        )
+        return Survey(position, measured, repeats)
+
+
+def _repeats(position: Array, measured: Array) -> Repeats:
+    moved = (position[1:] != position[:-1]).any(axis=1)
+    same = (measured[1:] == measured[:-1])[moved]
+    channels = same.sum(axis=0).astype(np.float64)
+    return Repeats(int(moved.sum()), channels, int(same.all(axis=1).sum()))

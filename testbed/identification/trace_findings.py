@@ -8,8 +8,10 @@ from testbed.identification.estimate import Estimate
 from testbed.identification.finding import Finding
 from testbed.identification.nuisances.estimates import TraceTest
 
-FALSE_ALARMS = 1e-3
-"""Probability of a word about a recording without any fault: all tests of an estimate together."""
+FALSE_ALARMS = 1e-6
+"""Nominal probability of a word about a recording without any fault, all its tests together. It is
+small since noise need not be what the model of it says: of poor encoders it grows with the
+robot's inertia."""
 
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""

@@ -96,10 +96,13 @@ def _treatment(run: Run) -> str:
     zeros = {True: "those that are zero in the model file", False: "none"}
     known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
     taken = {"ar": "an autoregression", "white": "white"}[settings.noise]
+    unknown = f"; unknown of the instrument: {', '.join(settings.nuisances)}" * bool(
+        settings.nuisances
+    )
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
         f"{settings.deadband:g} rad/s or m/s dropped; noise taken for {taken}; parameters "
-        f"known to be zero: {known}"
+        f"known to be zero: {known}{unknown}"
     )
 
 

@@ -126,6 +126,19 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
             f"{e.method}: {len(e.names)} unknowns, condition {e.condition:.1f}, {_noise(e)}"
             f"residual rms {fits}"
         )
+        lines += [f"{e.method}: {part}" for part in _instrument(e)]
+    return lines
+
+
+def _instrument(estimate: Estimate) -> list[str]:
+    """What was estimated of the instrument, a line each kind; whether sigma is to be doubted."""
+    kinds: dict[str, list[str]] = {}
+    for each in estimate.nuisances:
+        number = f"{each.name} {each.value:.4g} +- {each.sigma:.2g} {each.unit}".rstrip()
+        kinds.setdefault(each.kind, []).append(number)
+    lines = [", ".join(numbers) for numbers in kinds.values()]
+    if estimate.doubtful:
+        lines.append("doubtful: sigma does not count what the warnings say")
     return lines
 
 

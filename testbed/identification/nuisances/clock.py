@@ -63,5 +63,23 @@ def reach(delay: float, rate: float) -> int:
     return int(np.ceil(abs(delay) * rate)) + _POINTS // 2 if delay else 0
 
 
+def _rate(tree: Tree) -> tuple[Part, ...]:
+    del tree
+    return (Part("clock_rate", ""),)
+
+
+def _faster(foretold: Foretold) -> Array:
+    return _late(foretold) * foretold.time[:, None, None]
+
+
 SKEW = Nuisance("skew", "a plate that is late", _delay, _late, _earlier)
 """By how much the plate is late."""
+
+CLOCK_RATE = Nuisance(
+    "clock_rate",
+    "clocks that run at different rates",
+    _rate,
+    _faster,
+    cure="give plate and encoders one clock; or cut the recording and estimate each part's skew",
+)
+"""By how much the plate gets later, relative to time."""

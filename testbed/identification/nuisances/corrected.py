@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.nuisances import clock
-from testbed.identification.nuisances.catalogue import NUISANCES
+from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 

@@ -6,6 +6,7 @@ of the foretold wrench, at fewer instants than there are samples: slow signals b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -21,6 +22,12 @@ from testbed.robot.tree import Tree
 
 INSTANTS_PER_CUTOFF = 10.0
 """Instants a second at which wrenches are foretold, per Hz of the filter on rows, at least."""
+
+Number = Array | float
+"""One at every instant, or the same at all."""
+
+Change = Callable[[Array, Array, Array], tuple[Number, Number, Number]]
+"""Of a coordinate, its velocity and its acceleration, (m,) each, of which it is a function."""
 
 SMALL = 1e-6
 """Difference [rad, m, 1] by which derivatives are taken: rounding and curvature are 1e-9."""
@@ -105,20 +112,18 @@ class Foretold:
         found: Array = self.moving + self.tare
         return found
 
-    def along(self, joint: int, scaled: bool) -> Array:
-        """Derivative of the wrench by a joint's zero, or by its encoder's scale, (m, 6).
+    def along(self, joint: int, change: Change) -> Array:
+        """Derivative of the wrench by an error of one joint's coordinate, (m, 6).
 
         Args:
             joint: Index.
-            scaled: Whether position, velocity and acceleration all grow in proportion.
+            change: How the coordinate moves with the error.
         """
-        motion = self.motion
-        unit = np.zeros(self.tree.n)
-        unit[joint] = SMALL
-        if scaled:
-            moved = (motion.q * (1 + unit), motion.qd * (1 + unit), motion.qdd * (1 + unit))
-        else:
-            moved = (motion.q + unit, motion.qd, motion.qdd)
+        motion, moved = self.motion, []
+        coordinate = (motion.q[:, joint], motion.qd[:, joint], motion.qdd[:, joint])
+        for values, by in zip((motion.q, motion.qd, motion.qdd), change(*coordinate), strict=True):
+            moved.append(values.copy())
+            moved[-1][:, joint] += SMALL * by
         found: Array = (self._wrench(*moved) - self.moving) / SMALL
         return found
 

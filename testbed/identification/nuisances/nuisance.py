@@ -22,6 +22,12 @@ class Part(NamedTuple):
     unit: str
 
 
+Numbers = Callable[[Tree], tuple[Part, ...]]
+"""The numbers of a nuisance, for a robot."""
+
+Effect = Callable[[Foretold], Array]
+"""What the measured wrench grows by with each of them, (rows, 6, k)."""
+
 Undo = Callable[[Recording, Array, Array], Recording]
 """A recording as it would be without: of a recording, the nuisance's numbers, (k,), and the
 samples' times from the middle of the whole recording, (M,) [s]."""
@@ -43,8 +49,8 @@ class Nuisance:
 
     kind: str
     said: str
-    parts: Callable[[Tree], tuple[Part, ...]]
-    columns: Callable[[Foretold], Array]
+    parts: Numbers
+    columns: Effect
     undo: Undo | None = None
     cure: str = ""
 

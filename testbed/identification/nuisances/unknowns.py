@@ -14,6 +14,9 @@ from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
+KEPT = 64e6
+"""Bytes of columns that are kept from one pass to the next."""
+
 
 @dataclass(frozen=True, eq=False)
 class Unknowns:
@@ -81,7 +84,9 @@ class Columns:
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
-        self.count = sum(len(each.kept) for each in unknowns)
+        count = sum(len(each.kept) for each in unknowns)
+        self._kept: dict[int, Array] = {}
+        self._keeps = plan.rows * 6 * count * 8 < KEPT
 
     def __call__(self, signals: Signals, first: int) -> Array:
         """Of a window's rows, (6, rows, s).
@@ -90,6 +95,14 @@ class Columns:
             signals: The window's.
             first: Number of its first row.
         """
+        if first in self._kept:
+            return self._kept[first]
+        made = self._made(signals, first)
+        if self._keeps:
+            self._kept[first] = made
+        return made
+
+    def _made(self, signals: Signals, first: int) -> Array:
         found = foretold(self._plan, self._filtered, self._theta, signals, first)
         made: dict[str, Array] = {}
         blocks = []

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from testbed.identification.nuisances.clock import SKEW
-from testbed.identification.nuisances.encoders import ENCODER_GAINS, JOINT_ZEROS
+from testbed.identification.nuisances.clock import CLOCK_RATE, SKEW
+from testbed.identification.nuisances.encoder_errors import ECCENTRICITY, ENCODER_GAINS, JOINT_ZEROS
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
 from testbed.identification.nuisances.pose import HEIGHT, POSE
@@ -12,5 +12,14 @@ from testbed.identification.nuisances.sensitivities import CROSSTALK, GAINS
 NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, POSE, HEIGHT, JOINT_ZEROS)
 """Those that can be estimated, in the order in which they are taken back: last made, first."""
 
-TESTED: tuple[Nuisance, ...] = (SKEW, POSE, GAINS, CROSSTALK, JOINT_ZEROS, ENCODER_GAINS)
+TESTED: tuple[Nuisance, ...] = (
+    SKEW,
+    CLOCK_RATE,
+    POSE,
+    GAINS,
+    CROSSTALK,
+    JOINT_ZEROS,
+    ENCODER_GAINS,
+    ECCENTRICITY,
+)
 """Those whose traces are looked for in every estimate. A drift is not: slow noise looks alike."""

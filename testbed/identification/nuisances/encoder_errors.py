@@ -1,0 +1,94 @@
+"""Encoders whose zero or scale is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.nuisances.foretold import Change, Foretold, Number
+from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+
+
+def _zeros(tree: Tree) -> tuple[Part, ...]:
+    units = ("rad" if joint.revolute else "m" for joint in tree.joints)
+    return tuple(Part(f"joint_zeros/{j}", u) for j, u in zip(tree.names, units, strict=True))
+
+
+def _gains(tree: Tree) -> tuple[Part, ...]:
+    return tuple(Part(f"encoder_gains/{joint}", "") for joint in tree.names)
+
+
+def _waves(tree: Tree) -> tuple[Part, ...]:
+    turning = [joint.name for joint in tree.joints if joint.revolute]
+    return tuple(
+        Part(f"eccentricity/{j}/{wave}", "rad") for j in turning for wave in ("sin", "cos")
+    )
+
+
+def _moved(foretold: Foretold) -> Array:
+    return _derivatives(foretold, [(j, _constant) for j in range(foretold.tree.n)])
+
+
+def _scaled(foretold: Foretold) -> Array:
+    return _derivatives(foretold, [(j, _proportion) for j in range(foretold.tree.n)])
+
+
+def _waved(foretold: Foretold) -> Array:
+    turning = [j for j, joint in enumerate(foretold.tree.joints) if joint.revolute]
+    return _derivatives(foretold, [(j, wave) for j in turning for wave in (_sine, _cosine)])
+
+
+def _derivatives(foretold: Foretold, errors: Sequence[tuple[int, Change]]) -> Array:
+    """The robot was where the encoders show it less their errors."""
+    each = [-foretold.along(joint, change) for joint, change in errors]
+    none = np.zeros((foretold.motion.samples, 6, 0))
+    return foretold.rows(np.stack(each, axis=2) if each else none)
+
+
+def _constant(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    del q, qd, qdd
+    return 1.0, 0.0, 0.0
+
+
+def _proportion(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return q, qd, qdd
+
+
+def _sine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return np.sin(q), np.cos(q) * qd, np.cos(q) * qdd - np.sin(q) * qd**2
+
+
+def _cosine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    return np.cos(q), -np.sin(q) * qd, -np.sin(q) * qdd - np.cos(q) * qd**2
+
+
+def _back(recording: Recording, values: Array, time: Array) -> Recording:
+    del time
+    return replace(recording, position=recording.position - values)
+
+
+JOINT_ZEROS = Nuisance("joint_zeros", "zeros of the encoders that are off", _zeros, _moved, _back)
+"""What the encoders show too much."""
+
+ENCODER_GAINS = Nuisance(
+    "encoder_gains",
+    "scales of the encoders that are wrong",
+    _gains,
+    _scaled,
+    cure="correct the encoders' scales",
+)
+"""Relative."""
+
+ECCENTRICITY = Nuisance(
+    "eccentricity",
+    "eccentric encoders",
+    _waves,
+    _waved,
+    cure="correct the encoders once a turn",
+)
+"""Errors that repeat with every turn."""
