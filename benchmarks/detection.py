@@ -15,7 +15,7 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
-from testbed.identification.nuisances.catalogue import TESTED
+from testbed.identification.nuisances.all_nuisances import TESTED
 from testbed.identification.trace_findings import trace_findings
 from testbed.instruments.encoders import EncoderGain
 from testbed.instruments.fault import Fault

@@ -18,6 +18,7 @@ from testbed.experiment.carry_out import simulate
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import Expectations, RunName, Table
+from testbed.experiment.results import nuisances_as_json
 from testbed.experiment.run import Run
 from testbed.experiment.toml_text import checked, read_toml
 from testbed.identification.estimate import METHODS, Estimate, Method
@@ -253,14 +254,11 @@ def _row(row: Compared) -> dict[str, Any]:
 
 
 def _judged(run: Run) -> dict[str, Any]:
-    nuisances = [each for e in run.estimates.values() for each in e.nuisances]
+    estimates = run.estimates
     return {
         "metrics": dict(run.metrics),
         "verdicts": run.verdicts,
         "failures": dict(run.failures),
-        "nuisances": {
-            each.name: {"value": each.value, "sigma": each.sigma, "unit": each.unit}
-            for each in nuisances
-        },
-        "warnings": [line for e in run.estimates.values() for line in e.warnings],
+        "nuisances": {method: nuisances_as_json(e) for method, e in estimates.items()},
+        "warnings": {method: list(e.warnings) for method, e in estimates.items()},
     }

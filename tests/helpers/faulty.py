@@ -18,9 +18,7 @@ USUAL = Instrument(
 """Of table6, with exact torque constants."""
 
 
-def clean(
-    tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500.0
-) -> Recording:
+def clean(tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500.0) -> Recording:
     """With the noise of table6, along a motion of its own, and the truth."""
     motion = random_fourier(tree, np.random.default_rng(seed), 1.0)
     states = motion.at(np.arange(0, duration, 1 / rate))
