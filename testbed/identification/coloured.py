@@ -140,17 +140,19 @@ def under_coloured_noise(
 
 
 def further_values(start: least_squares.Fit, passes: Passes, beside: Beside) -> tuple[Array, Array]:
-    """The instrument's unknowns alone, (s,), and their covariance by the formula, (s, s).
+    """The instrument's unknowns alone, (s,), and their covariance, (s, s), as if noise were white.
+
+    Good enough to correct a recording with: the fit that follows knows better.
 
     Args:
         start: A weighted solution of the robot's unknowns.
         passes: Over all rows.
         beside: Columns beside theirs, no tested ones among them.
     """
-    units, sums, p = _units(start, beside), LaggedSums(HIGHEST), len(start.values)
+    units, sums, p = _units(start, beside), LaggedSums(0), len(start.values)
     for rows in units.rows(passes, start.values):
         sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
-    _, found, _, _ = _fit(sums.finish(), whole=True)
+    found = whitened_fit(sums.finish(), 0)
     own = slice(p, p + beside.unknown)
     return found.values[own], found.covariance[own, own]
 

@@ -7,6 +7,7 @@ recording can be cut anywhere without a trace.
 from __future__ import annotations
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from testbed.arrays import Array
 
@@ -65,6 +66,27 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
     )
     weights = np.ones(1) if cutoff is None else low_pass(rate, cutoff, POSITION_ATTENUATION)
     return np.stack([np.convolve(weights, stencil) for stencil in stencils])
+
+
+def slope_weights(weights: Array, places: Array, rate: float) -> Array:
+    """Weights that make a filtered signal's derivative of the signal at some samples, (k,) [1/s].
+
+    By parts: the signal's derivative times the filter is the signal times the filter's, and a
+    part at either end, where the filter stops.
+
+    Args:
+        weights: Of the filter, symmetric, (2 L + 1,).
+        places: The samples, evenly spaced around the filter's middle, (k,).
+        rate: Samples a second [Hz].
+    """
+    if len(places) == 1:
+        return np.zeros(1)
+    middle = len(weights) // 2
+    spline = make_interp_spline(np.arange(-middle, middle + 1), weights, k=5)
+    found = -float(places[1] - places[0]) * spline.derivative()(places)
+    found[[0, -1]] /= 2
+    found[[0, -1]] += np.array([-1.0, 1.0]) * spline(places[-1])
+    return np.asarray(found * rate / (found @ places))
 
 
 def row_weights(rate: float, cutoff: float | None) -> Array:

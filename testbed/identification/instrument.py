@@ -34,6 +34,9 @@ ROUNDS = 8
 LISTED = 6
 """Most names in one line."""
 
+ROUNDING = 1e-7
+"""Of a nuisance: a correction that is smaller is the last."""
+
 SETTLED = 0.05
 """Of sigma: a correction that is smaller is the last."""
 
@@ -125,7 +128,8 @@ def settled(source: Source, begin: Start, side: Side) -> tuple[Passes, Fit, Arra
         values = values + step
         tree = passes.plan.layout.tree
         passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values)))
-        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diagonal(covariance))):
+        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+        if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
             return passes, fit, values, True
     return passes, fit, values, False
 

@@ -15,6 +15,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.identification.noise.fits import Fit, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.scaled import scaled_solve
 
 IMITATED = 1e-8
 """Share of a constant's square that the parameters leave of it if they cannot imitate it."""
@@ -44,7 +45,7 @@ def constants(given: LaggedProducts) -> Constants:
     normal = squares[:, :m, :m].sum(axis=0)
     mixed = squares[:, :m, m + 1].T  # (m, C)
     counts = squares[:, m + 1, m + 1]
-    imitating = np.linalg.solve(normal, mixed)
+    imitating = scaled_solve(normal, mixed)
     left = np.diag(counts) - mixed.T @ imitating
     spread, axes = np.linalg.eigh((left + left.T) / 2)
     told = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
@@ -75,4 +76,4 @@ def square_of_last(found: NoiseFit, count: int) -> float:
     if not count:
         return 0.0
     values, covariance = found.values[-count:], found.covariance[-count:, -count:]
-    return float(values @ np.linalg.solve(covariance, values))
+    return float(values @ scaled_solve(covariance, values))

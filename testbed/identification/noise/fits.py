@@ -25,6 +25,7 @@ from testbed.identification.noise.autoregression import (
     unforetold,
 )
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
 
 ROUNDS = 2
 """Times that noise and unknowns are found in turns."""
@@ -39,7 +40,7 @@ ENOUGH = 2
 ROWS_PER_ORDER = 10
 """Rows that a coefficient of the noise has to be found from."""
 
-LEAST = 1e-6
+LEAST = 1e-4
 """Least noise of a channel, in the units that rows come in: channels without noise are possible."""
 
 
@@ -147,12 +148,11 @@ def _weighted(
     for _ in range(REWEIGHTINGS):
         weights = 1 / spread**2
         normal = np.tensordot(weights, squares[:, :m, :m], 1)
-        values = np.asarray(np.linalg.solve(normal, weights @ squares[:, :m, m]), dtype=float)
+        values = scaled_solve(normal, weights @ squares[:, :m, m])
         left = _of_residuals(squares, values)
         spread = np.maximum(np.sqrt(np.maximum(left, 0.0) / free), LEAST)
-    inverse = np.linalg.inv(np.tensordot(1 / spread**2, squares[:, :m, :m], 1))
-    symmetric: Array = (inverse + inverse.T) / 2
-    return values, symmetric, np.asarray(spread)
+    inverse = scaled_inverse(np.tensordot(1 / spread**2, squares[:, :m, :m], 1))
+    return values, inverse, np.asarray(spread)
 
 
 def _moments(given: LaggedProducts, values: Array, order: int) -> Array:

@@ -16,6 +16,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.errors import SettingsError
+from testbed.identification.filters import slope_weights
 from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
@@ -74,9 +75,8 @@ def row_filter(plan: Plan, cutoff: float | None) -> RowFilter:
     )
     places = np.arange(-(middle // stride), middle // stride + 1) * stride
     weights = plan.weights[middle + places]
-    slopes = np.gradient(plan.weights)[middle - places] if len(plan.weights) > 1 else 0 * weights
-    moment = float(slopes @ places) / rate
-    return RowFilter(stride, weights / weights.sum(), slopes / moment, plan.step // stride)
+    slopes = slope_weights(plan.weights, places.astype(np.float64), rate)
+    return RowFilter(stride, weights / weights.sum(), slopes, plan.step // stride)
 
 
 @dataclass(frozen=True, eq=False)

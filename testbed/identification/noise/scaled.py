@@ -1,0 +1,43 @@
+"""Symmetric equations with unknowns of different units: solved with a diagonal of ones.
+
+Whitening by noise without end takes constants away, and with them what tells unknowns apart.
+Directions that rounding alone tells are then held, and their variance is large: never negative.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from testbed.arrays import Array
+
+ROUNDING = 1e-15
+"""Least eigenvalue, of a matrix with a diagonal of ones, that is no rounding."""
+
+
+def scaled_solve(matrix: Array, right: Array) -> Array:
+    """The solution of matrix x = right.
+
+    Args:
+        matrix: Symmetric and positive definite, (m, m).
+        right: (m,) or (m, k).
+    """
+    root = _root(matrix)
+    return np.asarray(root @ (root.T @ right))
+
+
+def scaled_inverse(matrix: Array) -> Array:
+    """The inverse, symmetric and positive.
+
+    Args:
+        matrix: Symmetric and positive definite, (m, m).
+    """
+    root = _root(matrix)
+    return np.asarray(root @ root.T)
+
+
+def _root(matrix: Array) -> Array:
+    """R with R R' the inverse, (m, m)."""
+    diagonal = np.diagonal(matrix)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    size, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
+    return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
