@@ -181,6 +181,33 @@ def coverage(
             _print(measured(study, first, runs))
 
 
+@app.command()
+def detection(
+    runs: Annotated[int, typer.Option(min=1, help="Recordings of each kind.")] = 100,
+    seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 7000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 20.0,
+    only: Annotated[str, typer.Option(help="Only trials whose words hold this.")] = "",
+    table: Annotated[bool, typer.Option("--table", help="As a table, at the end.")] = False,
+) -> None:
+    """False alarms and power of the tests for the instrument's faults; exit code 1 below a goal."""
+    from benchmarks.detection import detection as measured
+    from benchmarks.detection import in_columns, total, trials
+
+    lines = []
+    for trial in trials():
+        if only in trial.words:
+            lines.append(measured(trial, seed, runs, seconds))
+            if not table:
+                _print(lines[-1])
+    if any(line["fault"] == "none" for line in lines):
+        lines.append(total(lines))
+        if not table:
+            _print(lines[-1])
+    if table:
+        print(in_columns(lines))
+    raise typer.Exit(int(not all(line["held"] for line in lines)))
+
+
 @app.command(name="all")
 def everything() -> None:
     """All of them."""

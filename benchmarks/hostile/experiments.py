@@ -33,6 +33,8 @@ def sources() -> list[dict[str, Any]]:
     found = []
     for path in sorted((ROOT / "experiments").glob("*.toml")):
         content = tomllib.loads(path.read_text())
+        if "model" not in content:
+            continue  # a comparison of variants of another file
         content["model"] = PUMA
         found.append(_merged(content, QUICK))
     arm = {"name": "pendulum", "model": PENDULUM, "identification": {"zeros": True}}

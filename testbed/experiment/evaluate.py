@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 from testbed.errors import ExperimentError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
+from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
 from testbed.robot.load import mimic_joints
@@ -18,6 +20,7 @@ def evaluate(
     experiment: Experiment,
     recording: Recording,
     progress: Progress = lambda done, total: None,
+    methods: Iterable[Method] = METHODS,
 ) -> Run:
     """Identify from an experiment's recording and compare with the truth.
 
@@ -25,6 +28,7 @@ def evaluate(
         experiment: What was carried out.
         recording: What the instrument measured.
         progress: Called with samples done and samples in all, method by method.
+        methods: Which estimates to make.
     """
     return assemble_run(
         robot_of(experiment),
@@ -33,6 +37,7 @@ def evaluate(
         settings=experiment.identification,
         experiment=experiment,
         model=model_of(experiment),
+        methods=methods,
         progress=progress,
     )
 

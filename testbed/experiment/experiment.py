@@ -11,19 +11,15 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import tomli_w
-from pydantic import (
-    Field,
-    ValidationError,
-    field_validator,
-)
+from pydantic import Field, ValidationError
 
-from testbed.errors import ExperimentError, UnknownName
+from testbed.errors import ExperimentError
 from testbed.experiment.experiment_tables import (
-    METRICS,
-    Bound,
+    Expectations,
     Finite,
     MotionTable,
     RobotTable,
+    RunName,
     SimulationTable,
     Table,
 )
@@ -55,7 +51,7 @@ class RecordingTables(Table):
 class ExperimentTables(Table):
     """What an experiment file says."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
+    name: RunName
     """Of the run folder: letters, digits, dot, dash, underscore."""
     claim: str = ""
     """What the experiment shows, in a sentence."""
@@ -72,16 +68,8 @@ class ExperimentTables(Table):
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
-    expect: dict[str, Bound] = Field(default_factory=dict)
+    expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
-
-    @field_validator("expect")
-    @classmethod
-    def _metrics_are_known(cls, expect: dict[str, Bound]) -> dict[str, Bound]:
-        for name in expect:
-            if name not in METRICS:
-                raise ValueError(str(UnknownName("metric", name, METRICS)))
-        return expect
 
 
 class Experiment(ExperimentTables):

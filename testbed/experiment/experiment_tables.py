@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+from testbed.errors import UnknownName
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -124,3 +126,17 @@ class Bound(Table):
         """Whether `value` is within the bound; a value that is not a number never is."""
         low = -math.inf if self.at_least is None else self.at_least
         return low <= value <= (math.inf if self.at_most is None else self.at_most)
+
+
+def _known(expect: dict[str, Bound]) -> dict[str, Bound]:
+    for name in expect:
+        if name not in METRICS:
+            raise ValueError(str(UnknownName("metric", name, METRICS)))
+    return expect
+
+
+Expectations = Annotated[dict[str, Bound], AfterValidator(_known)]
+"""Bounds by metric."""
+
+RunName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
+"""Letters, digits, dot, dash, underscore."""

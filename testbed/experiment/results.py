@@ -59,10 +59,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "samples": list(estimate.samples),
         "condition": estimate.condition,
         "noise": _noise(estimate),
-        "nuisances": [
-            {"name": n.name, "unit": n.unit, "value": n.value, "sigma": n.sigma}
-            for n in estimate.nuisances
-        ],
+        "nuisances": nuisances_as_json(estimate),
         "trace_tests": [
             {
                 "kind": t.nuisance.kind,
@@ -78,6 +75,14 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "doubtful": estimate.doubtful,
         "warnings": list(estimate.warnings),
     }
+
+
+def nuisances_as_json(estimate: Estimate) -> list[dict[str, Any]]:
+    """Numbers of the instrument as JSON takes them."""
+    return [
+        {"name": n.name, "unit": n.unit, "value": n.value, "sigma": n.sigma}
+        for n in estimate.nuisances
+    ]
 
 
 def _noise(estimate: Estimate) -> dict[str, Any] | None:

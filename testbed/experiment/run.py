@@ -6,7 +6,7 @@ somebody's own instruments.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from testbed.errors import RecordingError, UnseenParameters
@@ -89,6 +89,7 @@ def assemble_run(
     settings: Settings | None = None,
     experiment: Experiment | None = None,
     model: ModelFile | None = None,
+    methods: Iterable[Method] = METHODS,
     progress: Progress = lambda done, total: None,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
@@ -102,6 +103,7 @@ def assemble_run(
         settings: How the signals are treated; default `Settings()`.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
+        methods: Which estimates to make.
         progress: Called with samples done and samples in all, method by method.
 
     Raises:
@@ -112,7 +114,7 @@ def assemble_run(
     settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
-    for method in METHODS:
+    for method in methods:
         try:
             estimates[method] = identify(
                 tree, recording, method, settings=settings, progress=progress

@@ -1,0 +1,177 @@
+"""Do estimates speak of an instrument's fault when there is one, and only then?
+
+Clean recordings, about which nothing may be said, and recordings with one fault: how often the
+residuals' tests notice it, and how often they name it first.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from scipy import stats
+
+import testbed as tb
+from benchmarks.random_recordings import ROBOTS, recorded
+from testbed.identification.nuisances.all_nuisances import TESTED
+from testbed.identification.trace_findings import trace_findings
+from testbed.instruments.encoders import EncoderGain
+from testbed.instruments.fault import Fault
+from testbed.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
+from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
+
+SHOWN = ("puma", "ur5", "gantry_ppp_rrr")
+"""Of ROBOTS."""
+
+FALSE_ALARMS = 0.01
+"""Largest share of clean recordings about which something is said."""
+
+POWER = 0.99
+"""Least share of faulty recordings about which something is said."""
+
+SAID = {nuisance.kind: nuisance.said for nuisance in TESTED}
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is repeated.
+
+    Attributes:
+        robot: One of ROBOTS.
+        motion: One of SPEEDS.
+        noise: One of NOISES.
+        fault: In words; "" for a clean recording.
+        faults: What is wrong.
+        right: The kind of nuisance that should be named.
+        goal: Largest share of alarms for a clean recording, least for a faulty one.
+    """
+
+    robot: str
+    motion: str = "default"
+    noise: str = "white"
+    fault: str = ""
+    faults: tuple[Fault, ...] = ()
+    right: str = ""
+    goal: float = FALSE_ALARMS
+
+    @property
+    def words(self) -> str:
+        """By which it is picked."""
+        return f"{self.fault or 'clean'} {self.robot} {self.motion} {self.noise}"
+
+
+def trials() -> Iterator[Trial]:
+    """Clean ones, then faulty ones."""
+    for robot in SHOWN:
+        for motion in ("default", "slow"):
+            for noise in ("white", "ar .3 s", "pink"):
+                yield Trial(robot, motion, noise)
+    for robot in SHOWN:
+        second = tb.load_tree(ROBOTS[robot]).names[1]
+        for fault, what, right, goal in _faults(second):
+            yield Trial(robot, fault=fault, faults=(what,), right=right, goal=goal)
+
+
+def _faults(joint: str) -> Iterator[tuple[str, Fault, str, float]]:
+    yield "skew 1 ms", PlateDelay(delay=1e-3), "skew", POWER
+    yield "skew .2 ms", PlateDelay(delay=2e-4), "skew", 0.95
+    yield "crosstalk 1 %", PlateCrosstalk(size=0.01), "crosstalk", POWER
+    yield "pose .2 deg, 1 mm", PlatePose(rotation=3.5e-3, translation=1e-3), "pose", POWER
+    yield "Fz x 1.05", PlateGain(error=(0.0, 0.0, 0.05, 0.0, 0.0, 0.0)), "gains", POWER
+    yield "encoder 2 x 1.01", EncoderGain(error={joint: 0.01}), "encoder_gains", POWER
+    yield "lag 5 ms", PlateDelay(delay=5e-3), "skew", POWER
+    yield "filter 45 Hz, 5 ms", PlateAntiAliasFilter(cutoff=45.0), "skew", POWER
+
+
+def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, Any]:
+    """How often something is said about recordings of one kind, and what first.
+
+    Args:
+        trial: What is repeated.
+        first: The first seed.
+        runs: How many.
+        seconds: Duration of every recording.
+    """
+    tree = tb.load_tree(ROBOTS[trial.robot])
+    settings = tb.Settings(zeros=trial.robot == "puma")
+    ranks: list[int | None] = []
+    wrong: set[str] = set()
+    start = time.process_time()
+    for seed in range(first, first + runs):
+        recording = recorded(tree, trial.motion, trial.noise, seconds, seed, trial.faults)
+        estimate = tb.identify(tree, recording, settings=settings)
+        for finding in trace_findings(estimate):
+            right = SAID.get(trial.right)
+            ranks.append(finding.causes.index(right) + 1 if right in finding.causes else None)
+            wrong |= {finding.causes[0]} - {right}
+    interval = stats.binomtest(len(ranks), runs).proportion_ci(method="exact")
+    line: dict[str, Any] = {
+        "fault": trial.fault or "none",
+        "robot": trial.robot,
+        "motion": trial.motion,
+        "noise": trial.noise,
+        "seconds": seconds,
+        "runs": runs,
+        "seeds": f"{first} to {first + runs - 1}",
+        "alarms": _share(len(ranks) / runs),
+        "interval": [_share(interval.low), _share(interval.high)],
+        "goal": trial.goal,
+        "held": len(ranks) / runs >= trial.goal if trial.fault else len(ranks) <= trial.goal * runs,
+        "named_otherwise": sorted(wrong),
+        "cpu_seconds": round((time.process_time() - start) / runs, 2),
+    }
+    if trial.fault and ranks:
+        line["named_first"] = _share(ranks.count(1) / len(ranks))
+        line["named"] = _share(1 - ranks.count(None) / len(ranks))
+    return line
+
+
+def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """All clean recordings together.
+
+    Args:
+        lines: What `detection` gave.
+    """
+    clean = [line for line in lines if line["fault"] == "none"]
+    runs = sum(line["runs"] for line in clean)
+    alarms = round(sum(line["alarms"] * line["runs"] for line in clean))
+    interval = stats.binomtest(alarms, runs).proportion_ci(method="exact")
+    return {
+        "fault": "none",
+        "robot": "all",
+        "motion": "all",
+        "noise": "all",
+        "runs": runs,
+        "alarms": _share(alarms / runs),
+        "interval": [_share(interval.low), _share(interval.high)],
+        "goal": FALSE_ALARMS,
+        "held": alarms <= FALSE_ALARMS * runs,
+    }
+
+
+COLUMNS = ("fault", "robot", "motion", "noise", "runs", "alarms", "interval", "named_first", "held")
+
+
+def in_columns(lines: Sequence[dict[str, Any]]) -> str:
+    """Lines as a table in Markdown.
+
+    Args:
+        lines: What `detection` gave.
+    """
+    rows = [COLUMNS, ("---",) * len(COLUMNS)]
+    rows += [tuple(_cell(line.get(column)) for column in COLUMNS) for line in lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "NO"
+    if isinstance(value, list):
+        return " to ".join(map(str, value))
+    return "-" if value is None else str(value)
+
+
+def _share(value: float) -> float:
+    return round(float(value), 4)
