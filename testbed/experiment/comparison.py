@@ -14,12 +14,12 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from testbed.errors import ExperimentError
-from testbed.experiment.carry_out import simulate
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import Expectations, RunName, Table
 from testbed.experiment.results import nuisances_as_json
 from testbed.experiment.run import Run
+from testbed.experiment.simulate import simulate
 from testbed.experiment.toml_text import checked, read_toml
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.finding import in_lines

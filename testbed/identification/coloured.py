@@ -139,10 +139,13 @@ def under_coloured_noise(
     )
 
 
-def further_values(start: least_squares.Fit, passes: Passes, beside: Beside) -> tuple[Array, Array]:
-    """The instrument's unknowns alone, (s,), and their covariance, (s, s), as if noise were white.
+def further_values(
+    start: least_squares.Fit, passes: Passes, beside: Beside
+) -> tuple[Array, Array, Array]:
+    """The instrument's unknowns alone, (s,), their sigma as if noise were white, and their shares.
 
-    Good enough to correct a recording with: the fit that follows knows better.
+    Good enough to correct a recording with: the fit that follows knows better. The share is how
+    much of an unknown's effect is its own, (s,): the rest others can show, too.
 
     Args:
         start: A weighted solution of the robot's unknowns.
@@ -152,9 +155,13 @@ def further_values(start: least_squares.Fit, passes: Passes, beside: Beside) -> 
     units, sums, p = _units(start, beside), LaggedSums(0), len(start.values)
     for rows in units.rows(passes, start.values):
         sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
-    found = whitened_fit(sums.finish(), 0)
+    given = sums.finish()
+    found = whitened_fit(given, 0)
     own = slice(p, p + beside.unknown)
-    return found.values[own], found.covariance[own, own]
+    squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
+    variance = np.maximum(np.diagonal(found.covariance)[own], np.finfo(float).tiny)
+    share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
+    return found.values[own], np.sqrt(variance), share
 
 
 def _clues(products: LaggedProducts, question: Question) -> Clues:

@@ -117,7 +117,8 @@ def identify(
 
     with one_blas_thread():
         beside = side(rows, names, settings, tare)
-        passes, fit, nuisances, calm = settled(source, begin, beside)
+        calm = settled(source, begin, beside)
+        passes, fit = calm.passes, calm.fit
         if settings.noise == "ar":
             columns = beside.beside(passes.plan, fit.values)
             found = under_coloured_noise(fit, passes, names, columns)
@@ -127,7 +128,7 @@ def identify(
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = replace(
             _estimate(method, tree, gathered[0], found, minimal, drives),
-            nuisances=nuisance_estimates(beside, nuisances, found),
+            nuisances=nuisance_estimates(beside, calm.values, found),
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,10 @@ from testbed.recordings.source import Source
 
 ROUNDS = 8
 """Most corrections of a recording."""
+
+OWN = 0.1
+"""Share of an unknown's effect that has to be its own: below, columns made of noisy encoders are
+no measure of it."""
 
 LISTED = 6
 """Most names in one line."""
@@ -76,7 +81,9 @@ class Side:
         filtered = row_filter(plan, self.settings.row_low_pass)
         kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return Beside(
-            columns=Columns(plan, filtered, values, [each for each in shown if each.kept]),
+            columns=Columns(
+                plan, filtered, values, [each for each in shown if each.kept], self.unknowns
+            ),
             unknown=len(self.unknowns.kept),
             trends=len(self.trends.kept) if tests else 0,
             tested=tuple(kinds) if tests else (),
@@ -107,31 +114,47 @@ def side(layout: Layout, names: Sequence[str], settings: Settings, tare: Array) 
     )
 
 
-def settled(source: Source, begin: Start, side: Side) -> tuple[Passes, Fit, Array, bool]:
+class Settled(NamedTuple):
+    """A recording whose nuisances are taken back.
+
+    Attributes:
+        passes: Over its rows.
+        fit: The weighted solution.
+        values: Of the nuisances, (s,).
+        calm: Whether the last correction was small.
+        weak: Names of those that are hardly told.
+    """
+
+    passes: Passes
+    fit: Fit
+    values: Array
+    calm: bool
+    weak: tuple[str, ...]
+
+
+def settled(source: Source, begin: Start, side: Side) -> Settled:
     """Passes over a recording whose nuisances are taken back, and the weighted solution.
 
     Args:
         source: The recording.
         begin: Finds the weighted solution of a recording.
         side: The instrument's unknowns.
-
-    Returns:
-        Also the nuisances' values, and whether the last correction was small.
     """
     values = np.zeros(len(side.unknowns.kept))
     passes, fit = begin(source)
     if not len(values):
-        return passes, fit, values, True
+        return Settled(passes, fit, values, calm=True, weak=())
+    weak: tuple[str, ...] = ()
     for _ in range(ROUNDS):
         beside = side.beside(passes.plan, fit.values, tests=False)
-        step, covariance = further_values(fit, passes, beside)
+        step, sigma, share = further_values(fit, passes, beside)
+        weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
         values = values + step
         tree = passes.plan.layout.tree
         passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
-        sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
-            return passes, fit, values, True
-    return passes, fit, values, False
+            return Settled(passes, fit, values, calm=True, weak=weak)
+    return Settled(passes, fit, values, calm=False, weak=weak)
 
 
 def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[NuisanceEstimate, ...]:
@@ -152,12 +175,12 @@ def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[Nuisa
     )
 
 
-def nuisance_warnings(side: Side, calm: bool) -> list[str]:
+def nuisance_warnings(side: Side, found: Settled) -> list[str]:
     """What was asked for and cannot be, a line each.
 
     Args:
         side: The instrument's unknowns.
-        calm: Whether the last correction was small.
+        found: What came of them.
     """
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in side.imitated:
@@ -167,7 +190,13 @@ def nuisance_warnings(side: Side, calm: bool) -> list[str]:
         f"{'that is' if len(by) == 1 else 'those are'} unseen but for that"
         for by, names in groups.items()
     ]
-    if not calm:
+    if found.weak:
+        lines.append(
+            f"hardly told by these data: {_few(found.weak)}; less than {OWN:.0%} of what each does "
+            "is its own, the encoders' noise may drown it, and sigma does not count that: leave it "
+            "out, or state known zeros"
+        )
+    if not found.calm:
         lines.append(
             f"the nuisances did not settle in {ROUNDS} rounds: ask for fewer of them, or look for "
             "a larger fault first"

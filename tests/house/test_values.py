@@ -14,6 +14,8 @@ import pytest
 import testbed as tb
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits
+from testbed.identification.stated import Stated
+from testbed.identification.validate import Validation
 from testbed.robot.visuals.shapes import Shape
 
 
@@ -63,6 +65,12 @@ EXAMPLES: dict[str, Any] = {
     "Estimate": lambda: tb.Estimate(
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
         ("N",), some(1), some(1), (5,), 1.0, NOTHING, (), (), NOTHING, None, ("a",),
+    ),
+    "Validation": lambda: Validation(
+        "external", ("Fx",), ("N",), (5,), some(1), some(1), some(1), some(1), some(1)
+    ),
+    "Stated": lambda: Stated(
+        "external", ("a", "b"), some(2), some(2, 2), some(3), some(1), {}
     ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),

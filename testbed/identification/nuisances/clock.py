@@ -25,6 +25,10 @@ def _late(foretold: Foretold) -> Array:
     return -foretold.rates(foretold.moving[..., None])
 
 
+def _late_as_measured(foretold: Foretold) -> Array:
+    return -foretold.shown_rate[..., None]
+
+
 def _earlier(recording: Recording, values: Array, time: Array) -> Recording:
     late = float(values[0]) * (len(time) - 1) / float(time[-1] - time[0])
     return replace(recording, wrench=shifted(recording.measured("wrench"), late))
@@ -72,7 +76,9 @@ def _faster(foretold: Foretold) -> Array:
     return _late(foretold) * foretold.time[:, None, None]
 
 
-SKEW = Nuisance("skew", "a plate that is late", _delay, _late, _earlier)
+SKEW = Nuisance(
+    "skew", "a plate that is late", _delay, _late, _earlier, by_measured=_late_as_measured
+)
 """By how much the plate is late."""
 
 CLOCK_RATE = Nuisance(

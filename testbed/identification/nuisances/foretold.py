@@ -43,12 +43,14 @@ class RowFilter:
         weights: Of the instants around a row, (2 J + 1,), of sum one.
         slopes: The same for a signal's derivative in time, (2 J + 1,) [1/s].
         step: Instants from row to row.
+        every_slope: Slopes at every sample, (2 L + 1,) [1/s].
     """
 
     stride: int
     weights: Array
     slopes: Array
     step: int
+    every_slope: Array
 
     @property
     def reach(self) -> int:
@@ -76,7 +78,8 @@ def row_filter(plan: Plan, cutoff: float | None) -> RowFilter:
     places = np.arange(-(middle // stride), middle // stride + 1) * stride
     weights = plan.weights[middle + places]
     slopes = slope_weights(plan.weights, places.astype(np.float64), rate)
-    return RowFilter(stride, weights / weights.sum(), slopes, plan.step // stride)
+    every = slope_weights(plan.weights, np.arange(-middle, middle + 1.0), rate)
+    return RowFilter(stride, weights / weights.sum(), slopes, plan.step // stride, every)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +94,8 @@ class Foretold:
         tare: Static wrench of the pedestal, (6,) [N, N m].
         time: Of the rows, from the middle of the recording, (rows,) [s].
         filter: From instants to rows.
+        shown: The measured wrench, with the tare, at the rows, (rows, 6) [N, N m].
+        shown_rate: Its derivative in time, (rows, 6) [N/s, N m/s].
     """
 
     tree: Tree
@@ -100,6 +105,8 @@ class Foretold:
     tare: Array
     time: Array
     filter: RowFilter
+    shown: Array
+    shown_rate: Array
 
     @cached_property
     def moving(self) -> Array:
@@ -161,9 +168,21 @@ def foretold(
     rate = plan.source.rate
     middle = (plan.source.samples - 1) / 2 / rate
     rows = (plan.reach + (first + np.arange(signals.number)) * plan.step) / rate - middle
-    motion = _motion(signals, at, count, filtered.stride)
-    layout = plan.layout
-    return Foretold(layout.tree, layout.gravity, theta, motion, plan.tare, rows, filtered)
+    half, layout = len(signals.weights) // 2, plan.layout
+    around = signals.measured[signals.start - half :]
+    windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
+    windows = windows[:: signals.step][: signals.number]
+    return Foretold(
+        tree=layout.tree,
+        gravity=layout.gravity,
+        theta=theta,
+        motion=_motion(signals, at, count, filtered.stride),
+        tare=plan.tare,
+        time=rows,
+        filter=filtered,
+        shown=windows @ signals.weights + plan.tare,
+        shown_rate=windows @ filtered.every_slope,
+    )
 
 
 def _motion(signals: Signals, first: int, count: int, stride: int) -> Motion:

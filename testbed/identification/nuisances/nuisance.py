@@ -45,6 +45,9 @@ class Nuisance:
             (rows, 6, k).
         undo: What takes it back exactly; None where it can only be tested for.
         cure: What to do about it.
+        by_measured: The columns made of the measured wrench instead of the foretold one. Noise of
+            the encoders is in the foretold one and in what is to be explained, and makes weakly
+            told numbers drift; noise of the plate is in neither twice.
         passing: Whether it is of one recording only, so that another has its own.
     """
 
@@ -54,6 +57,7 @@ class Nuisance:
     columns: Effect
     undo: Undo | None = None
     cure: str = ""
+    by_measured: Effect | None = None
     passing: bool = False
 
     @property

@@ -33,17 +33,30 @@ def _one(tree: Tree) -> tuple[Part, ...]:
 
 
 def _pose(foretold: Foretold) -> Array:
-    force, moment = foretold.wrench[:, :3], foretold.wrench[:, 3:]
+    return foretold.rows(_moved(foretold.wrench))
+
+
+def _pose_of_measured(foretold: Foretold) -> Array:
+    return _moved(foretold.shown)
+
+
+def _moved(wrench: Array) -> Array:
+    """By each of the six, (M, 6, 6)."""
+    force, moment = wrench[:, :3], wrench[:, 3:]
     found = np.zeros((len(force), 6, 6))
     for k, axis in enumerate(np.eye(3)):
         found[:, :3, k] = -np.cross(axis, force)
         found[:, 3:, k] = -np.cross(axis, moment)
         found[:, 3:, 3 + k] = -np.cross(axis, force)
-    return foretold.rows(found)
+    return found
 
 
 def _height(foretold: Foretold) -> Array:
     return _pose(foretold)[..., 5:]
+
+
+def _height_of_measured(foretold: Foretold) -> Array:
+    return _pose_of_measured(foretold)[..., 5:]
 
 
 def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
@@ -60,7 +73,21 @@ def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
     return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time)
 
 
-POSE = Nuisance("pose", "a plate that is turned or shifted", _six, _pose, _moved_back)
+POSE = Nuisance(
+    "pose",
+    "a plate that is turned or shifted",
+    _six,
+    _pose,
+    _moved_back,
+    by_measured=_pose_of_measured,
+)
 
-HEIGHT = Nuisance("height", "an origin of the plate at another height", _one, _height, _lowered)
+HEIGHT = Nuisance(
+    "height",
+    "an origin of the plate at another height",
+    _one,
+    _height,
+    _lowered,
+    by_measured=_height_of_measured,
+)
 """The third component of the pose's shift alone."""

@@ -93,7 +93,7 @@ def _generic(
     rng = np.random.default_rng(SEED)
     n = layout.tree.n
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
-    filtered = RowFilter(1, np.array([0, 0, 1.0, 0, 0]), slopes, 1)
+    filtered = RowFilter(1, np.array([0, 0, 1.0, 0, 0]), slopes, 1, slopes)
     time = np.arange(rows + 4) / RATE
     speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, n))
     size = rng.normal(size=(2, SINES, n)) / SINES
@@ -103,8 +103,11 @@ def _generic(
     motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
     lead = layout.theta @ layout.basis
     theta = lead @ rng.normal(size=lead.shape[2])
-    found = Foretold(
-        layout.tree, layout.gravity, theta, motion, tare, time[2:-2] - time.mean(), filtered
+    middle = time[2:-2] - time.mean()
+    none = np.zeros((rows, 6))
+    found = Foretold(layout.tree, layout.gravity, theta, motion, tare, middle, filtered, none, none)
+    found = replace(
+        found, shown=found.wrench[2:-2], shown_rate=found.rates(found.wrench[..., None])[..., 0]
     )
     parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
     theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)

@@ -71,7 +71,12 @@ class Columns:
     """Columns of unknowns of the instrument, window by window."""
 
     def __init__(
-        self, plan: Plan, filtered: RowFilter, values: Array, unknowns: Sequence[Unknowns]
+        self,
+        plan: Plan,
+        filtered: RowFilter,
+        values: Array,
+        unknowns: Sequence[Unknowns],
+        estimated: Unknowns | None = None,
     ) -> None:
         """To first order around an estimate.
 
@@ -80,7 +85,9 @@ class Columns:
             filtered: The filter that they pass.
             values: Minimal parameters, (p,).
             unknowns: Whose columns, one after the other.
+            estimated: Those of them that are to be estimated.
         """
+        self._estimated = estimated
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
@@ -104,12 +111,11 @@ class Columns:
 
     def _made(self, signals: Signals, first: int) -> Array:
         found = foretold(self._plan, self._filtered, self._theta, signals, first)
-        made: dict[str, Array] = {}
         blocks = []
         for unknowns in self._unknowns:
-            for nuisance in unknowns.nuisances:
-                if nuisance.kind not in made:
-                    made[nuisance.kind] = nuisance.columns(found)
-            every = np.concatenate([made[n.kind] for n in unknowns.nuisances], axis=2)
-            blocks.append(every[..., list(unknowns.kept)])
+            made = [
+                ((unknowns is self._estimated and n.by_measured) or n.columns)(found)
+                for n in unknowns.nuisances
+            ]
+            blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
         return np.concatenate(blocks, axis=2).transpose(1, 0, 2)

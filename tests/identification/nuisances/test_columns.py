@@ -95,15 +95,19 @@ def recorded(tree: tb.Tree) -> Recording:
     return replace(found, wrench=found.measured("wrench") + TARE, tare=TARE, truth=None)
 
 
-def columns_of(tree: tb.Tree, recording: Recording, nuisance: Nuisance) -> Array:
+def columns_of(
+    tree: tb.Tree, recording: Recording, nuisance: Nuisance, *, estimated: bool = False
+) -> Array:
     """The nuisance's columns, (6, rows, k)."""
     minimal = tb.minimal_set(tree, "reaction")
     plan = make_plan(recording, layout(tree, minimal), TARE, SETTINGS)
+    unknowns = unknowns_of(tree, [nuisance])
     made = Columns(
         plan,
         row_filter(plan, SETTINGS.row_low_pass),
         minimal.values(tb.barycentric(tree)),
-        [unknowns_of(tree, [nuisance])],
+        [unknowns],
+        unknowns if estimated else None,
     )
     parts = []
     for window in plan.windows():
@@ -149,6 +153,17 @@ def test_drifts_and_clock_rates_grow_from_the_middle(name: str) -> None:
     assert abs(time.mean()) < 0.1
     np.testing.assert_allclose(slope, time[:, None] * bias)
     np.testing.assert_allclose(rate, time[:, None] * skew)
+
+
+@pytest.mark.parametrize("kind", [n.kind for n in NUISANCES if n.by_measured])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_columns_of_the_measured_wrench_are_those_of_the_foretold_one(name: str, kind: str) -> None:
+    """Where there is no noise."""
+    tree = robot(name)
+    recording = recorded(tree)
+    foretold = columns_of(tree, recording, ALL[kind])
+    measured = columns_of(tree, recording, ALL[kind], estimated=True)
+    np.testing.assert_allclose(measured, foretold, atol=1e-3 * np.abs(foretold).max())
 
 
 def test_a_tare_shows_as_a_bias_does() -> None:
