@@ -93,10 +93,7 @@ def identify(
     source, settings = open_source(recording), settings or Settings()
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
-    if source.samples < 2:
-        raise RecordingError(f"the recording: {source.samples} samples are no recording")
-    check_robot(source, tree)
-    check_signal(source, method)
+    _check_source(source, tree, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
@@ -117,8 +114,8 @@ def identify(
 
     with one_blas_thread():
         beside = side(rows, names, settings, tare)
-        calm = settled(source, begin, beside)
-        passes, fit = calm.passes, calm.fit
+        start = settled(source, begin, beside)
+        passes, fit = start.passes, start.fit
         if settings.noise == "ar":
             columns = beside.beside(passes.plan, fit.values)
             found = under_coloured_noise(fit, passes, names, columns)
@@ -128,12 +125,24 @@ def identify(
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = replace(
             _estimate(method, tree, gathered[0], found, minimal, drives),
-            nuisances=nuisance_estimates(beside, calm.values, found),
+            nuisances=nuisance_estimates(beside, start.values, found),
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += in_lines(wrong) + nuisance_warnings(beside, calm) + quality_warnings(estimate)
+    warnings += in_lines(wrong) + nuisance_warnings(beside, start) + quality_warnings(estimate)
     return replace(estimate, findings=wrong, warnings=tuple(warnings))
+
+
+def _check_source(source: Source, tree: Tree, method: Method) -> None:
+    """Whether a recording is one, of this robot, with what the method needs.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    if source.samples < 2:
+        raise RecordingError(f"the recording: {source.samples} samples are no recording")
+    check_robot(source, tree)
+    check_signal(source, method)
 
 
 def check_signal(source: Source, method: Method) -> None:

@@ -45,7 +45,12 @@ class Stated:
 
     def __post_init__(self) -> None:
         p = len(self.names)
-        shapes = {"values": (p,), "covariance": (p, p), "gravity": (3,)}
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "values": (p,),
+            "covariance": (p, p),
+            "gravity": (3,),
+            "residual": (None,),
+        }
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

@@ -163,6 +163,7 @@ def test_the_command_prints_a_table_or_json_and_its_exit_code_is_the_verdict(
     assert failed.stderr == ""
 
 
+@pytest.mark.slow
 def test_wrong_input_is_one_line(tmp_path: Path) -> None:
     written(tmp_path, "")
     for name in ("made.toml", "nowhere.toml"):

@@ -117,6 +117,7 @@ def test_a_claim_holds_or_fails() -> None:
     assert not Bound(at_least=1.0, at_most=3.0).holds(float("nan"))
 
 
+@pytest.mark.slow
 def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experiment) -> None:
     outcome = tb.carry_out(quick)
     assert set(outcome.metrics) == set(METRICS)

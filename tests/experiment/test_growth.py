@@ -33,6 +33,7 @@ def test_growth_ends_at_the_estimate_and_passes_through_those_of_the_parts(name:
         np.testing.assert_array_equal(grown[method].sigma[0], part.sigma)
 
 
+@pytest.mark.slow
 def test_growth_covers_the_recording_whenever_it_began() -> None:
     tree = robot("puma")
     recording = noisy(ideal(tree))
@@ -45,6 +46,7 @@ def test_growth_covers_the_recording_whenever_it_began() -> None:
         assert (np.diff(ours[method].time) > 0).all()
 
 
+@pytest.mark.slow
 def test_what_the_first_seconds_do_not_tell_is_no_number() -> None:
     tree = robot("ur5")
     recording = replace(noisy(ideal(tree)), velocity=None, acceleration=None)

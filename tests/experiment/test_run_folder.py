@@ -51,6 +51,7 @@ def experiment(folder: Path, language: str, name: str = "one") -> tb.Experiment:
     return tb.Experiment.load(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("language", ["xml", "urdf"])
 def test_a_run_folder_can_be_moved_and_its_model_may_go(language: str, tmp_path: Path) -> None:
     asked = experiment(tmp_path / "here", language)

@@ -77,7 +77,12 @@ EXAMPLES: dict[str, Any] = {
         some(6),
     ),
 }  # fmt: skip
-FREE = {("Shape", "size", 0), ("Shape", "vertices", 0), ("Shape", "faces", 0)}
+FREE = {
+    ("Shape", "size", 0),
+    ("Shape", "vertices", 0),
+    ("Shape", "faces", 0),
+    ("Stated", "residual", 0),
+}
 """Axes of any length that nothing else has."""
 
 

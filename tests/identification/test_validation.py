@@ -85,6 +85,7 @@ def test_what_sigma_adds_is_the_spread_of_predictions(puma: tb.Tree, method: Met
     np.testing.assert_allclose(found.spread, np.sqrt(squares), rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", cases(ROBOTS, fast=2))
 def test_another_motion_of_a_sound_instrument_is_foretold_as_sigma_says(
@@ -97,6 +98,7 @@ def test_another_motion_of_a_sound_instrument_is_foretold_as_sigma_says(
     assert found.warnings == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", cases(ROBOTS, fast=1))
 def test_a_gain_that_has_changed_is_noticed_and_named(name: str, method: Method) -> None:
@@ -142,6 +144,7 @@ def test_a_joint_that_rests_has_no_numbers_and_no_warning(puma: tb.Tree) -> None
     assert not any("shoulder" in line for line in found.warnings)
 
 
+@pytest.mark.slow
 def test_another_zero_of_the_plate_is_told_from_another_gain(puma: tb.Tree) -> None:
     estimate = tb.identify(puma, plus(measured(puma, 1), wrench=[3.0, 0, 0, 0, 0, 0]))
     zero = np.array([0.0, -8.0, 0, 0, 0, 0])
@@ -152,6 +155,7 @@ def test_another_zero_of_the_plate_is_told_from_another_gain(puma: tb.Tree) -> N
     np.testing.assert_allclose(found.mean, zero, atol=1.0)
 
 
+@pytest.mark.slow
 def test_numbers_of_the_instrument_are_taken_back_first(puma: tb.Tree) -> None:
     asked = tb.Settings(nuisances=("skew",))
     one, other = (late(measured(puma, seed), 4) for seed in (1, 2))
@@ -168,6 +172,7 @@ def late(recording: Recording, samples: int) -> Recording:
     return replace(recording, wrench=wrench).part(samples, recording.samples)
 
 
+@pytest.mark.slow
 def test_the_zero_of_one_recording_is_not_taken_for_that_of_another(puma: tb.Tree) -> None:
     estimate = tb.identify(puma, measured(puma, 1))
     said = replace(stated(estimate), nuisances={"bias/Fx": 50.0, "slope/Fy": 5.0})
@@ -177,6 +182,7 @@ def test_the_zero_of_one_recording_is_not_taken_for_that_of_another(puma: tb.Tre
     )
 
 
+@pytest.mark.slow
 def test_zeros_of_encoders_are_taken_back_by_the_joints_names(puma: tb.Tree) -> None:
     estimate = stated(tb.identify(puma, measured(puma, 1)))
     off = np.array([0.0, 0.03, -0.05])

@@ -23,6 +23,8 @@ from tests.helpers.measured import measured
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import ROBOTS, robot
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = {"position_cutoff": "off", "terms": ()}
 TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 
