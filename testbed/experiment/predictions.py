@@ -15,7 +15,9 @@ from testbed.experiment.run import Run
 from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.estimate import Method
 from testbed.identification.filters import row_weights
+from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.predict import friction, predictions
+from testbed.identification.stated import lasting_numbers, stated
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording
 
@@ -108,6 +110,15 @@ class Predictions:
         return None if internal is None else friction(speed, internal)
 
 
+def _without_faults(run: Run, recording: Recording) -> Recording:
+    """The recording, faults that an estimate of the run has found taken back."""
+    external = run.estimates.get("external")
+    if external is None or not external.nuisances:
+        return recording
+    corrected = Corrected(recording, lasting_numbers(run.tree, stated(external)), run.tree)
+    return corrected.part(0, corrected.samples)
+
+
 def predict(run: Run, recording: Recording | None = None) -> Predictions:
     """What a run's estimates say of a recording.
 
@@ -120,6 +131,7 @@ def predict(run: Run, recording: Recording | None = None) -> Predictions:
     """
     tree = run.tree
     recording = run.recording if recording is None else recording.ordered(tree)
+    recording = _without_faults(run, recording)
     motion, inner = shown_motion(recording, run.settings)
     wrench, torque = predictions(tree, recording, motion, run.estimates)
     signals = []

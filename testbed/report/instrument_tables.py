@@ -10,6 +10,9 @@ from testbed.identification.nuisances.estimates import TraceTest
 LARGEST = 3
 """Numbers of a fault that are shown."""
 
+CLEAR = 1e-3
+"""Chance above which sizes mean nothing and are left out."""
+
 
 def instrument_tables(run: Run) -> list[dict[str, Any]]:
     """Tables, each with its caption, heads and rows of words; none without the plate's estimate.
@@ -31,11 +34,13 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
                 }
             )
         if estimate.trace_tests:
+            heads = ["fault", "chance", "would move", "size"]
+            shown = len(heads) if any(t.chance <= CLEAR for t in estimate.trace_tests) else 2
             tables.append(
                 {
                     "caption": "Faults whose traces were looked for, the clearest first",
-                    "heads": ["fault", "chance in mere noise", "moves", "if it were the only one"],
-                    "rows": [_test(test) for test in estimate.trace_tests],
+                    "heads": heads[:shown],
+                    "rows": [_test(test)[:shown] for test in estimate.trace_tests],
                 }
             )
     return tables
@@ -43,5 +48,7 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
 
 def _test(test: TraceTest) -> list[str]:
     chance = "below 1e-99" if test.chance < 1e-99 else f"{test.chance:.2g}"
+    if test.chance > CLEAR:
+        return [test.nuisance.said, chance, "", ""]
     shift = f"{test.parameter} by {test.shift:.2g} sigma"
-    return [test.nuisance.said, chance, shift, ", ".join(test.largest(LARGEST))]
+    return [test.nuisance.said, chance, shift, "; ".join(test.largest(LARGEST))]

@@ -34,7 +34,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_identify_printed_is_validated(place: Path) -> None:
     shown = command_line("validate", "other.parquet", "result.json", cwd=place)
     assert (shown.returncode, shown.stderr) == (0, "")
-    assert "wrist_3_joint" in shown.stdout
+    assert "j6" in shown.stdout
     done = command_line("validate", "other.parquet", "result.json", "--json", cwd=place)
     assert (done.returncode, done.stderr) == (0, "")
     found = json.loads(done.stdout)
