@@ -178,7 +178,7 @@ def test_half_a_recording_gives_its_half_of_the_answer(
     call = ("identify", "half.parquet", "--model", PUMA, "--zeros")
     done = command_line(*call, "--json", cwd=tmp_path)
     assert done.returncode == 0
-    assert list(json.loads(done.stdout)) == [method]
+    assert set(json.loads(done.stdout)) - {"model", "settings"} == {method}
     said = command_line(*call, cwd=tmp_path)
     assert f"no {other} estimate" in said.stdout
     refused = command_line(*call, "--method", other, cwd=tmp_path)
