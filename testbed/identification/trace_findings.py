@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from testbed.identification.estimate import Estimate
 from testbed.identification.finding import Finding
 from testbed.identification.nuisances.estimates import TraceTest
@@ -12,6 +14,9 @@ FALSE_ALARMS = 1e-6
 """Nominal probability of a word about a recording without any fault, all its tests together. It is
 small since noise need not be what the model of it says: of poor encoders it grows with the
 robot's inertia."""
+
+FILTERED = 1e-5
+"""Part of the largest signal that the filters may leave of a perfect recording."""
 
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
@@ -25,7 +30,9 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
     Args:
         estimate: With its tests, the clearest first.
     """
-    tests = estimate.trace_tests
+    tests, rms = estimate.trace_tests, estimate.normal_equations.rms
+    if not np.any(estimate.residual > FILTERED * rms.max(initial=0.0)):
+        return  # no noise: what the filter on positions takes from the motion is left
     clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
     if not clear:
         return
