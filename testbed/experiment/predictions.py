@@ -15,13 +15,10 @@ from testbed.experiment.run import Run
 from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.estimate import Method
 from testbed.identification.filters import row_weights
-from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.predict import friction, predictions
-from testbed.identification.stated import lasting_numbers, stated
-from testbed.recordings.columns import AXES
+from testbed.identification.stated import as_estimated, stated
+from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.recording import Recording
-
-WRENCH_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +112,7 @@ def _without_faults(run: Run, recording: Recording) -> Recording:
     external = run.estimates.get("external")
     if external is None or not external.nuisances:
         return recording
-    corrected = Corrected(recording, lasting_numbers(run.tree, stated(external)), run.tree)
+    corrected = as_estimated(recording, run.tree, stated(external))
     return corrected.part(0, corrected.samples)
 
 
@@ -136,7 +133,7 @@ def predict(run: Run, recording: Recording | None = None) -> Predictions:
     wrench, torque = predictions(tree, recording, motion, run.estimates)
     signals = []
     if recording.wrench is not None:
-        signals.append(Signal("wrench", AXES, WRENCH_UNITS, recording.wrench[inner], wrench))
+        signals.append(Signal("wrench", AXES, PLATE_UNITS, recording.wrench[inner], wrench))
     if recording.torque is not None:
         units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
         signals.append(Signal("torque", tree.names, units, recording.torque[inner], torque))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.validate import Validation
+
+if TYPE_CHECKING:
+    from testbed.experiment.run import Run
+    from testbed.identification.validate import Validation
 
 _SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST
@@ -21,7 +21,7 @@ from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, white
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
-from testbed.identification.noise.traces import Clues, Question, Trace, answerable
+from testbed.identification.noise.traces import Clues, Question, Trace
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
 
@@ -95,15 +95,12 @@ def under_coloured_noise(
     plan, p = passes.plan, len(names)
     m = p + beside.unknown
     units = _units(start, beside)
-    sums = LaggedSums(HIGHEST)
-    for rows in units.rows(passes, start.values):
-        sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
-    products = sums.finish()
+    products = units.products(passes, start.values, HIGHEST)
     width = products.products.shape[2] - 2
     own = products.picked([*range(m), width, width + 1])
     fit, found, directions, hidden = _fit(own, plan.layout.model == "reaction")
     values = start.values + units.lead @ found.values[:p]
-    clues = _clues(products, Question(m + beside.trends, beside.tested))
+    clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
@@ -152,21 +149,13 @@ def further_values(
         passes: Over all rows.
         beside: Columns beside theirs, no tested ones among them.
     """
-    units, sums, p = _units(start, beside), LaggedSums(0), len(start.values)
-    for rows in units.rows(passes, start.values):
-        sums.add(np.concatenate([rows.columns, rows.left[..., None], rows.ones[..., None]], axis=2))
-    given = sums.finish()
+    given, p = _units(start, beside).products(passes, start.values, 0), len(start.values)
     found = whitened_fit(given, 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
     variance = np.maximum(np.diagonal(found.covariance)[own], np.finfo(float).tiny)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     return found.values[own], np.sqrt(variance), share
-
-
-def _clues(products: LaggedProducts, question: Question) -> Clues:
-    asked = bool(question.kinds) and answerable(question, products)
-    return Clues(products, question) if asked else Clues(None, question)
 
 
 def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:
@@ -192,7 +181,7 @@ def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Arra
 
 
 def _chance(square: float, count: int) -> float:
-    return float(stats.chi2.sf(square, count)) if count else 1.0
+    return float(special.chdtrc(count, square)) if count else 1.0
 
 
 def _cholesky(matrix: Array) -> Array:
@@ -243,6 +232,14 @@ class _Units:
             stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
             units = np.tensordot(self.root.T, stack, 1)
             yield _Rows(units[..., :-1], units[..., -1], ones, own, further)
+
+    def products(self, passes: Passes, values: Array, lags: int) -> LaggedProducts:
+        """Products of columns, of what values leave, and of ones, with so many rows before."""
+        sums = LaggedSums(lags)
+        for rows in self.rows(passes, values):
+            last = np.stack([rows.left, rows.ones], axis=2)
+            sums.add(np.concatenate([rows.columns, last], axis=2))
+        return sums.finish()
 
 
 def _units(start: least_squares.Fit, beside: Beside) -> _Units:

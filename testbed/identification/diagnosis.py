@@ -13,7 +13,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import Finding
+from testbed.identification.finding import Finding, components, few
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
@@ -26,9 +26,6 @@ SIGNIFICANT = 0.3
 SMALL = 0.01
 """Sigma, relative to the largest value of the same unit, below which a parameter is known well
 enough, however small it is."""
-
-LISTED = 6
-"""Most parameters that are named in one line."""
 
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
@@ -124,11 +121,7 @@ def quality_warnings(estimate: Estimate) -> list[str]:
         if sigma > SIGNIFICANT * abs(value) and sigma > SMALL * largest[unit]
     ]
     if loose:
-        more = f" and {len(loose) - LISTED} more" if len(loose) > LISTED else ""
-        warnings.append(
-            f"the {estimate.method} estimate leaves poorly determined: "
-            f"{', '.join(loose[:LISTED])}{more}"
-        )
+        warnings.append(f"the {estimate.method} estimate leaves poorly determined: {few(loose)}")
     return warnings
 
 
@@ -167,7 +160,7 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:
             causes.insert(0, "the opposite sign of tare and wrench (they are the bedplate's)")
         yield Finding(
             "the tare's force",
-            f"is {_vector(tare[:3])} N, the model's pedestal weighs {_vector(expected)} N",
+            f"is {components(tare[:3])} N, the model's pedestal weighs {components(expected)} N",
             gap,
             (*causes, "another pedestal or gravity than the model's"),
             "state the pedestal's static wrench, or leave the tare out to take the model's",
@@ -292,7 +285,3 @@ def _impossible(estimate: Estimate) -> Iterator[Finding]:
         ("the sign of a channel or encoder", *OTHER_CAUSES[estimate.method]),
         "check signs, units and order of the channels",
     )
-
-
-def _vector(values: Array) -> str:
-    return " ".join(f"{value:.4g}" for value in values)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
+
+import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.identification.finding import Finding
@@ -55,6 +57,19 @@ def channel_units(tree: Tree, method: Method) -> tuple[str, ...]:
     if method == "external":
         return PLATE_UNITS
     return tuple("N m" if joint.revolute else "N" for joint in tree.joints)
+
+
+def matters(residual: Array, signal: Array, units: Sequence[str]) -> tuple[bool, ...]:
+    """Whether residuals are large enough to matter among channels of the same unit.
+
+    Args:
+        residual: Rms of each channel's, (C,) [N, N m]; nan where there is none.
+        signal: Rms of each channel, (C,) [N, N m]; nan where there is none.
+        units: One a channel.
+    """
+    like = [[other == unit for other in units] for unit in units]
+    largest = [np.nan_to_num(signal[same]).max() for same in like]
+    return tuple(bool(r > MATTERS * s) for r, s in zip(residual, largest, strict=True))
 
 
 def channel_label(method: Method, name: str) -> str:
@@ -183,10 +198,7 @@ class Estimate:
     @cached_property
     def matters(self) -> tuple[bool, ...]:
         """Whether each channel's residual is large enough to matter among like channels."""
-        rms = self.normal_equations.rms
-        like = [[other == unit for other in self.channel_units] for unit in self.channel_units]
-        largest = [rms[same].max() for same in like]
-        return tuple(bool(r > MATTERS * s) for r, s in zip(self.residual, largest, strict=True))
+        return matters(self.residual, self.normal_equations.rms, self.channel_units)
 
     def label(self, c: int) -> str:
         """What a channel is called in a sentence."""

@@ -7,7 +7,6 @@ recording can be cut anywhere without a trace.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from testbed.arrays import Array
 
@@ -79,6 +78,8 @@ def slope_weights(weights: Array, places: Array, rate: float) -> Array:
         places: The samples, evenly spaced around the filter's middle, (k,).
         rate: Samples a second [Hz].
     """
+    from scipy.interpolate import make_interp_spline  # half a second to import
+
     if len(places) == 1:
         return np.zeros(1)
     middle = len(weights) // 2

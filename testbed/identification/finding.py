@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+from testbed.arrays import Array
+
+LISTED = 6
+"""Most names in one line."""
 
 
 @dataclass(frozen=True)
@@ -40,3 +45,22 @@ def in_lines(findings: Iterable[Finding]) -> list[str]:
         f"{'; '.join(said)}; likely {', or '.join(causes)}; {remedy}"
         for (causes, remedy), said in groups.items()
     ]
+
+
+def few(names: Sequence[str]) -> str:
+    """The first names of a list, and how many there are more.
+
+    Args:
+        names: Of parameters, for example.
+    """
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(names[:LISTED]) + more
+
+
+def components(vector: Array) -> str:
+    """A vector as a person reads it.
+
+    Args:
+        vector: (k,).
+    """
+    return " ".join(f"{value:.4g}" for value in vector)

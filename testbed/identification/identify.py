@@ -30,6 +30,7 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.finding import in_lines
 from testbed.identification.instrument import (
+    Start,
     nuisance_estimates,
     nuisance_warnings,
     settled,
@@ -93,7 +94,7 @@ def identify(
     source, settings = open_source(recording), settings or Settings()
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
-    _check_source(source, tree, method)
+    check_source(source, tree, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
@@ -101,21 +102,20 @@ def identify(
     names = minimal.names if drives is None else drives.names
     channels = channels_of(tree, method)
     tare = tare_of(tree, source)
-    gathered: list[NormalEquations] = []
 
-    def begin(source: Source) -> tuple[Passes, Fit]:
+    def begin(source: Source) -> Start:
         plan = make_plan(source, rows, tare, settings)
         passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
         sums = passes.sums(products_wanted(len(channels)))
-        gathered[:] = [gather(rows, names, channels, sums)]
+        equations = gather(rows, names, channels, sums)
         full = settings.joined and settings.covariance is None
-        weights = noise_weights(gathered[0], settings.covariance, full)
-        return passes, solve(gathered[0], weights, passes.rows)
+        weights = noise_weights(equations, settings.covariance, full)
+        return Start(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
         beside = side(rows, names, settings, tare)
-        start = settled(source, begin, beside)
-        passes, fit = start.passes, start.fit
+        taken_back = settled(source, begin, beside)
+        passes, equations, fit = taken_back.start
         if settings.noise == "ar":
             columns = beside.beside(passes.plan, fit.values)
             found = under_coloured_noise(fit, passes, names, columns)
@@ -124,17 +124,23 @@ def identify(
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
         estimate = replace(
-            _estimate(method, tree, gathered[0], found, minimal, drives),
-            nuisances=nuisance_estimates(beside, start.values, found),
+            _estimate(method, tree, equations, found, minimal, drives),
+            nuisances=nuisance_estimates(beside, taken_back.values, found),
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += in_lines(wrong) + nuisance_warnings(beside, start) + quality_warnings(estimate)
+    warnings += in_lines(wrong) + nuisance_warnings(beside, taken_back)
+    warnings += quality_warnings(estimate)
     return replace(estimate, findings=wrong, warnings=tuple(warnings))
 
 
-def _check_source(source: Source, tree: Tree, method: Method) -> None:
-    """Whether a recording is one, of this robot, with what the method needs.
+def check_source(source: Source, tree: Tree, method: Method) -> None:
+    """Whether a recording is one, of this robot, with what a method needs.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+        method: Reads torques or the wrench.
 
     Raises:
         RecordingError: It is not.
@@ -142,19 +148,6 @@ def _check_source(source: Source, tree: Tree, method: Method) -> None:
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
     check_robot(source, tree)
-    check_signal(source, method)
-
-
-def check_signal(source: Source, method: Method) -> None:
-    """Whether a recording has what a method needs.
-
-    Args:
-        source: The recording.
-        method: Reads torques or the wrench.
-
-    Raises:
-        RecordingError: It has not.
-    """
     if SIGNAL_OF[method] in source.signals:
         return
     others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]

@@ -15,6 +15,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.coloured import Beside, Refined, further_values
+from testbed.identification.finding import few
+from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
@@ -36,17 +38,25 @@ OWN = 0.1
 """Share of an unknown's effect that has to be its own: below, columns made of noisy encoders are
 no measure of it."""
 
-LISTED = 6
-"""Most names in one line."""
-
 ROUNDING = 1e-7
 """Of a nuisance: a correction that is smaller is the last."""
 
 SETTLED = 0.05
 """Of sigma: a correction that is smaller is the last."""
 
-Start = Callable[[Source], tuple[Passes, Fit]]
-"""The weighted solution of a recording."""
+
+class Start(NamedTuple):
+    """The weighted solution of a recording.
+
+    Attributes:
+        passes: Over its rows.
+        equations: Of all rows.
+        fit: The solution.
+    """
+
+    passes: Passes
+    equations: NormalEquations
+    fit: Fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +88,9 @@ class Side:
         shown = (self.unknowns, self.trends, self.tested) if tests else (self.unknowns,)
         if not any(each.kept for each in shown):
             return Beside()
-        filtered = row_filter(plan, self.settings.row_low_pass)
+        cutoff = self.settings.row_low_pass
+        assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
+        filtered = row_filter(plan, cutoff)
         kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return Beside(
             columns=Columns(
@@ -118,21 +130,19 @@ class Settled(NamedTuple):
     """A recording whose nuisances are taken back.
 
     Attributes:
-        passes: Over its rows.
-        fit: The weighted solution.
+        start: Its weighted solution.
         values: Of the nuisances, (s,).
         calm: Whether the last correction was small.
         weak: Names of those that are hardly told.
     """
 
-    passes: Passes
-    fit: Fit
+    start: Start
     values: Array
     calm: bool
     weak: tuple[str, ...]
 
 
-def settled(source: Source, begin: Start, side: Side) -> Settled:
+def settled(source: Source, begin: Callable[[Source], Start], side: Side) -> Settled:
     """Passes over a recording whose nuisances are taken back, and the weighted solution.
 
     Args:
@@ -141,20 +151,21 @@ def settled(source: Source, begin: Start, side: Side) -> Settled:
         side: The instrument's unknowns.
     """
     values = np.zeros(len(side.unknowns.kept))
-    passes, fit = begin(source)
+    start = begin(source)
     if not len(values):
-        return Settled(passes, fit, values, calm=True, weak=())
+        return Settled(start, values, calm=True, weak=())
     weak: tuple[str, ...] = ()
     for _ in range(ROUNDS):
-        beside = side.beside(passes.plan, fit.values, tests=False)
-        step, sigma, share = further_values(fit, passes, beside)
+        plan = start.passes.plan
+        beside = side.beside(plan, start.fit.values, tests=False)
+        step, sigma, share = further_values(start.fit, start.passes, beside)
         weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
         values = values + step
-        tree = passes.plan.layout.tree
-        passes, fit = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
+        tree = plan.layout.tree
+        start = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
-            return Settled(passes, fit, values, calm=True, weak=weak)
-    return Settled(passes, fit, values, calm=False, weak=weak)
+            return Settled(start, values, calm=True, weak=weak)
+    return Settled(start, values, calm=False, weak=weak)
 
 
 def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[NuisanceEstimate, ...]:
@@ -186,13 +197,13 @@ def nuisance_warnings(side: Side, found: Settled) -> list[str]:
     for each in side.imitated:
         groups.setdefault(each.by, []).append(each.name)
     lines = [
-        f"no motion tells {', '.join(names)} from {_few(by)}: taken as zero, and "
+        f"no motion tells {', '.join(names)} from {few(by)}: taken as zero, and "
         f"{'that is' if len(by) == 1 else 'those are'} unseen but for that"
         for by, names in groups.items()
     ]
     if found.weak:
         lines.append(
-            f"hardly told by these data: {_few(found.weak)}; less than {OWN:.0%} of what each does "
+            f"hardly told by these data: {few(found.weak)}; less than {OWN:.0%} of what each does "
             "is its own, the encoders' noise may drown it, and sigma does not count that: leave it "
             "out, or state known zeros"
         )
@@ -202,11 +213,6 @@ def nuisance_warnings(side: Side, found: Settled) -> list[str]:
             "a larger fault first"
         )
     return lines
-
-
-def _few(names: Sequence[str]) -> str:
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def trace_tests(

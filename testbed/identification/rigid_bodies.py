@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import clarabel
 import numpy as np
-from scipy import sparse, stats
+from scipy import sparse, special
 
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
@@ -72,7 +72,7 @@ def possibility(estimate: Estimate) -> Possibility:
     spread, axes = np.linalg.eigh(covariance)
     spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
     white = (axes / np.sqrt(spread)).T
-    limit = float(np.sqrt(stats.chi2.isf(2 * stats.norm.sf(SIGMAS), len(scale))))
+    limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-SIGMAS))))
     forms = white @ _of_pseudo_inertias(estimate.minimal.standard_matrix)
     distance, rest = _nearest(forms, white @ _rotors(estimate), white @ base.values)
     gap = (axes * np.sqrt(spread)) @ rest

@@ -10,15 +10,15 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.estimate import MODEL_OF, Estimate, Method
+from testbed.identification.finding import components, few
 from testbed.identification.nuisances.all_nuisances import NUISANCES
+from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import minimal_set
+from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-
-LISTED = 4
-"""Most parameters that are named in one line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +88,8 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
     then = minimal_set(tree, model, said.gravity, zeros=settings.zeros)
     if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
         raise SettingsError(
-            f"the estimate was made under gravity {_vector(said.gravity)}, the recording has "
-            f"{_vector(tree.gravity)} m/s^2: other combinations of parameters count there"
+            f"the estimate was made under gravity {components(said.gravity)}, the recording has "
+            f"{components(tree.gravity)} m/s^2: other combinations of parameters count there"
         )
     drives = None
     if said.method == "internal":
@@ -98,8 +98,8 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
     if names != said.names:
         extra = [name for name in said.names if name not in names]
         lacking = [name for name in names if name not in said.names]
-        told = [f"{_few(extra)} are not among them"] if extra else []
-        told += [f"it lacks {_few(lacking)}"] if lacking else []
+        told = [f"{few(extra)} are not among them"] if extra else []
+        told += [f"it lacks {few(lacking)}"] if lacking else []
         raise SettingsError(
             f"the {said.method} estimate is not of this robot's parameters under these settings: "
             f"{', and '.join(told) or 'they are in another order'}"
@@ -108,7 +108,24 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
     return layout(tree.without_inertias(), minimal, terms)
 
 
-def lasting_numbers(tree: Tree, said: Stated) -> dict[str, Array]:
+def as_estimated(source: Source, tree: Tree, said: Stated) -> Source:
+    """A recording, faults of the instrument that an estimate has found taken back.
+
+    Those that are of one recording only, the plate's zero and drift, stay.
+
+    Args:
+        source: The recording, of the same instrument.
+        tree: The robot.
+        said: The estimate.
+
+    Raises:
+        UnknownName: The estimate has a number that no instrument has.
+    """
+    lasting = _lasting_numbers(tree, said)
+    return Corrected(source, lasting, tree) if lasting else source
+
+
+def _lasting_numbers(tree: Tree, said: Stated) -> dict[str, Array]:
     """Numbers of the instrument that another recording has, too, by kind.
 
     Args:
@@ -128,11 +145,3 @@ def lasting_numbers(tree: Tree, said: Stated) -> dict[str, Array]:
         for nuisance, names in parts.items()
         if not nuisance.passing and any(name in said.nuisances for name in names)
     }
-
-
-def _few(names: list[str]) -> str:
-    return ", ".join(names[:LISTED]) + (f" and {len(names) - LISTED} more" * (len(names) > LISTED))
-
-
-def _vector(values: Array) -> str:
-    return " ".join(f"{value:.4g}" for value in values)

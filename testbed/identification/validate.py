@@ -16,23 +16,21 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import (
-    MATTERS,
     Estimate,
     Method,
     channel_label,
     channel_units,
     channels_of,
+    matters,
 )
 from testbed.identification.finding import Finding, in_lines
-from testbed.identification.identify import check_signal, in_its_gravity, tare_of
+from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
-from testbed.identification.stated import Stated, lasting_numbers, rows_of, stated
+from testbed.identification.stated import Stated, as_estimated, rows_of, stated
 from testbed.identification.windows import make_plan
 from testbed.kernel.records import products_wanted
-from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
@@ -96,9 +94,7 @@ class Validation:
     @property
     def matters(self) -> tuple[bool, ...]:
         """Whether each channel's residual is large enough to matter among like channels."""
-        like = [[other == unit for other in self.units] for unit in self.units]
-        largest = [np.nan_to_num(self.signal[same]).max() for same in like]
-        return tuple(bool(r > MATTERS * s) for r, s in zip(self.residual, largest, strict=True))
+        return matters(self.residual, self.signal, self.units)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -140,10 +136,7 @@ def validate(
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
     source, settings = open_source(recording), settings or Settings()
-    if source.samples < 2:
-        raise RecordingError(f"the recording: {source.samples} samples are no recording")
-    check_robot(source, tree)
-    check_signal(source, said.method)
+    check_source(source, tree, said.method)
     tree = in_its_gravity(tree.with_gravity(said.gravity), source)
     rows = rows_of(tree, said, settings)
     channels = channels_of(tree, said.method)
@@ -152,8 +145,7 @@ def validate(
             f"the {said.method} estimate has residuals of {len(said.residual)} channels, the "
             f"robot has {len(channels)}"
         )
-    lasting = lasting_numbers(tree, said)
-    shown = Corrected(source, lasting, tree) if lasting else source
+    shown = as_estimated(source, tree, said)
     passes = Passes(make_plan(shown, rows, tare_of(tree, source), settings), threads, progress, 2)
     with one_blas_thread():
         sums = passes.sums(products_wanted(len(channels)))

@@ -19,7 +19,7 @@ from testbed.instruments.fault import (
     Signal,
 )
 from testbed.instruments.fault_keys import hidden, key
-from testbed.robot.rotations import about
+from testbed.robot.rotations import from_vector
 
 
 @dataclass(frozen=True)
@@ -199,8 +199,7 @@ def in_frame(wrench: Array, rotation: Array, origin: Array) -> Array:
         origin: Of the frame, (3,) [m], bedplate axes.
     """
     force, moment = wrench[:, :3], wrench[:, 3:]
-    angle = float(np.linalg.norm(rotation))
-    turn = about(rotation / angle, angle) if angle else np.eye(3)
+    turn = from_vector(rotation)
     return np.hstack([force @ turn, (moment - np.cross(origin, force)) @ turn])
 
 

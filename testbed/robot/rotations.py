@@ -18,6 +18,12 @@ def about(axis: Array, angle: float) -> Array:
     return turn
 
 
+def from_vector(rotation: Array) -> Array:
+    """The turn by a rotation vector [rad], (3,), as a matrix, (3, 3)."""
+    angle = float(np.linalg.norm(rotation))
+    return about(rotation / angle, angle) if angle else np.eye(3)
+
+
 def from_rpy(rpy: Sequence[float]) -> Array:
     """Turns about the fixed axes x, y, z in this order by three angles [rad], (3, 3)."""
     roll, pitch, yaw = rpy

@@ -9,9 +9,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from testbed.experiment.growth import growing_errors
-from testbed.experiment.predictions import WRENCH_UNITS, Signal
+from testbed.experiment.predictions import Signal
 from testbed.identification.estimate import Method
-from testbed.recordings.columns import AXES
+from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.tree import Tree
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import CUTOFF, Scene, root, safe
@@ -50,7 +50,7 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
         tree: The robot.
         size: A length that fits it [m].
     """
-    wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, WRENCH_UNITS, strict=True)]
+    wrench = [_plot(f"/wrench/{c}", f"{c} [{u}]") for c, u in zip(AXES, PLATE_UNITS, strict=True)]
     torque = [
         _plot(f"/torque/{safe(j.name)}", f"torque of {j.name} [{'N m' if j.revolute else 'N'}]")
         for j in tree.joints

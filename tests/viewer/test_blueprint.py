@@ -12,8 +12,7 @@ import pytest
 
 import testbed as tb
 from testbed.experiment.growth import growth
-from testbed.experiment.predictions import WRENCH_UNITS
-from testbed.recordings.columns import AXES
+from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.viewer.blueprint import blueprint, live_blueprint
 from testbed.viewer.log import write_rrd
 from testbed.viewer.scene import Scene, scene_of
@@ -49,7 +48,7 @@ def test_the_first_tab_shows_signals_and_what_is_left_over_side_by_side(scene: S
     assert tabs.active_tab in (0, "wrench")
     rows = tabs.contents[0].contents
     assert len(rows) == 6
-    for row, axis, unit in zip(rows, AXES, WRENCH_UNITS, strict=True):
+    for row, axis, unit in zip(rows, AXES, PLATE_UNITS, strict=True):
         signal, rest = row.contents
         assert signal.name == f"{axis} [{unit}]"
         assert rest.name == f"{axis}: residual below 10 Hz [{unit}]"

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression
@@ -61,7 +61,7 @@ class Trace:
         """
         if not self.count:
             return 1.0
-        return float(stats.f.sf(self.square / self.count / scale, self.count, self.free))
+        return float(special.fdtrc(self.count, self.free, self.square / self.count / scale))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ class Question:
         """How many in all, constants aside."""
         return self.base + sum(self.kinds)
 
-
-def answerable(question: Question, given: LaggedProducts) -> bool:
-    """Whether there are rows enough."""
-    channels = given.products.shape[1]
-    return bool(given.rows * channels > FREE * (question.columns + channels))
+    def answerable(self, given: LaggedProducts) -> bool:
+        """Whether anything is asked, and there are rows enough."""
+        channels = given.products.shape[1]
+        least = FREE * (self.columns + channels)
+        return bool(self.kinds) and bool(given.rows * channels > least)
 
 
 def traces(
@@ -125,14 +125,24 @@ def _with_constants(channels: int, columns: int) -> Array:
     return maps
 
 
+def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:
+    """Orthonormal combinations of the base; what the others share with them; and what they do not.
+
+    Args:
+        squares: Products of columns of length one, (q, q).
+        base: How many come first.
+    """
+    first = _orthonormal(squares[:base, :base])
+    across = first.T @ squares[:base, base:]
+    return first, across, squares[base:, base:] - across.T @ across
+
+
 def _independent(squares: Array, base: int) -> Array:
     """Combinations of columns that are orthonormal; those after the base beside it, (q, r)."""
     scale = _scales(squares)
-    unit = squares * np.outer(scale, scale)
-    first = _orthonormal(unit[:base, :base])
-    across = first.T @ unit[:base, base:]
-    rest = _orthonormal(unit[base:, base:] - across.T @ across)
-    found = np.zeros((len(unit), first.shape[1] + rest.shape[1]))
+    first, across, left = _beside(squares * np.outer(scale, scale), base)
+    rest = _orthonormal(left)
+    found = np.zeros((len(scale), first.shape[1] + rest.shape[1]))
     found[:base, : first.shape[1]] = first
     found[base:, first.shape[1] :] = rest
     found[:base, first.shape[1] :] = -first @ across @ rest
@@ -156,10 +166,7 @@ def _tests(squares: Array, question: Question, base: int, free: int) -> list[Tra
     """All kinds', from products of the base's columns, the kinds' and the residuals."""
     scale = _scales(squares)
     scale[-1] = 1.0
-    unit = squares * np.outer(scale, scale)
-    first = _orthonormal(unit[:base, :base])
-    across = first.T @ unit[:base, base:]
-    left = unit[base:, base:] - across.T @ across
+    first, across, left = _beside(squares * np.outer(scale, scale), base)
     every = _orthonormal(left[:-1, :-1])
     variance = (left[-1, -1] - float(np.sum((every.T @ left[:-1, -1]) ** 2))) / free
     variance = max(variance, float(np.finfo(float).tiny))
@@ -199,16 +206,15 @@ def calibrated(found: Sequence[Trace], made: Sequence[Sequence[Trace]]) -> tuple
 class Clues:
     """Traces in the residuals beside those in replicas of their noise."""
 
-    def __init__(self, given: LaggedProducts | None, question: Question) -> None:
-        """Look at the residuals.
+    def __init__(self, given: LaggedProducts, question: Question) -> None:
+        """Look at the residuals, if they can answer.
 
         Args:
-            given: Products of the question's columns, residuals and ones; None to look for
-                nothing.
+            given: Products of the question's columns, residuals and ones.
             question: Which columns are what.
         """
         self._question, self._replicas = question, None
-        if given is not None:
+        if question.answerable(given):
             self._traces, noise = traces(given, question)
             self._order = noise.order
             self._replicas = Replicas(noise, question.columns)

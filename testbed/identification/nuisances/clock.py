@@ -8,17 +8,11 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.nuisances.foretold import Foretold
-from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.identification.nuisances.nuisance import Nuisance, Part, always
 from testbed.recordings.recording import Recording
-from testbed.robot.tree import Tree
 
 _POINTS = 8
 """Samples that an interpolated one is made of: exact for polynomials below that degree."""
-
-
-def _delay(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return (Part("skew", "s"),)
 
 
 def _late(foretold: Foretold) -> Array:
@@ -67,24 +61,24 @@ def reach(delay: float, rate: float) -> int:
     return int(np.ceil(abs(delay) * rate)) + _POINTS // 2 if delay else 0
 
 
-def _rate(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return (Part("clock_rate", ""),)
-
-
 def _faster(foretold: Foretold) -> Array:
     return _late(foretold) * foretold.time[:, None, None]
 
 
 SKEW = Nuisance(
-    "skew", "a plate that is late", _delay, _late, _earlier, by_measured=_late_as_measured
+    "skew",
+    "a plate that is late",
+    always(Part("skew", "s")),
+    _late,
+    _earlier,
+    by_measured=_late_as_measured,
 )
 """By how much the plate is late."""
 
 CLOCK_RATE = Nuisance(
     "clock_rate",
     "clocks that run at different rates",
-    _rate,
+    always(Part("clock_rate", "")),
     _faster,
     cure="give plate and encoders one clock; or cut the recording and estimate each part's skew",
 )

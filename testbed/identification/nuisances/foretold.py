@@ -15,7 +15,6 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
-from testbed.errors import SettingsError
 from testbed.identification.filters import slope_weights
 from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
@@ -43,6 +42,7 @@ class RowFilter:
         weights: Of the instants around a row, (2 J + 1,), of sum one.
         slopes: The same for a signal's derivative in time, (2 J + 1,) [1/s].
         step: Instants from row to row.
+        every_weight: Weights of every sample around a row, (2 L + 1,), of sum one.
         every_slope: Slopes at every sample, (2 L + 1,) [1/s].
     """
 
@@ -50,6 +50,7 @@ class RowFilter:
     weights: Array
     slopes: Array
     step: int
+    every_weight: Array
     every_slope: Array
 
     @property
@@ -58,18 +59,13 @@ class RowFilter:
         return self.stride * (len(self.weights) // 2)
 
 
-def row_filter(plan: Plan, cutoff: float | None) -> RowFilter:
+def row_filter(plan: Plan, cutoff: float) -> RowFilter:
     """The filter that a plan's rows pass.
 
     Args:
         plan: The rows.
         cutoff: Of the filter [Hz].
-
-    Raises:
-        SettingsError: Rows are not filtered.
     """
-    if cutoff is None:
-        raise SettingsError('nuisances need the filter on rows: give cutoff, not "off"')
     rate, middle = plan.source.rate, len(plan.weights) // 2
     least = INSTANTS_PER_CUTOFF * cutoff
     stride = max(
@@ -79,7 +75,8 @@ def row_filter(plan: Plan, cutoff: float | None) -> RowFilter:
     weights = plan.weights[middle + places]
     slopes = slope_weights(plan.weights, places.astype(np.float64), rate)
     every = slope_weights(plan.weights, np.arange(-middle, middle + 1.0), rate)
-    return RowFilter(stride, weights / weights.sum(), slopes, plan.step // stride, every)
+    step = plan.step // stride
+    return RowFilter(stride, weights / weights.sum(), slopes, step, plan.weights, every)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +91,8 @@ class Foretold:
         tare: Static wrench of the pedestal, (6,) [N, N m].
         time: Of the rows, from the middle of the recording, (rows,) [s].
         filter: From instants to rows.
-        shown: The measured wrench, with the tare, at the rows, (rows, 6) [N, N m].
-        shown_rate: Its derivative in time, (rows, 6) [N/s, N m/s].
+        measured: The plate's samples around each row, without the tare, (rows, 6, 2 L + 1)
+            [N, N m].
     """
 
     tree: Tree
@@ -105,8 +102,19 @@ class Foretold:
     tare: Array
     time: Array
     filter: RowFilter
-    shown: Array
-    shown_rate: Array
+    measured: Array
+
+    @cached_property
+    def shown(self) -> Array:
+        """The measured wrench, with the tare, at the rows, (rows, 6) [N, N m]."""
+        found: Array = self.measured @ self.filter.every_weight + self.tare
+        return found
+
+    @cached_property
+    def shown_rate(self) -> Array:
+        """Its derivative in time, (rows, 6) [N/s, N m/s]."""
+        found: Array = self.measured @ self.filter.every_slope
+        return found
 
     @cached_property
     def moving(self) -> Array:
@@ -171,7 +179,6 @@ def foretold(
     half, layout = len(signals.weights) // 2, plan.layout
     around = signals.measured[signals.start - half :]
     windows = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1, axis=0)
-    windows = windows[:: signals.step][: signals.number]
     return Foretold(
         tree=layout.tree,
         gravity=layout.gravity,
@@ -180,8 +187,7 @@ def foretold(
         tare=plan.tare,
         time=rows,
         filter=filtered,
-        shown=windows @ signals.weights + plan.tare,
-        shown_rate=windows @ filtered.every_slope,
+        measured=windows[:: signals.step][: signals.number],
     )
 
 

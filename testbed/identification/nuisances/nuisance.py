@@ -25,6 +25,16 @@ class Part(NamedTuple):
 Numbers = Callable[[Tree], tuple[Part, ...]]
 """The numbers of a nuisance, for a robot."""
 
+
+def always(*parts: Part) -> Numbers:
+    """The same numbers for every robot.
+
+    Args:
+        parts: The numbers.
+    """
+    return lambda tree: parts
+
+
 Effect = Callable[[Foretold], Array]
 """What the measured wrench grows by with each of them, (rows, 6, k)."""
 

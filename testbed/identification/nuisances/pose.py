@@ -12,24 +12,13 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.nuisances.foretold import Foretold
-from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.identification.nuisances.nuisance import Nuisance, Part, always
 from testbed.recordings.recording import Recording
-from testbed.robot.rotations import about
-from testbed.robot.tree import Tree
+from testbed.robot.rotations import from_vector
 
 _PARTS = tuple(Part(f"pose/r{a}", "rad") for a in "xyz") + tuple(
     Part(f"pose/p{a}", "m") for a in "xyz"
 )
-
-
-def _six(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return _PARTS
-
-
-def _one(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return (Part("height", "m"),)
 
 
 def _pose(foretold: Foretold) -> Array:
@@ -62,8 +51,7 @@ def _height_of_measured(foretold: Foretold) -> Array:
 def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
     del time
     wrench = recording.measured("wrench")
-    angle = float(np.linalg.norm(values[:3]))
-    turn = about(values[:3] / angle, angle) if angle else np.eye(3)
+    turn = from_vector(values[:3])
     force = wrench[:, :3] @ turn.T
     moment = wrench[:, 3:] @ turn.T + np.cross(values[3:], force)
     return replace(recording, wrench=np.hstack([force, moment]))
@@ -76,7 +64,7 @@ def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
 POSE = Nuisance(
     "pose",
     "a plate that is turned or shifted",
-    _six,
+    always(*_PARTS),
     _pose,
     _moved_back,
     by_measured=_pose_of_measured,
@@ -85,7 +73,7 @@ POSE = Nuisance(
 HEIGHT = Nuisance(
     "height",
     "an origin of the plate at another height",
-    _one,
+    always(Part("height", "m")),
     _height,
     _lowered,
     by_measured=_height_of_measured,

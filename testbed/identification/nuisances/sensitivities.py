@@ -6,21 +6,15 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.nuisances.foretold import Foretold
-from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.identification.nuisances.nuisance import Nuisance, Part, always
 from testbed.recordings.columns import AXES
-from testbed.robot.tree import Tree
 
 _PAIRS = [(shown, felt) for shown in range(6) for felt in range(6) if shown != felt]
 
 
-def _of_channels(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return tuple(Part(f"gains/{axis}", "") for axis in AXES)
+_of_channels = always(*(Part(f"gains/{axis}", "") for axis in AXES))
 
-
-def _of_pairs(tree: Tree) -> tuple[Part, ...]:
-    del tree
-    return tuple(Part(f"crosstalk/{AXES[shown]}/{AXES[felt]}", "") for shown, felt in _PAIRS)
+_of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAIRS))
 
 
 def _own(foretold: Foretold) -> Array:

@@ -93,7 +93,8 @@ def _generic(
     rng = np.random.default_rng(SEED)
     n = layout.tree.n
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
-    filtered = RowFilter(1, np.array([0, 0, 1.0, 0, 0]), slopes, 1, slopes)
+    weights = np.array([0, 0, 1.0, 0, 0])
+    filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
     time = np.arange(rows + 4) / RATE
     speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, n))
     size = rng.normal(size=(2, SINES, n)) / SINES
@@ -104,11 +105,8 @@ def _generic(
     lead = layout.theta @ layout.basis
     theta = lead @ rng.normal(size=lead.shape[2])
     middle = time[2:-2] - time.mean()
-    none = np.zeros((rows, 6))
-    found = Foretold(layout.tree, layout.gravity, theta, motion, tare, middle, filtered, none, none)
-    found = replace(
-        found, shown=found.wrench[2:-2], shown_rate=found.rates(found.wrench[..., None])[..., 0]
-    )
+    none = np.zeros((rows, 6, 5))  # nothing was measured
+    found = Foretold(layout.tree, layout.gravity, theta, motion, tare, middle, filtered, none)
     parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
     theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
     return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)

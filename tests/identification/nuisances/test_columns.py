@@ -101,10 +101,12 @@ def columns_of(
     """The nuisance's columns, (6, rows, k)."""
     minimal = tb.minimal_set(tree, "reaction")
     plan = make_plan(recording, layout(tree, minimal), TARE, SETTINGS)
+    cutoff = SETTINGS.row_low_pass
+    assert cutoff is not None
     unknowns = unknowns_of(tree, [nuisance])
     made = Columns(
         plan,
-        row_filter(plan, SETTINGS.row_low_pass),
+        row_filter(plan, cutoff),
         minimal.values(tb.barycentric(tree)),
         [unknowns],
         unknowns if estimated else None,
