@@ -158,10 +158,11 @@ def _weighted(
 def _moments(given: LaggedProducts, values: Array, order: int) -> Array:
     """e_(t-i) e_(t-j) summed over t >= order, of the residuals e, (C, order + 1, order + 1)."""
     found = np.zeros((given.products.shape[1], order + 1, order + 1))
+    combine = np.concatenate([-values, [1.0, 0.0]])
+    left = given.combined(combine[:, None])
     for i in range(order + 1):
         for j in range(i, order + 1):
-            part = given.shifted(i, j, order)
-            found[:, i, j] = found[:, j, i] = _of_residuals(part, values)
+            found[:, i, j] = found[:, j, i] = left.shifted(i, j, order)[:, 0, 0]
     return found
 
 

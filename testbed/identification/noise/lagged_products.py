@@ -83,11 +83,38 @@ class LaggedProducts:
         """
         alpha, order = prediction_errors(coefficients), coefficients.shape[1]
         total: Array = np.zeros_like(self.products[0])
-        for i in range(order + 1):
-            for j in range(order + 1):
-                share = (alpha[:, i] * alpha[:, j])[:, None, None]
-                total += share * self.shifted(i, j, order)
+        for lag in range(order + 1):  # of all t, as if zeros stood before and after the rows
+            share = (alpha[:, lag:] * alpha[:, : order + 1 - lag]).sum(axis=1)
+            part = share[:, None, None] * self.products[lag]
+            total += part + part.transpose(0, 2, 1) if lag else part
+        edges = self._edges(alpha)
+        total -= np.matmul(edges.transpose(0, 2, 1), edges)
         return total
+
+    def _edges(self, alpha: Array) -> Array:
+        """e_t before t = P and after the last row, zeros there, (C, 2 P, q)."""
+        order, size = alpha.shape[1] - 1, self.last.shape[1]
+        channels, _, columns = self.first.shape
+        found = np.zeros((channels, 2 * order, columns))
+        for i in range(order + 1):
+            share = alpha[:, i, None, None]
+            found[:, i:order] += share * self.first[:, : order - i]
+            found[:, order : order + i] += share * self.last[:, size - i :]
+        return found
+
+    def carrying(self, maps: Array) -> LaggedProducts:
+        """Of combinations of the first columns and the last, the others left as they are.
+
+        Args:
+            maps: How the first m columns and the last one make up the first r new ones,
+                (C, m + 1, r).
+        """
+        channels, m, r = len(maps), maps.shape[1] - 1, maps.shape[2]
+        kept = self.products.shape[2] - m
+        whole = np.zeros((channels, m + kept, r + kept))
+        whole[:, :m, :r], whole[:, -1, :r] = maps[:, :m], maps[:, m]
+        whole[:, m:, r:] = np.eye(kept)
+        return self.combined(whole)
 
 
 class LaggedSums:

@@ -50,9 +50,15 @@ class Replicas:
         noise = self._maker.rows(columns.shape[1]) * ones[..., None]
         self._sums.add(np.concatenate([columns, noise, ones[..., None]], axis=2))
 
-    def each(self) -> Iterator[LaggedProducts]:
-        """Products with one replica after the other in the residuals' place."""
+    def each(self, maps: Array | None = None) -> Iterator[LaggedProducts]:
+        """Products with one replica after the other in the residuals' place.
+
+        Args:
+            maps: How columns and ones make up other columns, (C, m + 1, r); default as they are.
+        """
         given, m = self._sums.finish(), self._columns
+        if maps is not None:
+            given, m = given.carrying(maps), maps.shape[2]
         for replica in range(REPLICAS):
             yield given.picked([*range(m), m + replica, m + REPLICAS])
 

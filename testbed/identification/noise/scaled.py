@@ -7,11 +7,16 @@ Directions that rounding alone tells are then held, and their variance is large:
 from __future__ import annotations
 
 import numpy as np
+from scipy import linalg
 
 from testbed.arrays import Array
 
 ROUNDING = 1e-15
 """Least eigenvalue, of a matrix with a diagonal of ones, that is no rounding."""
+
+CLEAR = 1e-6
+"""Part of its length, squared, that every unknown has for itself beside those before it: then
+Cholesky's factors serve, which are several times faster than eigenvalues."""
 
 
 def scaled_solve(matrix: Array, right: Array) -> Array:
@@ -39,5 +44,10 @@ def _root(matrix: Array) -> Array:
     """R with R R' the inverse, (m, m)."""
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    size, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
+    unit = matrix * np.outer(scale, scale)
+    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
+    if not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR:
+        inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
+        return np.asarray(scale[:, None] * inverse.T)
+    size, axes = np.linalg.eigh(unit)
     return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))

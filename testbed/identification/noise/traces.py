@@ -88,41 +88,43 @@ class Question:
         return bool(self.kinds) and bool(given.rows * channels > least)
 
 
-def traces(
-    given: LaggedProducts, question: Question, order: int | None = None
-) -> tuple[list[Trace], Autoregression]:
-    """What the residuals hold of each kind of fault, and the noise beside all of them.
+def maps_of(given: LaggedProducts, question: Question) -> tuple[Array, Array]:
+    """How columns and ones make up those of the tests, and independent ones of the same space.
 
     Args:
         given: Products of the question's columns, residuals and ones.
         question: Which columns are what.
-        order: Of the noise; None for the best.
+
+    Returns:
+        A constant of every channel, then the columns, (C, q + 1, C + q); independent
+        combinations of these, (C, q + 1, r).
     """
     channels, q = given.products.shape[1], question.columns
-    widened = given.combined(_with_constants(channels, q))
-    base = question.base + channels
-    plain = widened.products[0, :, : q + channels, : q + channels].sum(axis=0)
-    independent = _independent(plain, base)
-    maps = np.zeros((q + channels + 2, independent.shape[1] + 2))
-    maps[: q + channels, :-2] = independent
-    maps[-2, -2] = maps[-1, -1] = 1.0
-    found = whitened_fit(widened.combined(maps), order)
-    white = widened.whitened(found.noise.coefficients)
-    squares = np.tensordot(1 / found.noise.sigma**2, white, 1)[:-1, :-1]
-    free = (given.rows - 2 * found.noise.order) * channels - independent.shape[1]
-    return _tests(squares, question, base, max(free, 1)), found.noise
+    whole = np.zeros((channels, q + 1, channels + q))
+    whole[:, :q, channels:] = np.eye(q)
+    whole[np.arange(channels), q, np.arange(channels)] = 1.0
+    squares = given.carrying(whole).products[0, :, :-2, :-2].sum(axis=0)
+    return whole, whole @ _independent(squares, channels + question.base)
 
 
-def _with_constants(channels: int, columns: int) -> Array:
-    """Maps that put a constant of every channel after the columns' base, (C, q + 2, q + C + 2).
+def traces(
+    whole: LaggedProducts, independent: LaggedProducts, question: Question, order: int | None = None
+) -> tuple[list[Trace], Autoregression]:
+    """What the residuals hold of each kind of fault, and the noise beside all of them.
 
-    They come first: the base is whatever comes first.
+    Args:
+        whole: Products of constants and the question's columns, residuals and ones.
+        independent: Of independent combinations of these columns, residuals and ones.
+        question: Which columns are what.
+        order: Of the noise; None for the best.
     """
-    maps = np.zeros((channels, columns + 2, columns + channels + 2))
-    maps[:, :columns, channels : columns + channels] = np.eye(columns)
-    maps[np.arange(channels), columns + 1, np.arange(channels)] = 1.0
-    maps[:, columns, columns + channels] = maps[:, columns + 1, columns + channels + 1] = 1.0
-    return maps
+    channels = whole.products.shape[1]
+    found = whitened_fit(independent, order)
+    white = whole.whitened(found.noise.coefficients)
+    squares = np.tensordot(1 / found.noise.sigma**2, white, 1)[:-1, :-1]
+    columns = independent.products.shape[2] - 2
+    free = max((whole.rows - 2 * found.noise.order) * channels - columns, 1)
+    return _tests(squares, question, question.base + channels, free), found.noise
 
 
 def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:
@@ -215,7 +217,9 @@ class Clues:
         """
         self._question, self._replicas = question, None
         if question.answerable(given):
-            self._traces, noise = traces(given, question)
+            self._whole, self._independent = maps_of(given, question)
+            whole, independent = given.carrying(self._whole), given.carrying(self._independent)
+            self._traces, noise = traces(whole, independent, question)
             self._order = noise.order
             self._replicas = Replicas(noise, question.columns)
 
@@ -232,6 +236,7 @@ class Clues:
         """
         if self._replicas is None:
             return ()
-        made = [traces(each, self._question, self._order)[0] for each in self._replicas.each()]
+        both = zip(*map(self._replicas.each, (self._whole, self._independent)), strict=True)
+        made = [traces(all_of, own, self._question, self._order)[0] for all_of, own in both]
         moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
         return tuple(zip(moved, calibrated(self._traces, made), strict=True))
