@@ -20,6 +20,9 @@ HIGHEST = 6
 LARGEST_ROOT = 0.998
 """A fit may find noise that grows without end; it is held to one that forgets."""
 
+RIDGE = 1e-12
+"""Of the mean square: noise that repeats itself exactly has many autoregressions."""
+
 BURN_IN = 200
 """Rows simulated before the first that counts."""
 
@@ -44,11 +47,9 @@ class Autoregression:
     @property
     def memory(self) -> Array:
         """Rows in which the slowest part of each channel's noise fades to 1/e, (C,)."""
-        found = np.zeros(len(self.sigma))
-        for c, a in enumerate(self.coefficients):
-            largest = np.abs(np.roots([1.0, *-a])).max(initial=0.0)
-            found[c] = -1 / np.log(largest) if largest > 0 else 0.0
-        return found
+        kept = _largest_roots(self.coefficients)
+        some = (kept > 0) & (kept < 1)
+        return np.where(some, -1 / np.log(np.where(some, kept, 0.5)), 0.0)
 
 
 def fit(moments: Array, order: int) -> Array:
@@ -59,13 +60,12 @@ def fit(moments: Array, order: int) -> Array:
         order: P.
     """
     found = np.zeros((len(moments), order))
-    for c, products in enumerate(moments):
-        matrix = products[1 : order + 1, 1 : order + 1]
-        right = products[1 : order + 1, 0]
-        ridge = 1e-12 * np.trace(matrix) / max(order, 1) * np.eye(order)
-        if order and np.trace(matrix) > 0:
-            found[c] = _forgetting(np.linalg.lstsq(matrix + ridge, right, rcond=None)[0])
-    return found
+    matrix, right = moments[:, 1 : order + 1, 1 : order + 1], moments[:, 1 : order + 1, 0]
+    size = np.trace(matrix, axis1=1, axis2=2)
+    some = size > 0
+    ridge = RIDGE * size[some, None, None] / max(order, 1) * np.eye(order)
+    found[some] = np.linalg.solve(matrix[some] + ridge, right[some, :, None])[..., 0]
+    return _forgetting(found)
 
 
 def prediction_errors(coefficients: Array) -> Array:
@@ -100,11 +100,20 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     return 1 + int(np.argmin(scores))
 
 
+def _largest_roots(coefficients: Array) -> Array:
+    """How much of each channel's noise the slowest part of it keeps from row to row, (C,)."""
+    channels, order = coefficients.shape
+    companion = np.zeros((channels, order, order))
+    companion[:, :1] = coefficients[:, None]
+    companion[:, range(1, order), range(order - 1)] = 1.0
+    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=1, initial=0.0))
+
+
 def _forgetting(coefficients: Array) -> Array:
-    """The same, its roots drawn inside the unit circle where they are not."""
-    largest = float(np.abs(np.roots([1.0, *-coefficients])).max(initial=0.0))
-    shrink = min(1.0, LARGEST_ROOT / largest) if largest > 0 else 1.0
-    return np.asarray(coefficients * shrink ** np.arange(1, len(coefficients) + 1))
+    """The same, roots drawn inside the unit circle where they are not, (C, P)."""
+    largest = np.maximum(_largest_roots(coefficients), LARGEST_ROOT)[:, None]
+    powers = np.arange(1, coefficients.shape[1] + 1)
+    return np.asarray(coefficients * (LARGEST_ROOT / largest) ** powers)
 
 
 class NoiseMaker:
