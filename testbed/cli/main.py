@@ -13,6 +13,9 @@ import signal
 import sys
 from types import FrameType
 
+RESERVE = 1_000_000
+"""Bytes that are kept back for saying that there is no more memory."""
+
 INPUT_AT_FAULT, OUR_FAULT, INTERRUPTED, UNREAD = 2, 70, 130, 141
 
 
@@ -21,12 +24,13 @@ def main() -> None:
 
     What is heavy is imported by `_command`, so that Ctrl-C is answered from the first moment.
     """
-    interrupts = _Interrupts()
+    interrupts, reserve = _Interrupts(), bytearray(RESERVE)
     try:
         try:
             _ready_streams()
             code = _command()
         except BaseException as error:
+            del reserve
             code = INTERRUPTED if interrupts.seen else _told(error)
         interrupts.default()
     except KeyboardInterrupt:  # between an error and its message

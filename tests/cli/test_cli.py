@@ -186,21 +186,6 @@ def test_half_a_recording_gives_its_half_of_the_answer(
     assert f"its {kept} allows the {method} one" in refused.stderr
 
 
-@pytest.mark.parametrize("columns", ["60", "72", "80", "110", "140"])
-@pytest.mark.slow
-def test_no_number_is_cut_off_at_any_width(
-    columns: str, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", columns)
-    runs = [("run", TABLE6, *sets()), ("identify", str(recording), "--model", PUMA)]
-    for call in runs:
-        said = command_line(*call, cwd=tmp_path).stdout
-        assert "…" not in said
-        table = [line for line in said.splitlines() if line.startswith(("│", "  "))]
-        assert table
-        assert max(map(len, table)) <= int(columns)
-
-
 @pytest.mark.slow
 def test_gravity_is_a_vector_however_it_is_written(tmp_path: Path) -> None:
     ways = (("0,0,-1.62",), ("0", "0", "-1.62"))

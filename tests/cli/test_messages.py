@@ -77,19 +77,21 @@ def test_a_fault_of_the_program_is_no_failed_claim() -> None:
 
 
 def test_memory_that_is_really_short(tmp_path: Path) -> None:
-    """A limit of the operating system, and literal equations that would take much more."""
+    """A limit of the operating system, and a motion that would take much more.
+
+    The motion asks for large arrays. Where small objects run short, Python itself may fail.
+    """
     code = (
         "import resource, runpy, sys\n"
-        "import numpy, testbed.symbolic.equations, testbed.robot.formats.urdf\n"
+        "import numpy, testbed.experiment.carry_out, testbed.robot.formats.mjcf\n"
         "numpy.linalg.svd(numpy.ones((300, 300)))  # BLAS takes its memory\n"
         "used = int(open('/proc/self/statm').read().split()[0]) * resource.getpagesize()\n"
-        "resource.setrlimit(resource.RLIMIT_AS, (used + 30_000_000,) * 2)\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + 200_000_000,) * 2)\n"
         "runpy.run_module('testbed.cli', run_name='__main__', alter_sys=False)\n"
     )
     if not Path("/proc/self/statm").exists():
         pytest.skip("memory is told by Linux only")
-    model = str(ROOT / "tests/golden/robots/kuka_lwr4.urdf")
-    words = ["equations", model, "--what", "all", "--max-terms", "1000000000"]
+    words = ["simulate", TABLE6, "--set", "motion.duration=1900", "--out", "r.parquet"]
     call = [sys.executable, "-c", code, *words]
     done = subprocess.run(call, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert "not enough memory" in one_line(done)
@@ -254,7 +256,7 @@ def test_ctrl_c_is_one_line_at_any_moment(words: tuple[str, ...], tmp_path: Path
 @pytest.mark.slow
 def test_ctrl_c_often(tmp_path: Path) -> None:
     for words in (("run", TABLE6, "--set", "motion.duration=4"), ("equations", PUMA)):
-        interrupts(words, 40, 3.0, tmp_path)
+        interrupts(words, 12, 3.0, tmp_path)
 
 
 def test_an_import_that_is_interrupted_may_say_anything() -> None:

@@ -62,11 +62,10 @@ def test_nothing_is_found_in_clean_recordings(robot: str, memory: float) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [{}, {"speed": 0.2}, {"noise": 10.0}, {"noise": 1e-9}], ids=str)
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_nothing_is_found_in_several_clean_recordings(robot: str, case: dict[str, float]) -> None:
-    """Slow motions, poor instruments, and perfect ones."""
+def test_nothing_is_found_in_unusual_clean_recordings(robot: str, case: dict[str, float]) -> None:
+    """Slow motions, poor instruments, and perfect ones; `benchmarks detection` makes hundreds."""
     tree = tb.load_tree(ROBOTS[robot])
-    for seed in range(3):
-        assert found(both(tree, measured(tree, seed, **case))) == []
+    assert found(both(tree, measured(tree, 1, **case))) == []
 
 
 @pytest.mark.parametrize("robot", ["gantry_ppp_rrr", "scara_rrpr", "pendulum", "coaxial2"])
@@ -137,12 +136,13 @@ def test_no_gross_fault_that_ruins_an_estimate_passes_in_silence(
     theta = tb.barycentric(puma)
     for trial in trials(puma):
         if trial.kind == kind:
-            estimates = both(trial.tree, trial.change(recording))
-            estimate = estimates[trial.method]
+            changed = trial.change(recording)
+            estimate = tb.identify(trial.tree, changed, trial.method, zeros=True)
             truth = estimate.minimal.values(theta)
             if np.abs(estimate.base.values / truth - 1).max() > 0.2:
                 ruined += 1
-                silent += [trial.fault] if not found(estimates) else []
+                if not estimate.findings and not found(both(trial.tree, changed)):
+                    silent.append(trial.fault)
     assert ruined
     assert silent == []
 

@@ -109,7 +109,7 @@ def coverage(draws: int, correlation: float) -> Array:
 @pytest.mark.slow
 def test_sigma_is_honest(correlation: float) -> None:
     """White and coloured plate noise: 95 % intervals hold the truth about 95 % of the time."""
-    found = coverage(120, correlation)
+    found = coverage(60, correlation)
     assert 0.92 <= found.mean() <= 0.985
     assert found.min() >= 0.86
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 import testbed as tb
 from testbed.errors import ModelError
 from tests.helpers.robots import random_robot
+from tests.helpers.work import counted_calls
 
 MASS = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
 BODY = f"<body><joint/>{MASS}</body>"
@@ -18,11 +18,10 @@ WORLD = "<mujoco>{}<worldbody>{}</worldbody></mujoco>"
 
 
 def refusal(path: Path) -> str:
-    """The line that refuses a file; found within a second of computing."""
-    start = time.process_time()
-    with pytest.raises(ModelError) as caught:
+    """The line that refuses a file; found with little work."""
+    with counted_calls() as calls, pytest.raises(ModelError) as caught:
         tb.load_tree(path)
-    assert time.process_time() - start < 2.0
+    assert calls.count < 5_000_000
     said = str(caught.value)
     assert said.isprintable()
     assert len(said) < 1000
@@ -193,18 +192,18 @@ def test_too_many_joints_are_refused(form: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
-@pytest.mark.parametrize(("joints", "seconds"), [(150, 1.0), (400, 3.0)])
+@pytest.mark.parametrize("joints", [150, 400])
 @pytest.mark.slow
-def test_many_joints_are_read_at_once(
-    joints: int, seconds: float, form: str, tmp_path: Path
+def test_work_grows_no_faster_than_the_number_of_joints(
+    joints: int, form: str, tmp_path: Path
 ) -> None:
     robot = random_robot(np.random.default_rng(0), joints)
     path = tmp_path / f"r.{form}"
     path.write_text(robot.urdf() if form == "urdf" else robot.mjcf())
     tb.load_tree(path)  # what is imported once does not count
-    start = time.process_time()
-    assert tb.load_tree(path).n == joints
-    assert time.process_time() - start < seconds
+    with counted_calls() as calls:
+        assert tb.load_tree(path).n == joints
+    assert calls.count < 4000 * joints
 
 
 @pytest.mark.parametrize("form", ["xml", "urdf"])
