@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.command import CLI, command_line
+from tests.helpers.command import CLI, command_process
 from tests.helpers.paths import ROOT
 
 pytestmark = pytest.mark.slow
@@ -130,7 +130,7 @@ ODD = "a\x1b[31m\u202eb\x9bc\u2066\n d"
 def test_words_of_any_kind_and_length_are_shown_harmlessly(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    one_line(command_line(*words, cwd=tmp_path))
+    one_line(command_process(*words, cwd=tmp_path))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -175,7 +175,7 @@ def test_what_is_no_file_of_the_right_kind_is_refused(
     elif kind != "absent":
         place = Path("/dev") / kind
     (tmp_path / "here").mkdir()
-    done = command_line(
+    done = command_process(
         *(str(place) if word == "IT" else word for word in words), cwd=tmp_path / "here", seconds=60
     )
     one_line(done)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,10 +18,11 @@ def test_no_number_is_cut_off_at_any_width(
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
     run = runs.run_of(runs.robot(robot))
-    for show in (
+    shown: tuple[Callable[[], None], ...] = (
         lambda: print_run(run, Path("folder")),
         lambda: print_estimates(list(run.estimates.values()), run.warnings),
-    ):
+    )
+    for show in shown:
         show()
         said = capsys.readouterr().out
         assert "…" not in said
