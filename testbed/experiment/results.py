@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -98,6 +99,7 @@ def _noise(estimate: Estimate) -> dict[str, Any] | None:
         "bias_sigma": noise.bias_sigma.tolist(),
         "bias_chance": noise.bias_chance,
         "hidden": list(noise.hidden),
+        "repetition": None if noise.repetition is None else asdict(noise.repetition),
     }
 
 

@@ -20,9 +20,11 @@ from testbed.identification.noise.biases import constants, square_of_last, with_
 from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.traces import Clues, Question, Trace
 from testbed.identification.passes import Columns, Passes
+from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
 
 ROUNDING = 1e-9
@@ -105,8 +107,13 @@ def under_coloured_noise(
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
     bias = back @ found.values[m:]
+    period = _period(passes)
+    repeated = RepetitionSums(found.noise, round(period / plan.step)) if period else None
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
+        if repeated:
+            beyond = np.concatenate([rows.columns[..., p:m], ones], axis=2) @ found.values[p:]
+            repeated.add(rows.left - beyond)
         replicas.add(np.concatenate([rows.columns[..., :m], ones], axis=2), rows.ones)
         clues.add(rows.columns, rows.ones)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ found.values[p:m]
@@ -129,6 +136,7 @@ def under_coloured_noise(
             bias_sigma=spread,
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
             hidden=tuple(n for n, seen in zip(names, imitates.any(axis=0), strict=True) if seen),
+            repetition=repeated.found(period / plan.source.rate) if repeated and period else None,
         ),
         further=found.values[p:m],
         further_covariance=covariance[p:m, p:m],
@@ -156,6 +164,19 @@ def further_values(
     variance = np.maximum(np.diagonal(found.covariance)[own], np.finfo(float).tiny)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     return found.values[own], np.sqrt(variance), share
+
+
+def _period(passes: Passes) -> int | None:
+    """The motion's, in samples; None where it has none, or rows are too far apart for it.
+
+    Rows of joints' torques have gaps.
+    """
+    plan, surveyor = passes.plan, passes.surveyor
+    if plan.layout.model != "reaction":
+        return None
+    found = period_of(surveyor.survey().position)
+    samples = 0 if found is None else found * surveyor.stride
+    return samples if samples > (HIGHEST + 1) * plan.step else None
 
 
 def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:

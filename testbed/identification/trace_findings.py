@@ -8,7 +8,6 @@ import numpy as np
 
 from testbed.identification.estimate import Estimate
 from testbed.identification.finding import Finding
-from testbed.identification.nuisances.estimates import TraceTest
 
 FALSE_ALARMS = 1e-6
 """Nominal probability of a word about a recording without any fault, all its tests together. It is
@@ -35,12 +34,13 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
         return  # no noise: what the filter on positions takes from the motion is left
     clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
     if not clear:
+        yield from _repetition(estimate)
         return
     best = clear[0]
     yield Finding(
         "the plate's residuals",
-        f"hold what noise does not explain ({_chance(best)}), but {best.nuisance.said} would "
-        f"({', '.join(best.largest(NAMED))}); estimating it would move {best.parameter} by "
+        f"hold what noise does not explain ({_chance(best.chance)}), but {best.nuisance.said} "
+        f"would ({', '.join(best.largest(NAMED))}); estimating it would move {best.parameter} by "
         f"{best.shift:.2g} sigma",
         best.shift,
         (*(test.nuisance.said for test in clear[:NAMED]), LACKING),
@@ -48,5 +48,21 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
     )
 
 
-def _chance(test: TraceTest) -> str:
-    return f"chance {test.chance:.0e}" if test.chance > 1e-99 else "chance below 1e-99"
+def _repetition(estimate: Estimate) -> Iterator[Finding]:
+    """Residuals that repeat with the motion, for a cause that was not tested for."""
+    found = None if estimate.noise is None else estimate.noise.repetition
+    if found is None or found.chance > FALSE_ALARMS:
+        return
+    share, channel = max(zip(found.share, estimate.channels, strict=True))
+    yield Finding(
+        "the plate's residuals",
+        f"repeat with the motion every {found.period:.4g} s ({_chance(found.chance)}), up to "
+        f"{share:.0%} of them in {channel}",
+        share,
+        ("elastic joints or structure", "cables or hoses", LACKING),
+        "plot them beside the joints' motion (`testbed view`)",
+    )
+
+
+def _chance(chance: float) -> str:
+    return f"chance {chance:.0e}" if chance > 1e-99 else "chance below 1e-99"

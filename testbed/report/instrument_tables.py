@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from testbed.experiment.run import Run
+from testbed.identification.noise.repetition import Repetition
 from testbed.identification.nuisances.estimates import TraceTest
 
 LARGEST = 3
@@ -43,7 +45,18 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
                     "rows": [_test(test)[:shown] for test in estimate.trace_tests],
                 }
             )
+        if estimate.noise is not None and estimate.noise.repetition is not None:
+            tables.append(_repetition(estimate.noise.repetition, estimate.channels))
     return tables
+
+
+def _repetition(found: Repetition, channels: Sequence[str]) -> dict[str, Any]:
+    return {
+        "caption": f"Part of the residuals that repeats with the motion, every {found.period:.4g} "
+        f"s: chance {found.chance:.2g} in mere noise",
+        "heads": list(channels),
+        "rows": [[f"{max(0.0, share):.0%}" for share in found.share]],
+    }
 
 
 def _test(test: TraceTest) -> list[str]:

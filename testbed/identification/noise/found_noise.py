@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from testbed.arrays import Array
+from testbed.identification.noise.repetition import Repetition
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,6 +20,7 @@ class FoundNoise:
         bias_sigma: Their standard deviations, (C,).
         bias_chance: Probability of constants as large as these where there are none.
         hidden: Parameters that no motion can tell from a constant of a channel.
+        repetition: Whether the residuals repeat with the motion; None where that cannot be told.
     """
 
     order: int
@@ -28,3 +30,4 @@ class FoundNoise:
     bias_sigma: Array
     bias_chance: float
     hidden: tuple[str, ...]
+    repetition: Repetition | None = None
