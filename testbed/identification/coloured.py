@@ -15,7 +15,7 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
-from testbed.identification.noise.autoregression import HIGHEST
+from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.biases import constants, square_of_last, with_constants
 from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
@@ -107,8 +107,7 @@ def under_coloured_noise(
     back = np.linalg.inv(units.root.T) @ directions
     back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
     bias = back @ found.values[m:]
-    period = _period(passes)
-    repeated = RepetitionSums(found.noise, round(period / plan.step)) if period else None
+    repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
         if repeated:
@@ -121,8 +120,6 @@ def under_coloured_noise(
     factor = replicas.factor(fit, units.lead)
     covariance, count = factor**2 * found.covariance, directions.shape[1]
     spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
-    part = np.abs(hidden[:, :p] @ units.lead.T)
-    imitates = part > IMITATES * part.max(axis=1, keepdims=True, initial=0.0)
     return Refined(
         fit=start,
         values=values,
@@ -135,8 +132,8 @@ def under_coloured_noise(
             bias=bias,
             bias_sigma=spread,
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
-            hidden=tuple(n for n, seen in zip(names, imitates.any(axis=0), strict=True) if seen),
-            repetition=repeated.found(period / plan.source.rate) if repeated and period else None,
+            hidden=_imitating(hidden[:, :p] @ units.lead.T, names),
+            repetition=repeated.found() if repeated else None,
         ),
         further=found.values[p:m],
         further_covariance=covariance[p:m, p:m],
@@ -166,17 +163,21 @@ def further_values(
     return found.values[own], np.sqrt(variance), share
 
 
-def _period(passes: Passes) -> int | None:
-    """The motion's, in samples; None where it has none, or rows are too far apart for it.
+def _imitating(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Unknowns with a large part, (k, p), in what imitates one of k constants."""
+    size = np.abs(part)
+    large = size > IMITATES * size.max(axis=1, keepdims=True, initial=0.0)
+    return tuple(n for n, seen in zip(names, large.any(axis=0), strict=True) if seen)
 
-    Rows of joints' torques have gaps.
-    """
+
+def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | None:
+    """None where the motion has no period, or rows have gaps or are too far apart for it."""
     plan, surveyor = passes.plan, passes.surveyor
     if plan.layout.model != "reaction":
         return None
-    found = period_of(surveyor.survey().position)
-    samples = 0 if found is None else found * surveyor.stride
-    return samples if samples > (HIGHEST + 1) * plan.step else None
+    samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
+    rows = round(samples / plan.step)
+    return RepetitionSums(noise, rows, samples / plan.source.rate) if rows > HIGHEST else None
 
 
 def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import testbed as tb
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run, assemble_run
 from testbed.instruments.plate import PlatePose
+from testbed.recordings.columns import AXES
 from testbed.report.instrument_tables import instrument_tables
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
@@ -29,7 +31,9 @@ def turned(**settings: object) -> Run:
 
 
 def test_a_clear_trace_is_shown_with_its_size() -> None:
-    (table,) = instrument_tables(turned())
+    table, repeated = instrument_tables(turned())
+    assert repeated["caption"].startswith("Part of the residuals that repeats with the motion")
+    assert repeated["heads"] == list(AXES)
     assert table["heads"] == ["fault", "chance", "would move", "size"]
     said, chance, moved, size = table["rows"][0]
     assert said == "a plate that is turned or shifted"
@@ -38,12 +42,17 @@ def test_a_clear_trace_is_shown_with_its_size() -> None:
     assert "pose/rx 0.02" in size
 
 
+def largest(table: dict[str, Any]) -> float:
+    return max(float(share.rstrip("%")) for share in table["rows"][0])
+
+
 def test_what_was_estimated_is_shown_and_leaves_no_trace() -> None:
-    numbers, tests = instrument_tables(turned(nuisances=["pose"]))
+    numbers, tests, repeated = instrument_tables(turned(nuisances=["pose"]))
     name, unit, value, sigma = numbers["rows"][0]
     assert (name, unit) == ("pose/rx", "rad")
     assert abs(float(value) - 0.02) < 5 * float(sigma)
     assert tests["heads"] == ["fault", "chance"]
+    assert largest(repeated) < 0.5 * largest(instrument_tables(turned())[-1])
 
 
 def test_predictions_are_held_against_the_corrected_wrench() -> None:

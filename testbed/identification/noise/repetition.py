@@ -38,15 +38,16 @@ class Repetition:
 class RepetitionSums:
     """Products of whitened residuals with those of one period before, row after row."""
 
-    def __init__(self, noise: Autoregression, period: int) -> None:
+    def __init__(self, noise: Autoregression, rows: int, period: float) -> None:
         """Nothing yet; of memory for one period.
 
         Args:
             noise: Of the residuals.
-            period: Of the motion, in rows.
+            rows: Of one period.
+            period: Of the motion [s].
         """
         channels = len(noise.sigma)
-        self._noise, self._period = noise, period
+        self._noise, self._rows, self._period = noise, rows, period
         self._recent = np.zeros((channels, 0))  # residuals that the next ones are whitened with
         self._before = np.zeros((channels, 0))  # whitened ones of one period
         self._sums = np.zeros((3, channels))
@@ -64,18 +65,14 @@ class RepetitionSums:
         for i in range(order + 1):
             fresh += alpha[:, i, None] * run[:, order - i : order - i + count]
         white = np.concatenate([self._before, fresh], axis=1)
-        self._before = white[:, max(0, white.shape[1] - self._period) :]
-        now, before = white[:, self._period :], white[:, : -self._period]
+        self._before = white[:, max(0, white.shape[1] - self._rows) :]
+        now, before = white[:, self._rows :], white[:, : -self._rows]
         then = before[:, : now.shape[1]]
         self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
         self._pairs += now.shape[1]
 
-    def found(self, period: float) -> Repetition | None:
-        """What the sums say; None where the rows are too few.
-
-        Args:
-            period: Of the motion [s].
-        """
+    def found(self) -> Repetition | None:
+        """What the sums say; None where the rows are too few."""
         products, *powers = self._sums
         size = np.sqrt(powers[0] * powers[1])
         some = size > 0
@@ -86,4 +83,4 @@ class RepetitionSums:
         together = special.ndtr(-score.sum() / np.sqrt(len(score)))
         alone = len(score) * special.ndtr(-score.max())
         chance = min(1.0, 2 * float(min(together, alone)))  # two looks, and so many channels
-        return Repetition(period, tuple(float(x) for x in share), chance)
+        return Repetition(self._period, tuple(float(x) for x in share), chance)

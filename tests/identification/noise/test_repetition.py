@@ -21,10 +21,10 @@ def made(noise: Autoregression, rows: int, seed: int) -> Array:
 
 
 def found(noise: Autoregression, period: int, left: Array, cut: int = 10**9) -> Repetition:
-    sums = RepetitionSums(noise, period)
+    sums = RepetitionSums(noise, period, 10.0)
     for first in range(0, left.shape[1], cut):
         sums.add(left[:, first : first + cut])
-    result = sums.found(10.0)
+    result = sums.found()
     assert result is not None
     return result
 
@@ -65,9 +65,9 @@ def test_cuts_leave_no_trace(cut: int) -> None:
 
 
 def test_too_few_rows_say_nothing() -> None:
-    sums = RepetitionSums(NOISES["white"], 100)
+    sums = RepetitionSums(NOISES["white"], 100, 10.0)
     sums.add(made(NOISES["white"], 104, 1))
-    assert sums.found(10.0) is None
+    assert sums.found() is None
 
 
 def motion(period: float, samples: int, joints: int, rng: np.random.Generator) -> Array:
