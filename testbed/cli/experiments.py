@@ -16,6 +16,7 @@ from testbed.cli.options import (
     LockMimic,
     RecordingSet,
     Set,
+    Threads,
     Weld,
     Zeros,
     app,
@@ -175,7 +176,7 @@ def identify(
     accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
-    threads: Annotated[int | None, typer.Option(min=1, help="Default one a processor.")] = None,
+    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
@@ -236,7 +237,9 @@ def validate(
     model: Annotated[
         Path | None, typer.Option(help="Where the model file is now; default as the result says.")
     ] = None,
+    gravity: Gravity = None,
     settings: RecordingSet = None,
+    threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Hold estimates against a recording of a motion that they have not seen.
@@ -267,7 +270,13 @@ def validate(
     for estimate in there:
         with terminal.Progress(f"validating, {estimate.method}") as progress:
             found[estimate.method] = validated(
-                kept.tree, source, estimate, settings=kept.settings, progress=progress
+                kept.tree,
+                source,
+                estimate,
+                gravity=gravity,
+                settings=kept.settings,
+                threads=threads,
+                progress=progress,
             )
     if as_json:
         terminal.print_json({method: validation_as_json(each) for method, each in found.items()})

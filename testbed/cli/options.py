@@ -104,6 +104,7 @@ Gravity = Annotated[
         help="Gravity vector [m/s^2]; default the recording's or the model file's.",
     ),
 ]
+Threads = Annotated[int | None, typer.Option(min=1, help="Default one a processor.")]
 Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
 
 

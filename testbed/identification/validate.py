@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.errors import RecordingError, SettingsError
@@ -112,6 +113,7 @@ def validate(
     recording: Recording | Source | str | Path | Iterable[Recording],
     estimate: Estimate | Stated,
     *,
+    gravity: ArrayLike | None = None,
     settings: Settings | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
@@ -126,6 +128,8 @@ def validate(
         tree: The robot; its inertias are not used, except for `settings.zeros`.
         recording: Another one of the same robot and instrument, as for `identify`.
         estimate: What is to be validated.
+        gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else the
+            estimate's.
         settings: Those of the estimate; default `Settings()`.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
@@ -137,7 +141,7 @@ def validate(
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
     source, settings = open_source(recording), settings or Settings()
     check_source(source, tree, said.method)
-    tree = in_its_gravity(tree.with_gravity(said.gravity), source)
+    tree = in_its_gravity(tree.with_gravity(said.gravity), source, gravity)
     rows = rows_of(tree, said, settings)
     channels = channels_of(tree, said.method)
     if len(said.residual) != len(channels):

@@ -47,6 +47,15 @@ def test_what_identify_printed_is_validated(place: Path) -> None:
         assert found[said.method]["residual"] == here.residual.tolist()
 
 
+def test_threads_change_nothing_and_a_wrong_gravity_is_told(place: Path) -> None:
+    words = ("validate", "other.parquet", "result.json", "--json")
+    plain = command_line(*words, cwd=place)
+    assert command_line(*words, "--threads", "1", cwd=place).stdout == plain.stdout
+    moon = command_line(*words, "--gravity", "0,0,-1.62", cwd=place)
+    assert (moon.returncode, moon.stderr) == (0, "")
+    assert max(json.loads(moon.stdout)["external"]["ratio"]) > 10
+
+
 def test_what_does_not_fit_is_one_line_and_exit_code_two(place: Path) -> None:
     without(measured(robot("ur5"), 3), "wrench").save(place / "torques.parquet")
     both = json.loads((place / "result.json").read_text())
@@ -57,6 +66,7 @@ def test_what_does_not_fit_is_one_line_and_exit_code_two(place: Path) -> None:
         ("torques.parquet", "external.json"): "no wrench",
         ("other.parquet", "result.json", "--model", str(MODELS["puma"])): "SHA-256",
         ("other.parquet", "result.json", "--set", "identification.terms=[]"): "not of this robot",
+        ("other.parquet", "result.json", "--gravity", "nan,0,0"): "three finite numbers",
     }
     for words, said in cases.items():
         done = command_line("validate", *words, cwd=place)
