@@ -35,6 +35,12 @@ class LaggedProducts:
         """The largest lag K."""
         return len(self.products) - 1
 
+    @property
+    def at_once(self) -> LaggedProducts:
+        """Without rows before."""
+        none = self.first[:, :0]
+        return LaggedProducts(self.rows, self.products[:1], none, none)
+
     def picked(self, which: list[int]) -> LaggedProducts:
         """Of some of the columns alone.
 

@@ -103,7 +103,7 @@ def maps_of(given: LaggedProducts, question: Question) -> tuple[Array, Array]:
     whole = np.zeros((channels, q + 1, channels + q))
     whole[:, :q, channels:] = np.eye(q)
     whole[np.arange(channels), q, np.arange(channels)] = 1.0
-    squares = given.carrying(whole).products[0, :, :-2, :-2].sum(axis=0)
+    squares = given.at_once.carrying(whole).products[0, :, :-2, :-2].sum(axis=0)
     return whole, whole @ _independent(squares, channels + question.base)
 
 

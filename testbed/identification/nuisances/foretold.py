@@ -134,11 +134,24 @@ class Foretold:
             joint: Index.
             change: How the coordinate moves with the error.
         """
-        motion, moved = self.motion, []
-        coordinate = (motion.q[:, joint], motion.qd[:, joint], motion.qdd[:, joint])
-        for values, by in zip((motion.q, motion.qd, motion.qdd), change(*coordinate), strict=True):
-            moved.append(values.copy())
-            moved[-1][:, joint] += SMALL * by
+        coordinate = (each[:, joint] for each in self._coordinates)
+        found = np.zeros_like(self.moving)
+        for by, slope in zip(change(*coordinate), self._slopes[joint], strict=True):
+            found += np.broadcast_to(by, len(found))[:, None] * slope
+        return found
+
+    @property
+    def _coordinates(self) -> tuple[Array, Array, Array]:
+        return self.motion.q, self.motion.qd, self.motion.qdd
+
+    @cached_property
+    def _slopes(self) -> list[list[Array]]:
+        """Derivatives of the wrench by each joint's position, velocity, acceleration, (m, 6)."""
+        return [[self._slope(joint, kind) for kind in range(3)] for joint in range(self.tree.n)]
+
+    def _slope(self, joint: int, kind: int) -> Array:
+        moved = [each.copy() for each in self._coordinates]
+        moved[kind][:, joint] += SMALL
         found: Array = (self._wrench(*moved) - self.moving) / SMALL
         return found
 
