@@ -95,8 +95,10 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[str]:
         return
     far = np.where(off, np.abs(errors.z), 0.0)
     worst = int(far.argmax())
+    others = int(off.sum()) - 1
+    more = f" and of {others} more parameter{'s' * (others > 1)}" if others else ""
     yield (
-        f"the {estimate.method} estimate of {off.sum()} parameters is off by more than {FAR:g} "
-        f"sigma, {estimate.names[worst]} by {far[worst]:.0f}: its errors are systematic, such as "
+        f"the {estimate.method} estimate of {estimate.names[worst]}{more} is off by more than "
+        f"{FAR:g} sigma ({far[worst]:.0f} at most): its errors are systematic, such as "
         f"{CAUSES[estimate.method]}, and sigma does not tell them"
     )
