@@ -59,7 +59,7 @@ def _repetition(estimate: Estimate) -> Iterator[Finding]:
         f"repeat with the motion every {found.period:.4g} s ({_chance(found.chance)}), up to "
         f"{share:.0%} of them in {channel}",
         share,
-        ("elastic joints or structure", "cables or hoses", LACKING),
+        ("elastic joints or structure", "cables or hoses", "errors of the encoders", LACKING),
         "plot them beside the joints' motion (`testbed view`)",
     )
 
