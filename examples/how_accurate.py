@@ -7,6 +7,7 @@ for force_noise in (0.1, 0.5, 2.0):
         "experiments/table6.toml",
         [
             "motion.duration=10",
+            "motion.candidates=3",
             f"measurement.force_noise={force_noise}",
             f"measurement.moment_noise={force_noise / 5}",
         ],

@@ -15,7 +15,7 @@ from benchmarks.hostile.kills import kills
 from benchmarks.hostile.program import MAKERS, run
 from benchmarks.hostile.worker import MEGABYTES, SECONDS
 
-SHARES = {"models": 60, "recordings": 40, "experiments": 24, "listings": 40}
+SHARES = {"models": 30, "recordings": 20, "experiments": 12, "listings": 20}
 SEED = 1
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="memory is told by Linux only")
@@ -54,7 +54,7 @@ def test_no_bomb_explodes(command: str) -> None:
 @linux
 @pytest.mark.slow
 def test_what_a_killed_writer_was_to_replace_stays_whole() -> None:
-    found = kills(6, SEED)
+    found = kills(3, SEED)
     assert found["not treated well"] == []
     assert found["left something"] == found["swept by the next"]
 

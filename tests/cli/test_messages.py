@@ -256,7 +256,7 @@ def test_ctrl_c_is_one_line_at_any_moment(words: tuple[str, ...], tmp_path: Path
 @pytest.mark.slow
 def test_ctrl_c_often(tmp_path: Path) -> None:
     for words in (("run", TABLE6, "--set", "motion.duration=4"), ("equations", PUMA)):
-        interrupts(words, 12, 3.0, tmp_path)
+        interrupts(words, 6, 3.0, tmp_path)
 
 
 def test_an_import_that_is_interrupted_may_say_anything() -> None:
