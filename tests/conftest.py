@@ -11,6 +11,8 @@ import pytest
 
 # before NumPy: on matrices this small, BLAS threads only wait for each other
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# hundreds of processes are started: they need not compile the project each
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 import testbed as tb
 from testbed.experiment.evaluate import evaluate
