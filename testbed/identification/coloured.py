@@ -110,13 +110,12 @@ def under_coloured_noise(
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
-        if repeated:
-            beyond = np.concatenate([rows.columns[..., p:m], ones], axis=2) @ found.values[p:]
-            repeated.add(rows.left - beyond)
         replicas.add(np.concatenate([rows.columns[..., :m], ones], axis=2), rows.ones)
         clues.add(rows.columns, rows.ones)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ found.values[p:m]
         squares += (far**2 * rows.ones).sum(axis=1)
+        if repeated:
+            repeated.add(units.root.T @ far)
     factor = replicas.factor(fit, units.lead)
     covariance, count = factor**2 * found.covariance, directions.shape[1]
     spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))

@@ -9,14 +9,14 @@ from testbed.arrays import Array
 ALIKE = 1e-3
 """Mean square of the difference to one period before, relative to that of far instants."""
 
+UNLIKE = 0.3
+"""The same where a motion has left where it was: a period is more than standing still."""
+
 AT_REST = 1e-2
 """Part of the largest joint's spread below which a joint shows little but noise."""
 
 FEWEST = 4
 """Samples in which nothing repeats."""
-
-UNLIKE = 0.3
-"""The same where a motion has left where it was: a period is more than standing still."""
 
 
 def period_of(position: Array) -> int | None:

@@ -53,14 +53,18 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
 def _repetition(found: Repetition, channels: Sequence[str]) -> dict[str, Any]:
     return {
         "caption": f"Part of the residuals that repeats with the motion, every {found.period:.4g} "
-        f"s: chance {found.chance:.2g} in mere noise",
+        f"s: chance {_chance(found.chance)} in mere noise",
         "heads": list(channels),
         "rows": [[f"{max(0.0, share):.0%}" for share in found.share]],
     }
 
 
+def _chance(chance: float) -> str:
+    return "below 1e-99" if chance < 1e-99 else f"{chance:.2g}"
+
+
 def _test(test: TraceTest) -> list[str]:
-    chance = "below 1e-99" if test.chance < 1e-99 else f"{test.chance:.2g}"
+    chance = _chance(test.chance)
     if test.chance > CLEAR:
         return [test.nuisance.said, chance, "", ""]
     shift = f"{test.parameter} by {test.shift:.2g} sigma"

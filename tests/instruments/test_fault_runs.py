@@ -24,7 +24,7 @@ SHORT = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("robot", ["gantry_ppp_rrr"])
+@pytest.mark.parametrize("robot", ["ur5", "gantry_ppp_rrr"])
 def test_all_faults_at_once_make_a_run_that_can_be_repeated(robot: str, tmp_path: Path) -> None:
     path = tmp_path / "faulty.toml"
     path.write_text(f'name = "faulty"\nmodel = "{GOLDEN / "robots" / robot}.urdf"\n')

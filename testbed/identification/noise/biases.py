@@ -62,11 +62,9 @@ def with_constants(fit: Fit, directions: Array) -> Fit:
 
     def fitted(given: LaggedProducts, order: int | None) -> NoiseFit:
         m, k = given.products.shape[2] - 2, directions.shape[1]
-        maps = np.zeros((len(directions), m + 2, m + k + 2))
-        maps[:, :m, :m] = np.eye(m)
-        maps[:, m + 1, m : m + k] = directions
-        maps[:, m, m + k] = maps[:, m + 1, m + k + 1] = 1.0
-        return fit(given.combined(maps), order)
+        maps = np.zeros((len(directions), m + 1, m + k))
+        maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
+        return fit(given.carrying(maps), order)
 
     return fitted
 

@@ -66,8 +66,7 @@ class RepetitionSums:
             fresh += alpha[:, i, None] * run[:, order - i : order - i + count]
         white = np.concatenate([self._before, fresh], axis=1)
         self._before = white[:, max(0, white.shape[1] - self._rows) :]
-        now, before = white[:, self._rows :], white[:, : -self._rows]
-        then = before[:, : now.shape[1]]
+        now, then = white[:, self._rows :], white[:, : -self._rows]
         self._sums += [(now * then).sum(axis=1), (now**2).sum(axis=1), (then**2).sum(axis=1)]
         self._pairs += now.shape[1]
 
