@@ -14,7 +14,7 @@ from testbed.recordings.recording import Recording
 from testbed.report.facts import asked, origin
 from testbed.report.instrument_tables import instrument_tables
 from testbed.report.portrait import portrait
-from testbed.report.sections import SHOWN, sections
+from testbed.report.sections import SHOWN, seconds_shown, sections
 from testbed.report.tables import with_sigma
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.appearance import Appearance, load_appearance
@@ -83,7 +83,8 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     step = max(1, int(shown.sum()) // 500)
     wrench = None if recording.wrench is None else recording.wrench[0]
     name = f"The robot {run.tree.name} on its bedplate"
-    caption = f"The robot as the recording begins, and the paths of its ends over {SHOWN:g} s."
+    paths = f"the paths of its ends over {seconds_shown(recording.time):.3g} s"
+    caption = f"The robot as the recording begins, and {paths}."
     if wrench is not None:
         caption += " Red and blue, the bedplate's force and moment on it at that moment."
     motion = recording.position[shown][::step]

@@ -18,6 +18,9 @@ from testbed.report.contents import contents
 
 _SIGNS = {"+-": "±", "^2": "²"}
 
+_EXPONENT = re.compile(r"[-+]?\d[\d.]*e-\d+")
+"""A number that a browser would break at its second sign."""
+
 
 def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
     """Write a report, and its numbers beside it.
@@ -47,11 +50,11 @@ def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
     return beside
 
 
-def typeset(text: str) -> str:
-    """What a terminal writes as +- and m^2, as people write it: ± and m²."""
+def typeset(text: str) -> Markup:
+    """What a terminal writes as +- and m^2, as people write it: ± and m²; 1e-06 in one line."""
     for plain, sign in _SIGNS.items():
         text = text.replace(plain, sign)
-    return text
+    return Markup(_EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(text))))
 
 
 def breakable(name: str) -> Markup:

@@ -48,6 +48,15 @@ def _channels(found: Predictions) -> list[tuple[Signal, int]]:
     return [(signal, c) for signal in found.signals for c in range(len(signal.channels))]
 
 
+def seconds_shown(time: Array) -> float:
+    """How much of a recording its figures show [s].
+
+    Args:
+        time: Of the samples, (K,) [s].
+    """
+    return min(SHOWN, float(time[-1] - time[0]))
+
+
 def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
     smooth = found.smoothed(CUTOFF)
     time = smooth.motion.t
@@ -81,7 +90,7 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
         ),
         "legend": {label: label for label in ("measured", *methods)},
         "panels": panels,
-        "caption": f"The first {SHOWN:g} s, all through one low-pass of {CUTOFF:g} Hz.",
+        "caption": f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
         "heads": [
             "channel", "unit", "spread (rms)",
             *(f"residual rms, {method}" for method in methods),

@@ -35,6 +35,14 @@ for (const table of document.querySelectorAll('.wide.cards table')) {
 }
 return found"""
 
+BROKEN = """
+const cells = [...document.querySelectorAll('.cards td')].filter(d => d.offsetParent);
+return cells.filter(d => {
+  const label = getComputedStyle(d, '::before'), word = label.content.match(/[a-z]+/)?.[0] ?? '';
+  return parseFloat(label.width) < .3 * word.length * parseFloat(label.fontSize);
+}).map(d => d.dataset.head)"""
+"""Labels of cells that have not even room for their first word."""
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -55,6 +63,7 @@ def test_the_report_in_a_browser(page: Path, tmp_path: Path, width: int, dark: b
         assert seen.run(OVERLAPS) == []
         seen.run("document.querySelectorAll('details').forEach(d => d.open = true)")
         assert seen.run(HIDDEN) == []
+        assert seen.run(BROKEN) == []
         assert seen.run("return document.documentElement.scrollWidth") <= width
         assert seen.complaints() == []
 
