@@ -14,6 +14,7 @@ from testbed.cli.options import (
     Json,
     Lock,
     LockMimic,
+    Plate,
     RecordingSet,
     Set,
     Threads,
@@ -22,7 +23,7 @@ from testbed.cli.options import (
     app,
     note,
 )
-from testbed.cli.reading import Reading
+from testbed.cli.reading import Reading, corrected_source
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -176,6 +177,7 @@ def identify(
     accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    plate: Plate = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -189,16 +191,15 @@ def identify(
     from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
-    from testbed.recordings.source import open_source
     from testbed.report import terminal
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     table, tree, file = (
         reading.tables().identification,
         reading.tree(model),
         reading.model_file(model),
     )
-    source = open_source(recording)
+    source = reading.source(recording, tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
@@ -239,6 +240,7 @@ def validate(
     ] = None,
     gravity: Gravity = None,
     settings: RecordingSet = None,
+    plate: Plate = None,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -257,7 +259,8 @@ def validate(
     from testbed.recordings.source import open_source
     from testbed.report import terminal
 
-    kept, source = read_result(result, model, settings or ()), open_source(recording)
+    kept = read_result(result, model, settings or ())
+    source = corrected_source(open_source(recording), kept.tree, plate)
     there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
     warnings = [
         f"the recording has no {SIGNAL_OF[e.method]}: the {e.method} estimate is not validated"

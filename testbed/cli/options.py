@@ -89,6 +89,9 @@ LockMimic = Annotated[
 Accept = Annotated[
     bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
 ]
+Plate = Annotated[
+    Path | None, typer.Option(help="The plate's file, as calibrate wrote it: it is corrected.")
+]
 Zeros = Annotated[
     bool, typer.Option("--zeros", help="Parameters that are zero in the model file are known.")
 ]

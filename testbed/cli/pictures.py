@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Lock, LockMimic, RecordingSet, Weld, Zeros, app
-from testbed.cli.reading import Reading
+from testbed.cli.options import Accept, Lock, LockMimic, Plate, RecordingSet, Weld, Zeros, app
+from testbed.cli.reading import Reading, corrected_source
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -37,6 +37,7 @@ def view(
     accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    plate: Plate = None,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
 
@@ -49,7 +50,7 @@ def view(
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     _check_said(runs, model, reading)
     scenes = []
     with terminal.Progress("looking") as progress:
@@ -84,6 +85,7 @@ def report(
     accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
+    plate: Plate = None,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
 
@@ -100,7 +102,7 @@ def report(
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     _check_said([run], model, reading)
     done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
@@ -142,11 +144,14 @@ def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-    table = reading.tables().identification
+    tree, recording = reading.tree(model), Recording.load(path)
+    if reading.plate is not None:
+        source = corrected_source(recording, tree, reading.plate)
+        recording = source.part(0, source.samples)
     return assemble_run(
-        reading.tree(model),
-        Recording.load(path),
+        tree,
+        recording,
         name=path.stem,
-        settings=table,
+        settings=reading.tables().identification,
         model=reading.model_file(model),
     )

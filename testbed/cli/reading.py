@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
+    from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
     from testbed.robot.tree import Tree
 
@@ -24,6 +25,7 @@ class Reading:
         accept_inertia: Whether --accept-inertia was given.
         lock: Words of --lock.
         lock_mimic: Whether --lock-mimic was given.
+        plate: The file of --plate.
     """
 
     settings: Sequence[str] | None = None
@@ -32,6 +34,7 @@ class Reading:
     accept_inertia: bool = False
     lock: Sequence[str] | None = None
     lock_mimic: bool = False
+    plate: Path | None = None
 
     def tables(self) -> RecordingTables:
         """Settings of robot and identification.
@@ -55,6 +58,26 @@ class Reading:
         held = dict.fromkeys(mimic) | said.lock | parse_lock(self.lock or ())
         return ModelFile(path, self.weld_root, self.accept_inertia, held)
 
+    def source(self, path: Path, tree: Tree) -> Source:
+        """A recording, as a perfect plate would have made it where the plate is known."""
+        from testbed.recordings.source import open_source
+
+        return corrected_source(open_source(path), tree, self.plate)
+
     def tree(self, path: Path) -> Tree:
         """The robot of a model file, with what --set says of its joints."""
         return self.model_file(path).tree().with_joints(self.tables().robot.settings)
+
+
+def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:
+    """A recording as a perfect plate would have made it.
+
+    Args:
+        source: As it was made.
+        tree: The robot.
+        plate: The plate's file; None where it is taken as perfect.
+    """
+    from testbed.experiment.plate_file import read_plate
+    from testbed.identification.calibration import corrected
+
+    return source if plate is None else corrected(source, tree, read_plate(plate, tree))

@@ -22,16 +22,20 @@ LONGEST_KEY = 1000
 Checked = TypeVar("Checked", bound=BaseModel)
 
 
-def read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
     """The tables of a TOML file, unchecked.
+
+    Args:
+        path: The file.
+        what: It is of.
 
     Raises:
         ExperimentError: There is no such file, or it is not TOML.
     """
     if not path.exists():
-        raise ExperimentError(f"there is no experiment file '{path}'")
+        raise ExperimentError(f"there is no {what} file '{path}'")
     if not path.is_file():
-        raise ExperimentError(f"'{path}' is no file; an experiment is one, in TOML")
+        raise ExperimentError(f"'{path}' is no file; {what} files are, in TOML")
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise ValueError(f"it has more than {LARGEST_FILE:.0e} bytes")

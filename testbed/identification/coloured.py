@@ -7,23 +7,23 @@ Unknowns of the instrument, and columns whose traces are looked for, stand besid
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.biases import constants, square_of_last, with_constants
 from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
+from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.noise.traces import Clues, Question, Trace
-from testbed.identification.passes import Columns, Passes
+from testbed.identification.noise.units import NOTHING, Beside, Units, units_of
+from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
 
@@ -35,27 +35,6 @@ FEW = 50
 
 IMITATES = 0.1
 """An unknown with a larger part than this in what imitates a constant is named."""
-
-
-@dataclass(frozen=True, eq=False)
-class Beside:
-    """Columns beside the robot's.
-
-    Attributes:
-        columns: Makes them; None for none.
-        unknown: How many come first, and are estimated.
-        trends: How many come next, and are in the tests' base.
-        tested: Numbers of those that follow, kind by kind.
-    """
-
-    columns: Columns | None = None
-    unknown: int = 0
-    trends: int = 0
-    tested: tuple[int, ...] = ()
-
-
-NOTHING = Beside()
-"""No columns beside the robot's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +74,14 @@ def under_coloured_noise(
         beside: Columns beside theirs.
     """
     plan, p = passes.plan, len(names)
-    m = p + beside.unknown
-    units = _units(start, beside)
-    products = units.products(passes, start.values, HIGHEST)
-    width = products.products.shape[2] - 2
+    units = units_of(start, beside)
+    every = units.products(passes, start.values, HIGHEST)
+    products = units.as_free(every)
+    m, width = units.lead.shape[1], products.products.shape[2] - 2
     own = products.picked([*range(m), width, width + 1])
     fit, found, directions, hidden = _fit(own, plan.layout.model == "reaction")
-    values = start.values + units.lead @ found.values[:p]
+    grown = units.fixed + units.lead @ found.values[:m]
+    values, further = start.values + grown[:p], grown[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
     back = np.linalg.inv(units.root.T) @ directions
@@ -110,19 +90,24 @@ def under_coloured_noise(
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
-        replicas.add(np.concatenate([rows.columns[..., :m], ones], axis=2), rows.ones)
-        clues.add(rows.columns, rows.ones)
-        far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ found.values[p:m]
+        columns = units.of_free(rows.columns)
+        replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
+        clues.add(columns, rows.ones)
+        far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
-    factor = replicas.factor(fit, units.lead)
+    factor = replicas.factor(fit, units.lead[:p][units.lead[:p].any(axis=1)])
     covariance, count = factor**2 * found.covariance, directions.shape[1]
     spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
+    covariance = units.lead @ covariance[:m, :m] @ units.lead.T
+    if units.facts is not None:
+        moved = _by_facts(units, every, directions, found.noise)
+        covariance = covariance + (moved * units.facts.sigma**2) @ moved.T
     return Refined(
         fit=start,
         values=values,
-        covariance=units.lead @ covariance[:p, :p] @ units.lead.T,
+        covariance=covariance[:p, :p],
         squares=squares,
         noise=FoundNoise(
             order=found.noise.order,
@@ -131,12 +116,12 @@ def under_coloured_noise(
             bias=bias,
             bias_sigma=spread,
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
-            hidden=_imitating(hidden[:, :p] @ units.lead.T, names),
+            hidden=_imitating(hidden[:, :m] @ units.lead[:p].T, names),
             repetition=repeated.found() if repeated else None,
         ),
-        further=found.values[p:m],
-        further_covariance=covariance[p:m, p:m],
-        traces=clues.found(units.lead),
+        further=further,
+        further_covariance=covariance[p:, p:],
+        traces=clues.found(units.lead[:p]),
     )
 
 
@@ -153,13 +138,34 @@ def further_values(
         passes: Over all rows.
         beside: Columns beside theirs, no tested ones among them.
     """
-    given, p = _units(start, beside).products(passes, start.values, 0), len(start.values)
-    found = whitened_fit(given, 0)
+    units, p = units_of(start, beside), len(start.values)
+    given = units.products(passes, start.values, 0)
+    found = whitened_fit(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
-    variance = np.maximum(np.diagonal(found.covariance)[own], np.finfo(float).tiny)
+    lead = units.lead[own]
+    variance = np.einsum("si,ij,sj->s", lead, found.covariance, lead)
+    variance = np.maximum(variance, np.finfo(float).tiny)
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
-    return found.values[own], np.sqrt(variance), share
+    share[~lead.any(axis=1)] = 1.0  # known
+    return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
+
+
+def _by_facts(
+    units: Units, every: LaggedProducts, directions: Array, noise: Autoregression
+) -> Array:
+    """How all unknowns move with the values of what is known, (p + s, k)."""
+    assert units.free is not None
+    count, biases = len(units.fixed), directions.shape[1]
+    maps = np.zeros((len(directions), every.products.shape[2], count + biases))
+    maps[:, :count, :count], maps[:, -1, count:] = np.eye(count), directions
+    white = every.combined(maps).whitened(noise.coefficients)
+    normal = np.tensordot(noise.sigma**-2.0, white, 1)
+    lead = linalg.block_diag(units.free.lead, np.eye(biases))
+    across = lead.T @ normal
+    fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
+    moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
+    return np.asarray(units.grown @ moved[:count])
 
 
 def _imitating(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
@@ -203,65 +209,3 @@ def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Arra
 
 def _chance(square: float, count: int) -> float:
     return float(special.chdtrc(count, square)) if count else 1.0
-
-
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
-
-
-class _Rows(NamedTuple):
-    """A block of rows: columns and what values leave in units of the noise; and as measured.
-
-    Attributes:
-        columns: The robot's and those beside, (C, k, q).
-        left: What the values leave, (C, k).
-        ones: Where a row counts, (C, k).
-        own: What the values leave, (C, k) [N, N m].
-        further: Those beside, (C, k, s) [N or N m per unit].
-    """
-
-    columns: Array
-    left: Array
-    ones: Array
-    own: Array
-    further: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Units:
-    """Units in which all noise is one and the robot's columns are orthonormal.
-
-    Attributes:
-        root: Of the weights, (C, C): W = root root'.
-        lead: Unknowns of the columns, (p, p).
-        beside: Columns beside.
-    """
-
-    root: Array
-    lead: Array
-    beside: Beside
-
-    def rows(self, passes: Passes, values: Array) -> Iterator[_Rows]:
-        """Rows, block by block."""
-        alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
-        combined = np.column_stack([self.lead, values])
-        for columns, further, measured in passes.rows_beside(combined, self.beside.columns):
-            own = measured - columns[..., -1]
-            ones = ((columns != 0).any(axis=2) | (measured != 0)).astype(float)
-            if not alone:  # each is then a mixture of all
-                ones = np.broadcast_to(ones.max(axis=0), ones.shape)
-            stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
-            units = np.tensordot(self.root.T, stack, 1)
-            yield _Rows(units[..., :-1], units[..., -1], ones, own, further)
-
-    def products(self, passes: Passes, values: Array, lags: int) -> LaggedProducts:
-        """Products of columns, of what values leave, and of ones, with so many rows before."""
-        sums = LaggedSums(lags)
-        for rows in self.rows(passes, values):
-            last = np.stack([rows.left, rows.ones], axis=2)
-            sums.add(np.concatenate([rows.columns, last], axis=2))
-        return sums.finish()
-
-
-def _units(start: least_squares.Fit, beside: Beside) -> _Units:
-    return _Units(_cholesky(start.weights), _cholesky(start.inverse), beside)

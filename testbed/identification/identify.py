@@ -113,11 +113,11 @@ def identify(
         return Start(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
-        beside = side(rows, names, settings, tare)
+        beside = side(rows, minimal, names, settings, tare)
         taken_back = settled(source, begin, beside)
         passes, equations, fit = taken_back.start
         if settings.noise == "ar":
-            columns = beside.beside(passes.plan, fit.values)
+            columns = beside.beside(passes.plan, fit.values, taken_back.values)
             found = under_coloured_noise(fit, passes, names, columns)
         else:
             found = _refined(passes.plan, fit, passes)

@@ -8,20 +8,23 @@ the robot's, and its covariance counts them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.coloured import Beside, Refined, further_values
+from testbed.errors import SettingsError
+from testbed.identification.coloured import Refined, further_values
 from testbed.identification.finding import few
+from testbed.identification.known import MASS, Facts, facts
+from testbed.identification.noise.units import Beside
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
 from testbed.identification.nuisances.foretold import row_filter
-from testbed.identification.nuisances.offsets import SLOPE
+from testbed.identification.nuisances.offsets import BIAS, SLOPE
 from testbed.identification.nuisances.structure import Imitated, told_apart
 from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.passes import Passes
@@ -29,6 +32,7 @@ from testbed.identification.settings import Settings
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.windows import Plan
 from testbed.kernel.layout import Layout
+from testbed.parameters.minimal_set import MinimalSet
 from testbed.recordings.source import Source
 
 ROUNDS = 8
@@ -69,6 +73,7 @@ class Side:
         imitated: Those asked for that cannot be told from others.
         tested: Faults whose traces are looked for.
         trends: Trends of the channels, which are beside them.
+        stated: What is known of the robot's unknowns and of those that are estimated.
     """
 
     settings: Settings
@@ -76,54 +81,101 @@ class Side:
     imitated: tuple[Imitated, ...]
     tested: Unknowns
     trends: Unknowns
+    stated: Facts
 
-    def beside(self, plan: Plan, values: Array, tests: bool = True) -> Beside:
+    def beside(self, plan: Plan, values: Array, numbers: Array, tests: bool = True) -> Beside:
         """Columns to first order around an estimate.
 
         Args:
             plan: The rows.
             values: Minimal parameters, (p,).
+            numbers: Of the instrument, taken back already, (s,).
             tests: Whether those of tested faults are among them.
         """
         shown = (self.unknowns, self.trends, self.tested) if tests else (self.unknowns,)
+        left = self._left(values, numbers)
         if not any(each.kept for each in shown):
-            return Beside()
+            return Beside(facts=left)
         cutoff = self.settings.row_low_pass
         assert cutoff is not None, "settings refuse nuisances of rows that are not filtered"
-        filtered = row_filter(plan, cutoff)
+        whole = any(n.whole for n in self.unknowns.nuisances)
+        filtered = row_filter(plan, cutoff, exact=whole)
         kinds = [len(n.parts(plan.layout.tree)) for n in self.tested.nuisances]
         return Beside(
             columns=Columns(
-                plan, filtered, values, [each for each in shown if each.kept], self.unknowns
+                plan,
+                filtered,
+                values,
+                [each for each in shown if each.kept],
+                self.unknowns,
+                self.unknowns.unmixed(numbers),
             ),
             unknown=len(self.unknowns.kept),
             trends=len(self.trends.kept) if tests else 0,
             tested=tuple(kinds) if tests else (),
+            facts=left,
+        )
+
+    def _left(self, values: Array, numbers: Array) -> Facts:
+        """What is known of what is still to be added to all unknowns."""
+        stated = self.stated
+        return replace(
+            stated, values=stated.values - stated.rows @ np.concatenate([values, numbers])
         )
 
 
-def side(layout: Layout, names: Sequence[str], settings: Settings, tare: Array) -> Side:
+def side(
+    layout: Layout, minimal: MinimalSet, names: Sequence[str], settings: Settings, tare: Array
+) -> Side:
     """Which unknowns of the instrument stand beside a robot's, before any data.
 
     Args:
         layout: The robot's rows.
-        names: Of its parameters.
+        minimal: Its minimal parameters.
+        names: Of its unknowns.
         settings: Which nuisances are asked for; tests need coloured noise and filtered rows.
         tare: Static wrench of the pedestal, (6,) [N, N m].
     """
     tree, none = layout.tree, unknowns_of(layout.tree, ())
     plate = layout.model == "reaction"
     asked = [n for n in NUISANCES if plate and n.kind in settings.nuisances]
-    unknowns, imitated = told_apart(layout, names, asked, tare) if asked else (none, ())
+    every = unknowns_of(tree, asked)
+    given = {n: v for n, v in settings.facts.items() if plate or n in names}
+    stated = facts(tree, minimal, names, every.names, given)
+    unknowns, imitated = told_apart(layout, names, asked, tare, stated) if asked else (none, ())
+    _check_whole(every, imitated, settings)
+    about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
     tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
-    looked_for = [n for n in TESTED if n.kind not in settings.nuisances]
+    covered = {kind for n in asked for kind in (n.kind, *n.covers)}
+    looked_for = [n for n in TESTED if n.kind not in covered]
     return Side(
         settings=settings,
         unknowns=unknowns,
         imitated=imitated,
         tested=unknowns_of(tree, looked_for) if tests else none,
         trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
+        stated=replace(stated, rows=stated.rows[:, about]),
     )
+
+
+def _check_whole(every: Unknowns, imitated: Sequence[Imitated], settings: Settings) -> None:
+    """Whether all numbers can be told of those nuisances that are of no use otherwise.
+
+    Raises:
+        SettingsError: Some cannot; says which, and what to do.
+    """
+    needed = {n.kind for n in every.nuisances if n.whole}
+    kinds = dict(zip(every.names, every.kinds, strict=True))
+    open_ones = [each for each in imitated if kinds[each.name] in needed]
+    if open_ones:
+        told = "; ".join(f"{each.name} from {few(each.by)}" for each in open_ones)
+        zero = "; while the zero of Fz is unknown, the mass alone does not" * (
+            MASS in settings.known and BIAS.kind in settings.nuisances
+        )
+        raise SettingsError(
+            f"no motion tells {told}: what is known has to. A total mass (mass=20) and a gain "
+            f"(gain/Fz=1) fix the scale{zero}; so does any of these numbers itself"
+        )
 
 
 class Settled(NamedTuple):
@@ -150,19 +202,19 @@ def settled(source: Source, begin: Callable[[Source], Start], side: Side) -> Set
         begin: Finds the weighted solution of a recording.
         side: The instrument's unknowns.
     """
-    values = np.zeros(len(side.unknowns.kept))
+    values = side.unknowns.right
     start = begin(source)
     if not len(values):
         return Settled(start, values, calm=True, weak=())
     weak: tuple[str, ...] = ()
     for _ in range(ROUNDS):
         plan = start.passes.plan
-        beside = side.beside(plan, start.fit.values, tests=False)
+        beside = side.beside(plan, start.fit.values, values, tests=False)
         step, sigma, share = further_values(start.fit, start.passes, beside)
-        weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
+        if not any(n.whole for n in side.unknowns.nuisances):
+            weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
         values = values + step
-        tree = plan.layout.tree
-        start = begin(Corrected(source, side.unknowns.by_kind(tree, values), tree))
+        start = begin(Corrected(source, side.unknowns.by_kind(values), plan.layout.tree))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
             return Settled(start, values, calm=True, weak=weak)
     return Settled(start, values, calm=False, weak=weak)
@@ -177,12 +229,11 @@ def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[Nuisa
         found: What the last fit leaves of them.
     """
     sigma = np.sqrt(np.maximum(np.diagonal(found.further_covariance), 0.0))
-    numbers = zip(
-        side.unknowns.names, side.unknowns.units, values + found.further, sigma, strict=True
-    )
+    own = side.unknowns
+    numbers = zip(own.kinds, own.names, own.units, values + found.further, sigma, strict=True)
     return tuple(
-        NuisanceEstimate(name.split("/")[0], name, unit, float(value), float(spread))
-        for name, unit, value, spread in numbers
+        NuisanceEstimate(kind, name, unit, float(value), float(spread))
+        for kind, name, unit, value, spread in numbers
     )
 
 

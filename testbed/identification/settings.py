@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import Any, ClassVar, Literal
 
@@ -15,7 +15,7 @@ from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.robot.friction import JointLaw, joint_law
 
-KINDS = ("bias", "slope", "pose", "height", "skew", "joint_zeros", "tare")
+KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
 
 Cutoff = float | Literal["off"]
@@ -64,7 +64,11 @@ class Settings:
 
     nuisances: Sequence[str] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
-    "slope", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+    "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+
+    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+    """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
+    of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
@@ -79,11 +83,14 @@ class Settings:
             "weights": _weights(self.weights),
             "noise": _noise(self.noise),
             "nuisances": _nuisances(self.nuisances),
+            "known": _known(self.known),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.nuisances and (self.noise != "ar" or self.row_low_pass is None):
             raise SettingsError('nuisances need noise = "ar" and a cutoff: rows are filtered')
+        if self.known and self.noise != "ar":
+            raise SettingsError('known facts need noise = "ar"')
         slow, fast = self.row_low_pass, self.position_low_pass
         if slow is not None and fast is not None and fast < 2 * slow:
             raise SettingsError(
@@ -105,6 +112,15 @@ class Settings:
     def laws(self) -> tuple[JointLaw, ...]:
         """The terms as laws of the joints' torque."""
         return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms)
+
+    @property
+    def facts(self) -> dict[str, tuple[float, float]]:
+        """Value and sigma of what is known, by name."""
+        found = {}
+        for name, given in self.known.items():
+            numbers = [given] if isinstance(given, Real) else list(given)  # type: ignore[arg-type]
+            found[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
+        return found
 
     @property
     def joined(self) -> bool:
@@ -189,6 +205,22 @@ def _nuisances(given: object) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
     return tuple(names)
+
+
+def _known(given: object) -> dict[str, float | tuple[float, ...]]:
+    if not isinstance(given, Mapping):
+        raise SettingsError(f"known is a table of values by name, found {given!r}")
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, value in given.items():
+        listed = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+        numbers = [_number(each) for each in listed]
+        if not 1 <= len(numbers) <= 2 or None in numbers or (numbers[1:] and numbers[1] < 0):  # type: ignore[operator]
+            raise SettingsError(
+                f"known.{name} is a value, or a value and its sigma, found {value!r}"
+            )
+        exact = [float(each) for each in numbers]  # type: ignore[arg-type]
+        found[str(name)] = exact[0] if len(exact) == 1 else tuple(exact)
+    return found
 
 
 def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:

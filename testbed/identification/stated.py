@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.errors import SettingsError, UnknownName
+from testbed.errors import SettingsError
 from testbed.identification.estimate import MODEL_OF, Estimate, Method
 from testbed.identification.finding import components, few
-from testbed.identification.nuisances.all_nuisances import NUISANCES
-from testbed.identification.nuisances.corrected import Corrected
+from testbed.identification.nuisances.corrected import lastingly_corrected
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.parameters.joint_terms import with_joint_terms
@@ -121,27 +120,4 @@ def as_estimated(source: Source, tree: Tree, said: Stated) -> Source:
     Raises:
         UnknownName: The estimate has a number that no instrument has.
     """
-    lasting = _lasting_numbers(tree, said)
-    return Corrected(source, lasting, tree) if lasting else source
-
-
-def _lasting_numbers(tree: Tree, said: Stated) -> dict[str, Array]:
-    """Numbers of the instrument that another recording has, too, by kind.
-
-    Args:
-        tree: The robot.
-        said: The estimate.
-
-    Raises:
-        UnknownName: There is no such number.
-    """
-    parts = {n: [part.name for part in n.parts(tree)] for n in NUISANCES}
-    known = [name for names in parts.values() for name in names]
-    for name in said.nuisances:
-        if name not in known:
-            raise UnknownName("nuisance", name, known)
-    return {
-        nuisance.kind: np.array([said.nuisances.get(name, 0.0) for name in names])
-        for nuisance, names in parts.items()
-        if not nuisance.passing and any(name in said.nuisances for name in names)
-    }
+    return lastingly_corrected(source, tree, said.nuisances)

@@ -183,7 +183,19 @@ def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
     if name not in estimate.names:
         return "-"
     k = estimate.names.index(name)
-    value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
+    return number_with_sigma(float(estimate.values[k]), float(estimate.sigma[k]), short)
+
+
+def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if sigma == 0:
+        return f"{value:.9g}"  # known
     if sigma < (_EXACT_SHORT if short else _EXACT) * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"
     digits = _digits(sigma)

@@ -15,11 +15,13 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 from testbed.experiment.summary import validation_lines
+from testbed.report.plate_tables import plate_lines, plate_tables
 from testbed.report.tables import quality_lines, result_tables
 from testbed.report.validation_tables import validation_tables
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
+    from testbed.identification.calibration import Calibration
     from testbed.identification.estimate import Estimate
     from testbed.identification.validate import Validation
 
@@ -86,6 +88,26 @@ def print_validations(validations: Sequence[Validation], warnings: Sequence[str]
         for table in validation_tables(out, found):
             out.print(table)
     print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
+
+
+def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None:
+    """Print what a robot's motion tells of the plate.
+
+    Args:
+        plate: The calibration, with the estimate.
+        warnings: About the robot.
+        path: Where it is kept.
+    """
+    out = console()
+    for table in plate_tables(out, plate):
+        out.print(table)
+    for line in plate_lines(plate):
+        out.print(line, soft_wrap=True)
+    estimates = [] if plate.estimate is None else [plate.estimate]
+    for table in result_tables(out, estimates, {}) if estimates else ():
+        out.print(table)
+    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+    out.print(f"plate: {path}", soft_wrap=True)
 
 
 def print_run(run: Run, folder: Path) -> None:

@@ -236,7 +236,7 @@ def interrupted(seconds: float, *words: str, cwd: Path) -> tuple[int, str]:
 def interrupts(words: tuple[str, ...], times: int, within: float, folder: Path) -> None:
     """Interrupts at random times, sooner after a command that had ended by then."""
     chance = random.Random(0)
-    seen = []
+    seen: list[int] = []
     while len(seen) < times or 130 not in seen:
         assert len(seen) < 10 * times
         seconds = chance.uniform(0, within)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from testbed.identification.nuisances.clock import CLOCK_RATE, SKEW
 from testbed.identification.nuisances.encoder_errors import ECCENTRICITY, ENCODER_GAINS, JOINT_ZEROS
+from testbed.identification.nuisances.matrix import MATRIX
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
 from testbed.identification.nuisances.pose import HEIGHT, POSE
 from testbed.identification.nuisances.sensitivities import CROSSTALK, GAINS
 
-NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, POSE, HEIGHT, JOINT_ZEROS)
+NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, MATRIX, POSE, HEIGHT, JOINT_ZEROS)
 """Those that can be estimated, in the order in which they are taken back: last made, first."""
 
 TESTED: tuple[Nuisance, ...] = (

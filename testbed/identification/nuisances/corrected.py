@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import UnknownName
 from testbed.identification.nuisances import clock
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.recordings.recording import Recording
@@ -56,3 +57,29 @@ class Corrected:
             if nuisance.kind in self._values and nuisance.undo is not None:
                 found = nuisance.undo(found, self._values[nuisance.kind], time)
         return found.part(self._ends, self._ends + last - first)
+
+
+def lastingly_corrected(source: Source, tree: Tree, numbers: Mapping[str, float]) -> Source:
+    """A recording with an instrument's numbers taken back that were found in another one.
+
+    Those that are of one recording only, the plate's zero and drift, stay.
+
+    Args:
+        source: The recording, of the same instrument.
+        tree: The robot.
+        numbers: By name, such as "pose/rx"; others are as they should be.
+
+    Raises:
+        UnknownName: No instrument has such a number.
+    """
+    parts = {n: n.parts(tree) for n in NUISANCES}
+    known = [part.name for own in parts.values() for part in own]
+    for name in numbers:
+        if name not in known:
+            raise UnknownName("nuisance", name, known)
+    lasting = {
+        nuisance.kind: np.array([numbers.get(part.name, part.right) for part in own])
+        for nuisance, own in parts.items()
+        if not nuisance.passing and any(part.name in numbers for part in own)
+    }
+    return Corrected(source, lasting, tree) if lasting else source

@@ -59,15 +59,16 @@ class RowFilter:
         return self.stride * (len(self.weights) // 2)
 
 
-def row_filter(plan: Plan, cutoff: float) -> RowFilter:
+def row_filter(plan: Plan, cutoff: float, *, exact: bool = False) -> RowFilter:
     """The filter that a plan's rows pass.
 
     Args:
         plan: The rows.
         cutoff: Of the filter [Hz].
+        exact: Whether wrenches are foretold at every sample: exactly as rows are filtered.
     """
     rate, middle = plan.source.rate, len(plan.weights) // 2
-    least = INSTANTS_PER_CUTOFF * cutoff
+    least = rate if exact else INSTANTS_PER_CUTOFF * cutoff
     stride = max(
         d for d in range(1, plan.step + 1) if (plan.step % d == 0 and least * d <= rate) or d == 1
     )

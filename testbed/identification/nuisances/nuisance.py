@@ -16,10 +16,17 @@ from testbed.robot.tree import Tree
 
 
 class Part(NamedTuple):
-    """One number of a nuisance: its name, such as "pose/rx", and its unit."""
+    """One number of a nuisance.
+
+    Attributes:
+        name: Such as "pose/rx".
+        unit: Its unit.
+        right: Its value where nothing is wrong.
+    """
 
     name: str
     unit: str
+    right: float = 0.0
 
 
 Numbers = Callable[[Tree], tuple[Part, ...]]
@@ -59,6 +66,13 @@ class Nuisance:
             the encoders is in the foretold one and in what is to be explained, and makes weakly
             told numbers drift; noise of the plate is in neither twice.
         passing: Whether it is of one recording only, so that another has its own.
+        covers: Other kinds whose effects are among this one's.
+        whole: Whether it is of no use unless all its numbers can be told; they are close to what
+            the parameters do, and their columns have to be exact.
+        added: Whether its columns are what it adds to the plate's channels as they are, before
+            any mixture of them is taken back.
+        unmixed: What takes a mixture of the channels back, (6, 6), for its numbers, (k,); None
+            where it mixes none.
     """
 
     kind: str
@@ -69,6 +83,10 @@ class Nuisance:
     cure: str = ""
     by_measured: Effect | None = None
     passing: bool = False
+    covers: tuple[str, ...] = ()
+    whole: bool = False
+    added: bool = False
+    unmixed: Callable[[Array], Array] | None = None
 
     @property
     def remedy(self) -> str:

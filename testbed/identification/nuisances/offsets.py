@@ -42,12 +42,19 @@ BIAS = Nuisance(
     _constant,
     _without_constant,
     passing=True,
+    added=True,
 )
 
 SLOPE = Nuisance(
-    "slope", "a drift of the plate", _channels("slope", "/s"), _trend, _without_trend, passing=True
+    "slope",
+    "a drift of the plate",
+    _channels("slope", "/s"),
+    _trend,
+    _without_trend,
+    passing=True,
+    added=True,
 )
 """From the middle of the recording."""
 
-TARE = Nuisance("tare", "a wrong tare", _channels("tare"), _constant, _without_constant)
+TARE = Nuisance("tare", "a wrong tare", _channels("tare"), _constant, _without_constant, added=True)
 """What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""

@@ -14,6 +14,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
+from testbed.identification.known import Facts, free
 from testbed.identification.nuisances.foretold import Foretold, RowFilter
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.unknowns import Unknowns, unknowns_of
@@ -48,7 +49,11 @@ class Imitated:
 
 
 def told_apart(
-    layout: Layout, names: Sequence[str], nuisances: Sequence[Nuisance], tare: Array
+    layout: Layout,
+    names: Sequence[str],
+    nuisances: Sequence[Nuisance],
+    tare: Array,
+    stated: Facts | None = None,
 ) -> tuple[Unknowns, tuple[Imitated, ...]]:
     """Which numbers of nuisances can be estimated beside the parameters.
 
@@ -57,15 +62,28 @@ def told_apart(
         names: Of the parameters.
         nuisances: The kinds, earlier ones preferred.
         tare: Static wrench of the pedestal, (6,) [N, N m].
+        stated: What is known of parameters and of all numbers of the nuisances.
     """
     wanted = unknowns_of(layout.tree, nuisances)
-    rows = 40 + (len(names) + len(wanted.parts)) // 2
-    own, theirs = _generic(layout, nuisances, tare, rows)
-    known, labels = _unit(own), list(names)
+    count = len(wanted.parts)
+    own, theirs = _generic(layout, nuisances, tare, 40 + (len(names) + count) // 2)
+    labels, sure = list(names), [False] * count
+    if stated is not None and len(stated):
+        left = free(stated)
+        sure = [not row.any() for row in left.lead[len(names) :]]
+        about = left.lead[: len(names)].any(axis=0)
+        own = own @ left.lead[: len(names), about]
+        labels = [
+            names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
+        ]
+    known = _unit(own)
     basis, _ = np.linalg.qr(known)
     kept: list[int] = []
     imitated = []
     for k, column in enumerate(_unit(theirs).T):
+        if sure[k]:
+            kept.append(k)
+            continue
         rest = column - basis @ (basis.T @ column)
         rest -= basis @ (basis.T @ rest)
         length = float(np.linalg.norm(rest))

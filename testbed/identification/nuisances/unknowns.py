@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.nuisances.foretold import RowFilter, foretold
+from testbed.identification.nuisances.foretold import Foretold, RowFilter, foretold
 from testbed.identification.nuisances.nuisance import Nuisance, Part
 from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
@@ -24,11 +24,13 @@ class Unknowns:
 
     Attributes:
         nuisances: The kinds.
+        counts: How many numbers each has.
         parts: All their numbers, kind by kind.
-        kept: Places of those among `parts` that are unknown; the others are zero.
+        kept: Places of those among `parts` that are unknown; the others are as they should be.
     """
 
     nuisances: tuple[Nuisance, ...]
+    counts: tuple[int, ...]
     parts: tuple[Part, ...]
     kept: tuple[int, ...]
 
@@ -42,17 +44,38 @@ class Unknowns:
         """One each."""
         return tuple(self.parts[k].unit for k in self.kept)
 
-    def by_kind(self, tree: Tree, values: Array) -> dict[str, Array]:
-        """Numbers of each nuisance, those that are not unknown zero.
+    @property
+    def right(self) -> Array:
+        """Values of the unknown ones where nothing is wrong."""
+        return np.array([self.parts[k].right for k in self.kept])
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Whose number each unknown one is."""
+        all_of_them = np.repeat([n.kind for n in self.nuisances], self.counts)
+        return tuple(str(all_of_them[k]) for k in self.kept)
+
+    def unmixed(self, values: Array) -> Array | None:
+        """What takes a mixture of the plate's channels back, (6, 6); None where there is none.
 
         Args:
-            tree: The robot.
             values: Of the unknown ones.
         """
-        all_of_them = np.zeros(len(self.parts))
+        numbers = self.by_kind(values)
+        for nuisance in self.nuisances:
+            if nuisance.unmixed is not None:
+                return nuisance.unmixed(numbers[nuisance.kind])
+        return None
+
+    def by_kind(self, values: Array) -> dict[str, Array]:
+        """Numbers of each nuisance, those that are not unknown as they should be.
+
+        Args:
+            values: Of the unknown ones.
+        """
+        all_of_them = np.array([part.right for part in self.parts])
         all_of_them[list(self.kept)] = values
-        ends = np.cumsum([len(n.parts(tree)) for n in self.nuisances])
-        cut = np.split(all_of_them, ends[:-1])
+        cut = np.split(all_of_them, np.cumsum(self.counts, dtype=int))[:-1]
         return {n.kind: own for n, own in zip(self.nuisances, cut, strict=True)}
 
 
@@ -63,8 +86,10 @@ def unknowns_of(tree: Tree, nuisances: Sequence[Nuisance]) -> Unknowns:
         tree: The robot.
         nuisances: The kinds.
     """
-    parts = tuple(part for nuisance in nuisances for part in nuisance.parts(tree))
-    return Unknowns(tuple(nuisances), parts, tuple(range(len(parts))))
+    each = [nuisance.parts(tree) for nuisance in nuisances]
+    parts = tuple(part for own in each for part in own)
+    counts = tuple(len(own) for own in each)
+    return Unknowns(tuple(nuisances), counts, parts, tuple(range(len(parts))))
 
 
 class Columns:
@@ -77,6 +102,7 @@ class Columns:
         values: Array,
         unknowns: Sequence[Unknowns],
         estimated: Unknowns | None = None,
+        unmixed: Array | None = None,
     ) -> None:
         """To first order around an estimate.
 
@@ -86,7 +112,9 @@ class Columns:
             values: Minimal parameters, (p,).
             unknowns: Whose columns, one after the other.
             estimated: Those of them that are to be estimated.
+            unmixed: What a mixture of the plate's channels was taken back with, (6, 6).
         """
+        self._unmixed = unmixed
         self._estimated = estimated
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
@@ -113,9 +141,14 @@ class Columns:
         found = foretold(self._plan, self._filtered, self._theta, signals, first)
         blocks = []
         for unknowns in self._unknowns:
-            made = [
-                ((unknowns is self._estimated and n.by_measured) or n.columns)(found)
-                for n in unknowns.nuisances
-            ]
+            own = unknowns is self._estimated
+            made = [self._shown(n, found, own) for n in unknowns.nuisances]
             blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])
         return np.concatenate(blocks, axis=2).transpose(1, 0, 2)
+
+    def _shown(self, nuisance: Nuisance, found: Foretold, estimated: bool) -> Array:
+        """What a nuisance does to the wrench, mixtures of the channels taken back."""
+        made = ((estimated and nuisance.by_measured) or nuisance.columns)(found)
+        if not nuisance.added or self._unmixed is None:
+            return made
+        return np.asarray(self._unmixed @ made)

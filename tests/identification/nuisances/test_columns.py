@@ -68,10 +68,13 @@ def unit(k: int, length: int = 6) -> list[float]:
 
 
 def pairs(k: int) -> list[list[float]]:
-    shown, felt = [(a, b) for a in range(6) for b in range(6) if a != b][k]
+    return felt([6 * a + b for a in range(6) for b in range(6) if a != b][k])
+
+
+def felt(k: int) -> list[list[float]]:
     matrix = np.zeros((6, 6))
     scale = [500.0, 500.0, 1000.0, 200.0, 200.0, 100.0]
-    matrix[shown, felt] = SMALL * scale[felt] / scale[shown]
+    matrix[k // 6, k % 6] = SMALL * scale[k % 6] / scale[k // 6]
     return matrix.tolist()
 
 
@@ -84,6 +87,7 @@ WITNESSES: dict[str, Callable[[int], Callable[[tb.Tree, Recording], Array]]] = {
     "skew": lambda k: on_plate({"kind": "plate_delay", "delay": SMALL}),
     "gains": lambda k: on_plate({"kind": "plate_gain", "error": unit(k)}),
     "crosstalk": lambda k: on_plate({"kind": "plate_crosstalk", "size": 0.0, "matrix": pairs(k)}),
+    "matrix": lambda k: on_plate({"kind": "plate_crosstalk", "size": 0.0, "matrix": felt(k)}),
     "joint_zeros": lambda k: of_encoder(k, {"kind": "encoder_zero_error"}),
     "encoder_gains": lambda k: of_encoder(k, {"kind": "encoder_gain"}),
 }

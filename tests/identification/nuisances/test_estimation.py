@@ -42,6 +42,11 @@ PLATE: dict[str, dict[str, Any]] = {
 }
 
 
+MIXING = np.random.default_rng(5).uniform(-0.01, 0.01, (6, 6))
+SCALE = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
+PLATE["matrix"] = {"kind": "plate_crosstalk", "size": 0.0, "matrix": MIXING.tolist()}
+
+
 def faulty(tree: tb.Tree, kind: str) -> Recording:
     """A perfect recording of the robot on its pedestal but for one fault."""
     found = ideal(tree, duration=12.0, seed=3)
@@ -60,6 +65,8 @@ def expected(tree: tb.Tree, kind: str) -> Array:
     table = PLATE.get(kind, {})
     if kind == "joint_zeros":
         return zeros(tree)
+    if kind == "matrix":
+        return np.ravel(np.eye(6) + MIXING * SCALE[:, None] / SCALE)
     if kind == "slope":
         return np.array([*table["force"], *table["moment"]])
     by_kind = {

@@ -1,0 +1,76 @@
+"""What is known of a plate, as a file: TOML that a person can read and change."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+from testbed.experiment.experiment_tables import Finite
+from testbed.experiment.toml_text import checked, read_toml
+from testbed.experiment.versions import versions
+from testbed.files import replacing
+from testbed.identification.calibration import Calibration
+from testbed.identification.nuisances.all_nuisances import NUISANCES
+from testbed.identification.nuisances.estimates import NuisanceEstimate
+from testbed.robot.tree import Tree
+
+_HEAD = """\
+# A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).
+# It shows C w + bias of a wrench w, skew seconds late: gain/Fx is C's element of Fx by Fx,
+# crosstalk/Fx/Fz that of Fx by Fz. Numbers that are not here are as they should be.
+"""
+
+
+class _Number(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    value: Finite
+    sigma: Finite = 0.0
+    unit: str = ""
+
+
+class _Plate(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True, extra="forbid")
+    robot: str = ""
+    known: dict[str, tuple[Finite, Finite]] = {}
+    numbers: dict[str, _Number]
+
+
+def write_plate(plate: Calibration, path: Path) -> None:
+    """Write a plate's numbers.
+
+    Args:
+        plate: The calibration.
+        path: The file; what stands there is replaced.
+    """
+    lines = [_HEAD.format(version=versions()["testbed"]), f"robot = {json.dumps(plate.robot)}"]
+    lines += ["", "[known]  # before: value, sigma"]
+    lines += [f"{json.dumps(name)} = [{v!r}, {s!r}]" for name, (v, s) in plate.known.items()]
+    lines += ["", "[numbers]"]
+    for each in plate.numbers:
+        unit = f", unit = {json.dumps(each.unit)}" if each.unit else ""
+        number = f"{{ value = {each.value!r}, sigma = {each.sigma!r}{unit} }}"
+        lines.append(f"{json.dumps(each.name)} = {number}")
+    with replacing(path) as fresh:
+        fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def read_plate(path: Path, tree: Tree) -> Calibration:
+    """A plate's numbers.
+
+    Args:
+        path: A file that `write_plate` wrote, or one of the same form.
+        tree: The robot on it.
+
+    Raises:
+        ExperimentError: It is no such file.
+        UnknownName: No instrument has such a number.
+    """
+    found = checked(_Plate, read_toml(path, "plate"), str(path))
+    kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}
+    numbers = tuple(
+        NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
+        for name, each in found.numbers.items()
+    )
+    return Calibration(found.robot, found.known, numbers)

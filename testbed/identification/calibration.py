@@ -1,0 +1,109 @@
+"""Calibrate the plate by the robot's own motion: its 36 sensitivities, zero and delay.
+
+The laws of rigid bodies tie all channels to the same few parameters, so that a robot that moves
+is a load of known form. What they leave open, a scale above all, has to be known: a mass, a gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array
+from testbed.identification.estimate import Estimate
+from testbed.identification.identify import identify
+from testbed.identification.nuisances.corrected import lastingly_corrected
+from testbed.identification.nuisances.estimates import NuisanceEstimate
+from testbed.identification.nuisances.matrix import SENSITIVITIES
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+from testbed.robot.tree import Tree
+
+UNKNOWN = ("matrix", "bias", "skew")
+"""What is calibrated unless something else is asked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """What a robot's motion tells of the plate under it.
+
+    Attributes:
+        robot: The robot's name.
+        known: Value and sigma of what was known before, by name.
+        numbers: Of the plate, with their sigmas.
+        estimate: Of the robot, made with them; None where it is not known any more.
+    """
+
+    robot: str
+    known: Mapping[str, tuple[float, float]]
+    numbers: tuple[NuisanceEstimate, ...]
+    estimate: Estimate | None = None
+
+    @property
+    def matrix(self) -> Array:
+        """What the plate shows of a wrench, (6, 6): shown = matrix @ wrench + bias."""
+        values = {each.name: each.value for each in self.numbers}
+        flat = [values.get(name, right) for name, _, right in SENSITIVITIES]
+        return np.array(flat).reshape(6, 6)
+
+    @property
+    def matrix_sigma(self) -> Array:
+        """Standard deviations of its elements, (6, 6)."""
+        sigma = {each.name: each.sigma for each in self.numbers}
+        return np.array([sigma.get(name, 0.0) for name, _, _ in SENSITIVITIES]).reshape(6, 6)
+
+
+def calibrate(
+    tree: Tree,
+    recording: Recording | Source | str | Path | Iterable[Recording],
+    known: Mapping[str, float | Sequence[float]],
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Calibration:
+    """Numbers of the plate and parameters of the robot at once, from one recording.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: As for `identify`; it needs the wrench.
+        known: A value, or value and sigma, by name: "mass" [kg], "gain/Fz", a minimal parameter.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated; their nuisances, if any, in place of `UNKNOWN`.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording cannot be used.
+        SettingsError: What is known does not suffice; says what is left open.
+    """
+    settings = settings or Settings()
+    asked = settings.nuisances or UNKNOWN
+    settings = replace(settings, nuisances=asked, known={**settings.known, **known})
+    estimate = identify(
+        tree,
+        recording,
+        gravity=gravity,
+        settings=settings,
+        threads=threads,
+        progress=progress,
+    )
+    return Calibration(tree.name, settings.facts, estimate.nuisances, estimate)
+
+
+def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:
+    """A recording as a perfect plate would have made it; its zero is its own and stays.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+        plate: The plate that it was made with.
+    """
+    return lastingly_corrected(source, tree, {each.name: each.value for each in plate.numbers})

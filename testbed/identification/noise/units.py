@@ -1,0 +1,163 @@
+"""Rows in units in which all noise is one and the robot's columns are orthonormal.
+
+Unknowns of the instrument, and columns whose traces are looked for, stand beside the robot's;
+what is known of the unknowns leaves fewer of them free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from testbed.arrays import Array
+from testbed.identification.known import Facts, Free, free
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.passes import Columns, Passes
+from testbed.identification.solvers import least_squares
+
+ROUNDING = 1e-12
+"""Part of its size that is left of an unknown which is known, by rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """Columns beside the robot's.
+
+    Attributes:
+        columns: Makes them; None for none.
+        unknown: How many come first, and are estimated.
+        trends: How many come next, and are in the tests' base.
+        tested: Numbers of those that follow, kind by kind.
+        facts: About what is still to be added to the robot's unknowns and to these; None for none.
+    """
+
+    columns: Columns | None = None
+    unknown: int = 0
+    trends: int = 0
+    tested: tuple[int, ...] = ()
+    facts: Facts | None = None
+
+
+NOTHING = Beside()
+"""No columns beside the robot's."""
+
+
+def _cholesky(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+
+
+class Rows(NamedTuple):
+    """A block of rows: columns and what values leave in units of the noise; and as measured.
+
+    Attributes:
+        columns: The robot's and those beside, (C, k, q).
+        left: What the values leave, (C, k).
+        ones: Where a row counts, (C, k).
+        own: What the values leave, (C, k) [N, N m].
+        further: Those beside, (C, k, s) [N or N m per unit].
+    """
+
+    columns: Array
+    left: Array
+    ones: Array
+    own: Array
+    further: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Units:
+    """Units in which all noise is one and the robot's columns are orthonormal.
+
+    Attributes:
+        root: Of the weights, (C, C): W = root root'.
+        white: The robot's unknowns of its columns, (p, p).
+        beside: Columns beside.
+        facts: What is known of the unknowns; None for nothing.
+        free: What that leaves free of the columns' unknowns.
+    """
+
+    root: Array
+    white: Array
+    beside: Beside
+    facts: Facts | None
+    free: Free | None
+
+    @cached_property
+    def grown(self) -> Array:
+        """All unknowns of the columns, (p + s, p + s)."""
+        return np.asarray(linalg.block_diag(self.white, np.eye(self.beside.unknown)))
+
+    @cached_property
+    def lead(self) -> Array:
+        """All unknowns of the columns of what is free, (p + s, m)."""
+        if self.free is None:
+            return self.grown
+        found = self.grown @ self.free.lead
+        size = np.abs(self.grown).max(axis=1, keepdims=True)
+        return np.asarray(np.where(np.abs(found) > ROUNDING * size, found, 0.0))
+
+    @cached_property
+    def fixed(self) -> Array:
+        """All unknowns where what is free is zero, (p + s,)."""
+        if self.free is None or self.facts is None:
+            return np.zeros(len(self.grown))
+        return np.asarray(self.grown @ self.free.fixed @ self.facts.values)
+
+    def of_free(self, columns: Array) -> Array:
+        """Columns of what is free, and those after the unknowns', of all columns, (C, k, q)."""
+        if self.free is None:
+            return columns
+        m = len(self.grown)
+        return np.concatenate([columns[..., :m] @ self.free.lead, columns[..., m:]], axis=2)
+
+    def as_free(self, every: LaggedProducts) -> LaggedProducts:
+        """The same for products; what the facts account for is taken off the residuals."""
+        if self.free is None or self.facts is None:
+            return every
+        m = len(self.grown)
+        rest = np.eye(every.products.shape[2] - m)
+        whole = linalg.block_diag(self.free.lead, rest)
+        whole[:m, -2] = -self.free.fixed @ self.facts.values
+        return every.combined(whole)
+
+    def rows(self, passes: Passes, values: Array) -> Iterator[Rows]:
+        """Rows, block by block."""
+        alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
+        combined = np.column_stack([self.white, values])
+        for columns, further, measured in passes.rows_beside(combined, self.beside.columns):
+            own = measured - columns[..., -1]
+            ones = ((columns != 0).any(axis=2) | (measured != 0)).astype(float)
+            if not alone:  # each is then a mixture of all
+                ones = np.broadcast_to(ones.max(axis=0), ones.shape)
+            stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
+            units = np.tensordot(self.root.T, stack, 1)
+            yield Rows(units[..., :-1], units[..., -1], ones, own, further)
+
+    def products(self, passes: Passes, values: Array, lags: int) -> LaggedProducts:
+        """Products of columns, of what values leave, and of ones, with so many rows before."""
+        sums = LaggedSums(lags)
+        for rows in self.rows(passes, values):
+            last = np.stack([rows.left, rows.ones], axis=2)
+            sums.add(np.concatenate([rows.columns, last], axis=2))
+        return sums.finish()
+
+
+def units_of(start: least_squares.Fit, beside: Beside) -> Units:
+    """Units that a weighted solution suggests.
+
+    Args:
+        start: The solution, and the weights in whose units rows are taken.
+        beside: Columns beside the robot's.
+    """
+    white = _cholesky(start.inverse)
+    given = beside.facts
+    if given is None or not len(given):
+        return Units(_cholesky(start.weights), white, beside, None, None)
+    grown = linalg.block_diag(white, np.eye(beside.unknown))
+    left = free(replace(given, rows=given.rows @ grown))
+    return Units(_cholesky(start.weights), white, beside, given, left)
