@@ -75,17 +75,14 @@ def under_coloured_noise(
     """
     plan, p = passes.plan, len(names)
     units = units_of(start, beside)
-    every = units.products(passes, start.values, HIGHEST)
+    m, every = units.lead.shape[1], units.products(passes, start.values, HIGHEST)
     products = units.as_free(every)
-    m, width = units.lead.shape[1], products.products.shape[2] - 2
-    own = products.picked([*range(m), width, width + 1])
-    fit, found, directions, hidden = _fit(own, plan.layout.model == "reaction")
+    fit, found, directions, hidden = _fit(products.leading(m), plan.layout.model == "reaction")
     grown = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + grown[:p], grown[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
-    back = np.linalg.inv(units.root.T) @ directions
-    back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
+    back = _in_channels(units, directions)
     bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
@@ -99,11 +96,9 @@ def under_coloured_noise(
             repeated.add(units.root.T @ far)
     factor = replicas.factor(fit, units.lead[:p][units.lead[:p].any(axis=1)])
     covariance, count = factor**2 * found.covariance, directions.shape[1]
-    spread = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
+    bias_sigma = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
     covariance = units.lead @ covariance[:m, :m] @ units.lead.T
-    if units.facts is not None:
-        moved = _by_facts(units, every, directions, found.noise)
-        covariance = covariance + (moved * units.facts.sigma**2) @ moved.T
+    covariance += _by_facts(units, every, directions, found.noise)
     return Refined(
         fit=start,
         values=values,
@@ -114,7 +109,7 @@ def under_coloured_noise(
             memory=tuple(float(m) / plan.rate for m in found.noise.memory),
             factor=factor,
             bias=bias,
-            bias_sigma=spread,
+            bias_sigma=bias_sigma,
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
             hidden=_imitating(hidden[:, :m] @ units.lead[:p].T, names),
             repetition=repeated.found() if repeated else None,
@@ -154,8 +149,9 @@ def further_values(
 def _by_facts(
     units: Units, every: LaggedProducts, directions: Array, noise: Autoregression
 ) -> Array:
-    """How all unknowns move with the values of what is known, (p + s, k)."""
-    assert units.free is not None
+    """What doubt about facts adds to the covariance of all unknowns, (p + s, p + s)."""
+    if units.facts is None or units.free is None:
+        return np.zeros_like(units.grown)
     count, biases = len(units.fixed), directions.shape[1]
     maps = np.zeros((len(directions), every.products.shape[2], count + biases))
     maps[:, :count, :count], maps[:, -1, count:] = np.eye(count), directions
@@ -165,7 +161,15 @@ def _by_facts(
     across = lead.T @ normal
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    return np.asarray(units.grown @ moved[:count])
+    spread = units.grown @ moved[:count] * units.facts.sigma
+    return np.asarray(spread @ spread.T)
+
+
+def _in_channels(units: Units, directions: Array) -> Array:
+    """Constants along directions, in the channels as measured, (C, k) [N, N m]."""
+    back = np.linalg.inv(units.root.T) @ directions
+    back[np.abs(back) < ROUNDING * np.abs(back).max(initial=0.0)] = 0.0
+    return np.asarray(back)
 
 
 def _imitating(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:

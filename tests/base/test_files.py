@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import subprocess
@@ -273,3 +274,20 @@ def test_where_there_are_no_locks_files_are_written_and_nothing_is_swept(
     write(tmp_path / "place", "file")
     assert content(tmp_path / "place") == "new"
     assert nests(tmp_path) == [left.name]
+
+
+@pytest.mark.parametrize(("code", "other"), [("EINVAL", True), ("ENOSYS", True), ("EACCES", False)])
+def test_a_file_system_that_cannot_exchange_is_no_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str, other: bool
+) -> None:
+    """Two steps do it then; other errors are what they are."""
+    number = getattr(errno, code)
+    monkeypatch.setattr(files.ctypes, "get_errno", lambda: number)
+    here, nowhere = tmp_path / "here", tmp_path / "nowhere"
+    here.mkdir()
+    if other:
+        assert files._exchanged(here, nowhere) is False
+    else:
+        with pytest.raises(PermissionError):
+            files._exchanged(here, nowhere)
+    assert here.is_dir()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 import testbed as tb
 from testbed.errors import ExperimentError
+from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.experiment_tables import METRICS, Bound
 from testbed.experiment.run_folder import default_folder, write_run
+from testbed.experiment.toml_text import checked, override
 from tests.helpers.paths import ROOT
 
 TABLE6 = ROOT / "experiments/table6.toml"
@@ -158,3 +161,20 @@ def test_a_key_of_very_many_parts_is_refused_before_it_is_parsed(tmp_path: Path)
     path.write_text(".".join("a" * 50_000) + " = 1\n")
     with pytest.raises(ExperimentError, match="a key has more than 1000 parts"):
         tb.Experiment.load(path)
+
+
+def test_a_key_with_dots_of_its_own_stands_in_quotes() -> None:
+    content: dict[str, Any] = {}
+    override(content, ['robot.lock."arm.elbow"=0.5', "robot.'a.b'.c='x'", "motion.duration=3"])
+    wanted = {"lock": {"arm.elbow": 0.5}, "a.b": {"c": "x"}}
+    assert content == {"robot": wanted, "motion": {"duration": 3}}
+
+
+def test_tables_that_are_nested_too_deeply_are_refused() -> None:
+    deep: list[Any] = []
+    for _ in range(100_000):
+        deep = [deep]
+    with pytest.raises(ExperimentError, match="file: it is nested too deeply"):
+        checked(RecordingTables, {"name": deep}, "file")
+    while deep:  # taken apart by hand: Python's own way goes as deep
+        deep = deep.pop()

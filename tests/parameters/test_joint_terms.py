@@ -180,3 +180,14 @@ def test_real_robots(path: object, zeros: bool) -> None:
     tree = tb.load_tree(path)  # type: ignore[arg-type]
     for laws in ASKED:
         assert verify_drives(tree, drives(tree, *laws, zeros=zeros)).holds
+
+
+def test_a_set_that_lacks_a_term_is_caught(puma: tb.Tree) -> None:
+    """And the numbers say which way: fewer unknowns than the columns' rank."""
+    whole = drives(puma, "coulomb")
+    assert verify_drives(puma, whole).holds
+    lacking = replace(whole, terms=whole.terms[:-1], columns=whole.columns[:-1])
+    found = verify_drives(puma, lacking)
+    assert (found.count, found.sampled) == (whole.count - 1, whole.count)
+    assert not found.holds
+    assert found.change > 0.01

@@ -50,6 +50,15 @@ class LaggedProducts:
         products = self.products[:, :, which][..., which]
         return LaggedProducts(self.rows, products, self.first[..., which], self.last[..., which])
 
+    def leading(self, count: int) -> LaggedProducts:
+        """Of the first columns, and of the last two.
+
+        Args:
+            count: How many come first.
+        """
+        columns = self.products.shape[2]
+        return self.picked([*range(count), columns - 2, columns - 1])
+
     def combined(self, maps: Array) -> LaggedProducts:
         """Of combinations of the columns.
 

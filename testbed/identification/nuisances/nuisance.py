@@ -50,6 +50,10 @@ Undo = Callable[[Recording, Array, Array], Recording]
 samples' times from the middle of the whole recording, (M,) [s]."""
 
 
+Unmix = Callable[[Array], Array]
+"""What takes a mixture of the channels back, (6, 6), of the nuisance's numbers, (k,)."""
+
+
 @dataclass(frozen=True)
 class Nuisance:
     """One kind of unknown of the instrument.
@@ -71,8 +75,7 @@ class Nuisance:
             the parameters do, and their columns have to be exact.
         added: Whether its columns are what it adds to the plate's channels as they are, before
             any mixture of them is taken back.
-        unmixed: What takes a mixture of the channels back, (6, 6), for its numbers, (k,); None
-            where it mixes none.
+        unmixed: What takes its mixture of the channels back; None where it mixes none.
     """
 
     kind: str
@@ -86,7 +89,7 @@ class Nuisance:
     covers: tuple[str, ...] = ()
     whole: bool = False
     added: bool = False
-    unmixed: Callable[[Array], Array] | None = None
+    unmixed: Unmix | None = None
 
     @property
     def remedy(self) -> str:
