@@ -282,7 +282,7 @@ def test_a_file_system_that_cannot_exchange_is_no_error(
 ) -> None:
     """Two steps do it then; other errors are what they are."""
     number = getattr(errno, code)
-    monkeypatch.setattr(files.ctypes, "get_errno", lambda: number)
+    monkeypatch.setattr("ctypes.get_errno", lambda: number)
     here, nowhere = tmp_path / "here", tmp_path / "nowhere"
     here.mkdir()
     if other:
