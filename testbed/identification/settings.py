@@ -66,7 +66,7 @@ class Settings:
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
-    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+    known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
 

@@ -12,7 +12,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
+from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps, slope_weights
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.paths import ROOT
@@ -242,3 +242,7 @@ def test_the_filter_has_no_phase_half_gain_at_its_cutoff_and_stops_beyond() -> N
     assert gain(5.0) == pytest.approx(0.5, abs=0.01)
     assert gain(1.0) == pytest.approx(1.0, abs=2e-3)
     assert all(abs(gain(f)) < 2e-3 for f in (9.0, 20.0, 50.0, 333.0))
+
+
+def test_a_filter_of_one_sample_makes_no_slope() -> None:
+    np.testing.assert_array_equal(slope_weights(np.ones(1), np.zeros(1), 100.0), [0.0])

@@ -1,0 +1,119 @@
+"""`testbed calibrate`, and `--plate` of the commands that take what it wrote."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.arrays import Array
+from tests.helpers.command import command_line
+from tests.helpers.measured import measured
+from tests.helpers.runs import MODELS, robot
+from tests.identification.test_calibration import mass_of, mixing, on_plate
+
+pytestmark = pytest.mark.slow
+
+PUMA = str(MODELS["puma"])
+MATRIX = mixing(7)
+
+
+def words(*known: str) -> tuple[str, ...]:
+    said = (word for each in known for word in ("--known", each))
+    return ("calibrate", "one.parquet", "--model", PUMA, "--zeros", *said)
+
+
+FACTS = (f"mass={mass_of(robot('puma'))}", f"gain/Fz={MATRIX[2, 2]}")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two recordings of one plate, a third of a perfect one, a calibration."""
+    folder = tmp_path_factory.mktemp("calibrate")
+    for seed, name in ((1, "one"), (2, "other")):
+        right = measured(robot("puma"), seed, noise=0.01)
+        on_plate(right, MATRIX).save(folder / f"{name}.parquet")
+    right.save(folder / "right.parquet")
+    done = command_line(*words(*FACTS), "--json", cwd=folder)
+    assert (done.returncode, done.stderr) == (0, "")
+    (folder / "said.json").write_text(done.stdout)
+    return folder
+
+
+def identified(place: Path, recording: str, *more: str) -> Array:
+    call = ("identify", recording, "--model", PUMA, "--zeros", "--method", "external", "--json")
+    done = command_line(*call, *more, cwd=place)
+    assert done.returncode == 0, done.stderr
+    return np.array(json.loads(done.stdout)["external"]["values"])
+
+
+def test_what_is_printed_is_what_is_kept(place: Path) -> None:
+    said = json.loads((place / "said.json").read_text())
+    np.testing.assert_allclose(said["matrix"], MATRIX, atol=1e-3)
+    assert said["known"]["mass"][1] == 0
+    text = (place / "plate.toml").read_text()
+    for name, number in said["numbers"].items():
+        assert f'"{name}" = {{ value = {number["value"]!r}' in text
+    shown = command_line(*words(*FACTS), "--out", "again.toml", cwd=place)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert (place / "again.toml").read_text() == text
+    assert f"{MATRIX[5, 0]:.3f}" in shown.stdout
+    assert "plate: again.toml" in shown.stdout
+
+
+def test_a_calibrated_plate_serves_for_another_recording(place: Path) -> None:
+    tree = robot("puma")
+    truth = tb.minimal_set(tree, "reaction", zeros=True).values(tb.barycentric(tree))
+    faulty = np.abs(identified(place, "other.parquet") - truth).max()
+    cured = np.abs(identified(place, "other.parquet", "--plate", "plate.toml") - truth)[:-1].max()
+    assert cured < faulty / 10
+
+
+def test_validate_report_and_view_take_the_plate(place: Path) -> None:
+    result = ("identify", "right.parquet", "--model", PUMA, "--zeros", "--json")
+    (place / "result.json").write_text(command_line(*result, cwd=place).stdout)
+    scatter = []
+    for more in ((), ("--plate", "plate.toml")):
+        call = ("validate", "other.parquet", "result.json", "--json", *more)
+        done = command_line(*call, cwd=place)
+        assert (done.returncode, done.stderr) == (0, "")
+        found = json.loads(done.stdout)["external"]
+        scatter.append(np.sqrt(np.square(found["residual"]) - np.square(found["mean"])).max())
+    assert scatter[0] > 10 * scatter[1]
+    recording = ("other.parquet", "--model", PUMA, "--zeros", "--plate", "plate.toml")
+    done = command_line("report", *recording, "--out", "page.html", cwd=place)
+    assert done.returncode == 0, done.stderr
+    done = command_line("view", *recording, "--save", "page.rrd", cwd=place)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        (("mass=20",), "no motion tells gain/Mz"),
+        (("weight=20", "gain/Fz=1"), "unknown known fact 'weight'"),
+        (("mass", "gain/Fz=1"), "write it as mass=20"),
+        (("mass=20", "mbar1=20", "gain/Fz=1"), "'mbar1' is known twice"),
+    ],
+)
+def test_what_does_not_suffice_is_one_line(place: Path, known: tuple[str, ...], said: str) -> None:
+    done = command_line(*words(*known), "--out", "none.toml", cwd=place)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (place / "none.toml").exists()
+
+
+@pytest.mark.parametrize("text", [None, "numbers = 1", "x", "[numbers]\nq = {value = 1.0}"])
+def test_a_file_that_is_no_plate_is_one_line(place: Path, text: str | None) -> None:
+    path = place / "broken.toml"
+    path.unlink(missing_ok=True)
+    if text is not None:
+        path.write_text(text)
+    call = ("identify", "one.parquet", "--model", PUMA, "--plate", "broken.toml")
+    done = command_line(*call, cwd=place)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.count("\n") == 1
