@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from testbed.cli import experiments, models, pictures, plates
+from testbed.cli import calibrations, experiments, models, pictures
 from testbed.cli.options import app
 
-__all__ = ["app", "experiments", "models", "pictures", "plates"]
+__all__ = ["app", "calibrations", "experiments", "models", "pictures"]

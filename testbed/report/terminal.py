@@ -15,6 +15,7 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 from testbed.experiment.summary import validation_lines
+from testbed.report.drive_table import drive_tables
 from testbed.report.plate_tables import plate_lines, plate_tables
 from testbed.report.tables import quality_lines, result_tables
 from testbed.report.validation_tables import validation_tables
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
     from testbed.identification.estimate import Estimate
+    from testbed.identification.torque_constants import DriveEstimate
     from testbed.identification.validate import Validation
 
 
@@ -108,6 +110,19 @@ def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None
         out.print(table)
     print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
     out.print(f"plate: {path}", soft_wrap=True)
+
+
+def print_drives(drives: Sequence[DriveEstimate], warnings: Sequence[str]) -> None:
+    """Print what the plate says of the drives.
+
+    Args:
+        drives: One a joint.
+        warnings: About robot, recording and bodies.
+    """
+    out = console()
+    for table in drive_tables(out, drives):
+        out.print(table)
+    print_warnings(out, warnings)
 
 
 def print_run(run: Run, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""`testbed calibrate`, and `--plate` of the commands that take what it wrote."""
+"""`testbed calibrate` and `drives`, and `--plate` of the commands that take what it wrote."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import testbed as tb
 from testbed.arrays import Array
 from tests.helpers.command import command_line
 from tests.helpers.measured import measured
-from tests.helpers.runs import MODELS, robot
+from tests.helpers.runs import MODELS, robot, without
 from tests.identification.test_calibration import mass_of, mixing, on_plate
 
 pytestmark = pytest.mark.slow
@@ -117,3 +117,32 @@ def test_a_file_that_is_no_plate_is_one_line(place: Path, text: str | None) -> N
     done = command_line(*call, cwd=place)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize("width", [60, 120])
+def test_drives_are_held_against_the_plate(
+    place: Path, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    call = ("drives", "right.parquet", "--model", PUMA, "--zeros")
+    done = command_line(*call, "--json", cwd=place)
+    assert (done.returncode, done.stderr) == (0, "")
+    said = json.loads(done.stdout)
+    for name, friction in (("waist", 6.3), ("shoulder", 5.5), ("elbow", 2.6)):
+        constant, coulomb = said[name]["torque_constant"], said[name]["terms"]["coulomb"]
+        assert abs(constant["value"] - 1) < 5 * constant["sigma"]
+        assert abs(coulomb["value"] - friction) < 5 * coulomb["sigma"]
+    shown = command_line(*call, cwd=place)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert max(map(len, shown.stdout.splitlines())) <= width
+    for text in ("shoulder", "torque constant", "coulomb", "viscous", "residual"):
+        assert text in shown.stdout
+
+
+def test_drives_need_torques_and_a_plate(place: Path) -> None:
+    recording = tb.Recording.load(place / "right.parquet")
+    for lacking in ("torque", "wrench"):
+        without(recording, lacking).save(place / "half.parquet")
+        done = command_line("drives", "half.parquet", "--model", PUMA, cwd=place)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert f"has no {lacking}" in done.stderr

@@ -1,4 +1,4 @@
-"""Commands about the instrument itself: calibrate."""
+"""Commands about plate and drives themselves: calibrate, drives."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from testbed.cli.options import (
     Json,
     Lock,
     LockMimic,
+    Plate,
     RecordingSet,
     Threads,
     Weld,
@@ -74,3 +75,53 @@ def calibrate(
         terminal.print_json(plate_as_json(plate))
     else:
         terminal.print_plate(plate, tree.warnings, out)
+
+
+@app.command()
+def drives(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
+    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    settings: RecordingSet = None,
+    zeros: Zeros = False,
+    gravity: Gravity = None,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
+    plate: Plate = None,
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Hold joint torques against the plate: torque constants, friction, rotors, joint by joint.
+
+    The bodies are known from the plate; what a drive reports is a constant times the torque that
+    they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
+
+    Example: testbed drives run.parquet --model robot.urdf
+    """
+    from testbed.identification.identify import identify
+    from testbed.identification.torque_constants import drive_estimates
+    from testbed.report import terminal
+    from testbed.report.drive_table import drives_as_json
+
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
+    tree, table = reading.tree(model), reading.tables().identification
+    source = reading.source(recording, tree)
+    with terminal.Progress("identifying, external") as progress:
+        bodies = identify(
+            tree, source, gravity=gravity, settings=table, threads=threads, progress=progress
+        )
+    with terminal.Progress("regressing torques") as progress:
+        found = drive_estimates(
+            tree,
+            source,
+            bodies,
+            gravity=gravity,
+            settings=table,
+            threads=threads,
+            progress=progress,
+        )
+    if as_json:
+        terminal.print_json(drives_as_json(found))
+    else:
+        terminal.print_drives(found, [*tree.warnings, *bodies.warnings])

@@ -1,0 +1,247 @@
+"""Joint torques as measurements of the drives: torque constants, rotors, friction, offsets.
+
+The plate tells what torque the bodies need, free of friction and drives. What a drive reports is a
+constant times that torque and the joint's own terms: one short regression a joint, in which the
+uncertainty of the plate's parameters counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array
+from testbed.errors import SettingsError
+from testbed.identification.estimate import Estimate
+from testbed.identification.identify import check_source, in_its_gravity, tare_of
+from testbed.identification.noise.autoregression import HIGHEST
+from testbed.identification.noise.fits import NoiseFit, weighted_fit
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.replicas import Replicas
+from testbed.identification.noise.scaled import scaled_solve
+from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.settings import Settings
+from testbed.identification.windows import make_plan
+from testbed.kernel.layout import layout
+from testbed.kernel.records import products_wanted
+from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source
+from testbed.robot.friction import JointLaw
+from testbed.robot.tree import Tree
+
+ROUNDING = 1e-20
+"""Of a torque's square: what exact data leave."""
+
+TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True)
+class DriveTerm:
+    """One coefficient of a joint's own torque, as it is, not as the drive reports it.
+
+    Attributes:
+        law: Which.
+        unit: Of the coefficient.
+        value: The coefficient.
+        sigma: Its standard deviation.
+    """
+
+    law: JointLaw
+    unit: str
+    value: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class DriveEstimate:
+    """What the plate's parameters make of one joint's torque.
+
+    Attributes:
+        joint: Its name.
+        constant: What the drive reports over what the torque is: 1 if the torque constant is right.
+        sigma: Its standard deviation.
+        terms: The joint's own.
+        residual: Rms of what is left, as reported [N m or N].
+        unit: N m or N.
+        rows: How many counted.
+    """
+
+    joint: str
+    constant: float
+    sigma: float
+    terms: tuple[DriveTerm, ...]
+    residual: float
+    unit: str
+    rows: int
+
+
+def drive_estimates(
+    tree: Tree,
+    recording: Recording | Source | str,
+    bodies: Estimate,
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> tuple[DriveEstimate, ...]:
+    """Torque constants and the joints' own terms, joint by joint.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: With joint torques, as for `identify`.
+        bodies: The external estimate: of this recording or of another.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated, and which terms are looked for.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording has no torques, or is of another robot.
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    source, settings = open_source(recording), settings or Settings()
+    check_source(source, tree, "internal")
+    tree = in_its_gravity(tree, source, gravity)
+    drives = with_joint_terms(
+        tree, minimal_set(tree, "dynamic", zeros=settings.zeros), settings.laws
+    )
+    lift = _lift(tree, bodies, drives, settings)
+    rows = layout(tree.without_inertias(), drives.minimal, drives.terms, False)
+    plan = make_plan(source, rows, tare_of(tree, source), settings)
+    passes = Passes(plan, threads, progress, 3)
+    with one_blas_thread():
+        sums = passes.sums(products_wanted(tree.n))
+        equations = gather(rows, drives.names, tree.names, sums)
+        combined = np.column_stack([lift @ bodies.values, drives.columns])
+        own = [
+            [0, *(1 + k for k, term in enumerate(drives.asked) if term.joint == joint)]
+            for joint in range(tree.n)
+        ]
+        fits = _fits(passes, combined, own)
+    found = []
+    for joint, (fit, squares) in enumerate(fits):
+        lead = combined[:, own[joint]]
+        doubt = _by_bodies(equations, joint, lead, lift, fit.values) @ _root(bodies.covariance)
+        covariance = fit.covariance + doubt @ doubt.T
+        laws = [drives.asked[k - 1].law for k in own[joint][1:]]
+        used = int(equations.used[joint])
+        residual = float(np.sqrt(squares / max(used, 1)))
+        found.append(_estimate(tree, joint, laws, fit.values, covariance, residual, used))
+    return tuple(found)
+
+
+def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
+    """How the plate's parameters make the internal unknowns without terms, (p, N_r)."""
+    reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
+    if bodies.method != "external" or bodies.names != reaction.names:
+        raise SettingsError(
+            "drives are held against the plate's estimate, of the same robot, gravity and zeros"
+        )
+    found = np.zeros((drives.count, reaction.count))
+    found[: drives.minimal.count] = selection(drives.minimal, reaction)
+    return found
+
+
+def _fits(
+    passes: Passes, combined: Array, own: Sequence[Sequence[int]]
+) -> list[tuple[NoiseFit, float]]:
+    """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
+    sums = [LaggedSums(HIGHEST) for _ in own]
+    for joint, part in _parts(passes, combined, own):
+        sums[joint].add(part)
+    given = [each.finish() for each in sums]
+    sizes = [_left(each.products[0, 0]) for each in given]
+    scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
+    found = [weighted_fit(each) for each in scaled]
+    replicas = [Replicas(fit.noise, len(which)) for fit, which in zip(found, own, strict=True)]
+    for joint, part in _parts(passes, combined, own):
+        replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
+    corrected = []
+    for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
+        factor = made.factor(weighted_fit, np.eye(len(fit.values)))
+        squares = _square(each.products[0, 0], fit.values) * size**2
+        corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
+    return corrected
+
+
+def _parts(
+    passes: Passes, combined: Array, own: Sequence[Sequence[int]]
+) -> Iterator[tuple[int, Array]]:
+    """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
+    for columns, measured in passes.rows(combined):
+        for joint, which in enumerate(own):
+            counts = ((columns[joint] != 0).any(axis=1) | (measured[joint] != 0)).astype(float)
+            part = [columns[joint][:, list(which)], measured[joint][:, None], counts[:, None]]
+            yield joint, np.concatenate(part, axis=1)[None]
+
+
+def _left(squares: Array) -> float:
+    """Rms of what plain least squares leaves, and next to nothing at least."""
+    m = len(squares) - 2
+    values = scaled_solve(squares[:m, :m], squares[:m, m])
+    count, whole = max(float(squares[m + 1, m + 1]), 1.0), float(squares[m, m])
+    return float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
+
+
+def _square(squares: Array, values: Array) -> float:
+    combine = np.append(-values, 1.0)
+    found = float(combine @ squares[: len(combine), : len(combine)] @ combine)
+    return max(found, 0.0)  # but for rounding
+
+
+def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
+    """Columns and torques in units of what is left."""
+    columns = given.products.shape[2]
+    return given.combined(np.diag([*np.full(columns - 1, 1 / size), 1.0]))
+
+
+def _by_bodies(
+    equations: NormalEquations, joint: int, lead: Array, lift: Array, values: Array
+) -> Array:
+    """How a joint's numbers move with the plate's parameters, (q, N_r)."""
+    normal, _, _ = equations.of_channel(joint)
+    across = lead.T @ normal
+    return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))
+
+
+def _root(covariance: Array) -> Array:
+    """R with R R' a covariance."""
+    size, axes = np.linalg.eigh(covariance)
+    found: Array = axes * np.sqrt(np.maximum(size, 0.0))
+    return found
+
+
+def _estimate(
+    tree: Tree,
+    joint: int,
+    laws: Sequence[JointLaw],
+    values: Array,
+    covariance: Array,
+    residual: float,
+    rows: int,
+) -> DriveEstimate:
+    """Numbers of a joint; its own terms as they are: as reported, over the constant."""
+    constant = float(values[0])
+    terms = []
+    for k, law in enumerate(laws, start=1):
+        value = float(values[k]) / constant
+        slope = np.zeros(len(values))
+        slope[0], slope[k] = -value / constant, 1 / constant
+        sigma = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
+        terms.append(DriveTerm(law, law.unit(tree.joints[joint]), value, sigma))
+    return DriveEstimate(
+        joint=tree.names[joint],
+        constant=constant,
+        sigma=float(np.sqrt(max(float(covariance[0, 0]), 0.0))),
+        terms=tuple(terms),
+        residual=residual,
+        unit="N m" if tree.joints[joint].revolute else "N",
+        rows=rows,
+    )

@@ -1,0 +1,121 @@
+"""Drives held against the plate: torque constants, rotors, friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import RecordingError, SettingsError
+from testbed.identification.torque_constants import DriveEstimate, drive_estimates
+from testbed.recordings.recording import Recording
+from testbed.robot.friction import LAWS
+from tests.helpers.ideal import EXACT, ideal
+from tests.helpers.measured import measured
+from tests.helpers.runs import ROBOTS, robot, without
+
+TERMS = ("coulomb", "viscous", "rotor")
+SETTINGS = tb.Settings(terms=TERMS)
+
+
+def driven(name: str) -> tb.Tree:
+    """A robot with friction and rotors at every joint."""
+    tree = robot(name)
+    joints = (
+        replace(j, coulomb=3.0 + k, viscous=2.0 + k, rotor_inertia=0.1 + 0.1 * k)
+        for k, j in enumerate(tree.joints)
+    )
+    return replace(tree, joints=tuple(joints))
+
+
+def constants(tree: tb.Tree) -> Array:
+    """Up to 8 % off."""
+    return np.asarray(1 + 0.08 * np.sin(1.0 + np.arange(tree.n)))
+
+
+def reported(tree: tb.Tree, recording: Recording) -> Recording:
+    return replace(recording, torque=recording.measured("torque") * constants(tree))
+
+
+def numbers(found: DriveEstimate) -> tuple[Array, Array]:
+    values = [found.constant, *(term.value for term in found.terms)]
+    return np.array(values), np.array([found.sigma, *(term.sigma for term in found.terms)])
+
+
+def truths(tree: tb.Tree, joint: int) -> Array:
+    each = tree.joints[joint]
+    return np.array([constants(tree)[joint], each.coulomb, each.viscous, each.rotor_inertia])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ROBOTS)
+def test_constants_friction_and_rotors_within_their_sigmas(name: str) -> None:
+    tree, scores = driven(name), []
+    for seed in range(2):
+        recording = reported(tree, measured(tree, seed, duration=30.0))
+        bodies = tb.identify(tree, recording, settings=SETTINGS)
+        for joint, found in enumerate(drive_estimates(tree, recording, bodies, settings=SETTINGS)):
+            assert found.joint == tree.names[joint]
+            assert [term.law.kind for term in found.terms] == list(TERMS)
+            values, sigma = numbers(found)
+            scores.append((values - truths(tree, joint)) / sigma)
+    assert np.abs(scores).max() < 4.5
+    assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_exact_data_give_exact_constants(name: str) -> None:
+    tree = driven(name)
+    recording = reported(tree, ideal(tree))
+    settings = replace(EXACT, terms=TERMS)
+    bodies = tb.identify(tree, recording, settings=settings)
+    for joint, found in enumerate(drive_estimates(tree, recording, bodies, settings=settings)):
+        values, _ = numbers(found)
+        np.testing.assert_allclose(values, truths(tree, joint), rtol=1e-6)
+
+
+def test_doubt_about_the_bodies_counts() -> None:
+    """Ten times the covariance of the plate's estimate: where it leads, so does sigma."""
+    tree = driven("puma")
+    recording = reported(tree, measured(tree))
+    bodies = tb.identify(tree, recording, settings=SETTINGS)
+    doubted = replace(bodies, covariance=1e4 * bodies.covariance, sigma=100 * bodies.sigma)
+    plain, more = (
+        drive_estimates(tree, recording, each, settings=SETTINGS) for each in (bodies, doubted)
+    )
+    for a, b in zip(plain, more, strict=True):
+        assert a.constant == b.constant
+        assert b.sigma > 5 * a.sigma
+
+
+def test_another_recording_may_tell_the_bodies() -> None:
+    tree = driven("ur5")
+    bodies = tb.identify(tree, without(measured(tree, 1), "torque"), settings=SETTINGS)
+    recording = reported(tree, without(measured(tree, 2), "wrench"))
+    for joint, found in enumerate(drive_estimates(tree, recording, bodies, settings=SETTINGS)):
+        assert abs(found.constant - constants(tree)[joint]) < 4.5 * found.sigma
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    tree = driven("puma")
+    recording = measured(tree)
+    bodies = tb.identify(tree, recording)
+    inner = tb.identify(tree, recording, "internal")
+    with pytest.raises(SettingsError, match="plate's estimate"):
+        drive_estimates(tree, recording, inner)
+    with pytest.raises(SettingsError, match="plate's estimate"):
+        drive_estimates(tree, recording, bodies, settings=tb.Settings(zeros=True))
+    with pytest.raises(RecordingError, match="no torque"):
+        drive_estimates(tree, without(recording, "torque"), bodies)
+
+
+def test_all_laws_can_be_asked_for() -> None:
+    tree = driven("puma")
+    recording = measured(tree)
+    settings = tb.Settings(terms=[law.kind for law in LAWS])
+    bodies = tb.identify(tree, recording, settings=settings)
+    found = drive_estimates(tree, recording, bodies, settings=settings)
+    assert all(len(each.terms) == len(LAWS) for each in found)
