@@ -65,7 +65,6 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
 
     Raises:
         ExperimentError: It is no such file.
-        UnknownName: No instrument has such a number.
     """
     found = checked(_Plate, read_toml(path, "plate"), str(path))
     kinds = {part.name: n.kind for n in NUISANCES for part in n.parts(tree)}

@@ -211,6 +211,7 @@ def settled(source: Source, begin: Callable[[Source], Start], side: Side) -> Set
         plan = start.passes.plan
         beside = side.beside(plan, start.fit.values, values, tests=False)
         step, sigma, share = further_values(start.fit, start.passes, beside)
+        # with a whole matrix all numbers hang together, and sigma holds all the same: measured
         if not any(n.whole for n in side.unknowns.nuisances):
             weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
         values = values + step

@@ -18,10 +18,11 @@ from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.noise.autoregression import HIGHEST
-from testbed.identification.noise.fits import NoiseFit, weighted_fit
+from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_solve
+from testbed.identification.noise.units import counted
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
@@ -128,8 +129,8 @@ def drive_estimates(
     found = []
     for joint, (fit, squares) in enumerate(fits):
         lead = combined[:, own[joint]]
-        doubt = _by_bodies(equations, joint, lead, lift, fit.values) @ _root(bodies.covariance)
-        covariance = fit.covariance + doubt @ doubt.T
+        moved = _by_bodies(equations, joint, lead, lift, fit.values)
+        covariance = fit.covariance + moved @ bodies.covariance @ moved.T
         laws = [drives.asked[k - 1].law for k in own[joint][1:]]
         used = int(equations.used[joint])
         residual = float(np.sqrt(squares / max(used, 1)))
@@ -176,9 +177,10 @@ def _parts(
 ) -> Iterator[tuple[int, Array]]:
     """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
     for columns, measured in passes.rows(combined):
+        ones = counted(columns, measured)
         for joint, which in enumerate(own):
-            counts = ((columns[joint] != 0).any(axis=1) | (measured[joint] != 0)).astype(float)
-            part = [columns[joint][:, list(which)], measured[joint][:, None], counts[:, None]]
+            last = np.stack([measured[joint], ones[joint]], axis=1)
+            part = [columns[joint][:, list(which)], last]
             yield joint, np.concatenate(part, axis=1)[None]
 
 
@@ -191,9 +193,7 @@ def _left(squares: Array) -> float:
 
 
 def _square(squares: Array, values: Array) -> float:
-    combine = np.append(-values, 1.0)
-    found = float(combine @ squares[: len(combine), : len(combine)] @ combine)
-    return max(found, 0.0)  # but for rounding
+    return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
 
 
 def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
@@ -209,13 +209,6 @@ def _by_bodies(
     normal, _, _ = equations.of_channel(joint)
     across = lead.T @ normal
     return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))
-
-
-def _root(covariance: Array) -> Array:
-    """R with R R' a covariance."""
-    size, axes = np.linalg.eigh(covariance)
-    found: Array = axes * np.sqrt(np.maximum(size, 0.0))
-    return found
 
 
 def _estimate(

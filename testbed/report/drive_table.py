@@ -11,6 +11,7 @@ from rich.table import Table
 
 from testbed.errors import printable
 from testbed.report.tables import number_with_sigma
+from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:
     from testbed.identification.torque_constants import DriveEstimate
@@ -25,12 +26,10 @@ def drive_tables(console: Console, drives: Sequence[DriveEstimate]) -> list[Tabl
     """
     kinds = [term.law.kind for term in drives[0].terms]
     heads = ["torque constant", *kinds, "residual"]
-    for parts in ([heads], *([[head] for head in heads],)):
-        tables = [_table(drives, part) for part in parts]
-        free = console.options.update(max_width=10_000)
-        if all(console.measure(table, options=free).maximum <= console.width for table in tables):
-            break
-    return tables
+    layouts = (
+        [_table(drives, part) for part in parts] for parts in ([heads], [[h] for h in heads])
+    )
+    return first_that_fits(console, layouts)
 
 
 def _table(drives: Sequence[DriveEstimate], heads: Sequence[str]) -> Table:

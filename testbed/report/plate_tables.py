@@ -10,6 +10,7 @@ from rich.table import Table
 
 from testbed.recordings.columns import AXES
 from testbed.report.tables import number_with_sigma
+from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:
     from testbed.identification.calibration import Calibration
@@ -24,12 +25,8 @@ def plate_tables(console: Console, plate: Calibration) -> list[Table]:
         console: Where it is to be printed.
         plate: The calibration.
     """
-    for parts in ((AXES,), _HALVES):
-        tables = [_table(plate, felt) for felt in parts]
-        free = console.options.update(max_width=10_000)
-        if all(console.measure(table, options=free).maximum <= console.width for table in tables):
-            break
-    return tables
+    layouts = ([_table(plate, felt) for felt in parts] for parts in ((AXES,), _HALVES))
+    return first_that_fits(console, layouts)
 
 
 def _table(plate: Calibration, felt: tuple[str, ...]) -> Table:

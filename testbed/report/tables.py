@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.errors import printable
+from testbed.report.widths import first_that_fits
 
 _EXACT, _EXACT_SHORT = 1e-7, 1e-10
 """Relative sigma below which decimals would hide how small it is; the same in brackets."""
@@ -54,14 +55,13 @@ def result_tables(
         truths: True values by name; {} where they are not known.
         title: Of the table.
     """
-    free = console.options.update(max_width=10_000)
-    for layout in _LAYOUTS:
+
+    def laid_out(layout: _Layout) -> list[Table]:
         groups = [list(estimates)] if layout.together else [[e] for e in estimates]
         width = console.width if layout.folded else None
-        tables = [_table(group, truths, title, layout, width) for group in groups]
-        if all(console.measure(table, options=free).maximum <= console.width for table in tables):
-            break
-    return tables
+        return [_table(group, truths, title, layout, width) for group in groups]
+
+    return first_that_fits(console, map(laid_out, _LAYOUTS))
 
 
 def _table(

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from testbed.arrays import Array
 from testbed.errors import printable
+from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:
     from testbed.identification.validate import Validation
@@ -30,12 +31,10 @@ def validation_tables(console: Console, found: Validation) -> list[Table]:
         found: By one method.
     """
     whole = (tuple(head for part in _PARTS for head in part),)
-    for parts in (whole, _PARTS):
-        tables = [_table(found, heads, None) for heads in parts]
-        free = console.options.update(max_width=10_000)
-        if all(console.measure(table, options=free).maximum <= console.width for table in tables):
-            return tables
-    return [_table(found, heads, console.width) for heads in _PARTS]
+    layouts = ((whole, None), (_PARTS, None), (_PARTS, console.width))
+    return first_that_fits(
+        console, ([_table(found, heads, width) for heads in parts] for parts, width in layouts)
+    )
 
 
 def _table(found: Validation, heads: tuple[str, ...], width: int | None) -> Table:

@@ -101,7 +101,7 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     squares = given.products[0]
     used = np.maximum(counts[0], 1.0)
     values, inverse, spread = _weighted(squares, used, m)
-    left = _of_residuals(given.products, values)
+    left = of_residuals(given.products, values)
     share = m / len(used)
     covariances = left / np.maximum(counts - share, 1.0)  # (K + 1, C)
     covariances[0] = spread**2  # which is not zero
@@ -149,7 +149,7 @@ def _weighted(
         weights = 1 / spread**2
         normal = np.tensordot(weights, squares[:, :m, :m], 1)
         values = scaled_solve(normal, weights @ squares[:, :m, m])
-        left = _of_residuals(squares, values)
+        left = of_residuals(squares, values)
         spread = np.maximum(np.sqrt(np.maximum(left, 0.0) / free), LEAST)
     inverse = scaled_inverse(np.tensordot(1 / spread**2, squares[:, :m, :m], 1))
     return values, inverse, np.asarray(spread)
@@ -175,8 +175,13 @@ def _from_covariances(covariances: Array, order: int) -> Autoregression:
     return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
 
 
-def _of_residuals(products: Array, values: Array) -> Array:
-    """Products of what values leave of the residuals, (...,) of (..., q, q)."""
+def of_residuals(products: Array, values: Array) -> Array:
+    """Products of what values leave of the residuals, (...,).
+
+    Args:
+        products: Of columns, residuals and what follows them, (..., q, q).
+        values: Of the columns' unknowns, (m,).
+    """
     m, combine = len(values), np.append(-values, 1.0)
     part = products[..., : m + 1, : m + 1]
     return np.asarray(np.einsum("...ij,i,j->...", part, combine, combine))

@@ -69,6 +69,16 @@ class Rows(NamedTuple):
     further: Array
 
 
+def counted(columns: Array, measured: Array) -> Array:
+    """Ones where a row counts, zeros where it was dropped, (C, k).
+
+    Args:
+        columns: Of the rows, (C, k, q).
+        measured: Of the rows, (C, k).
+    """
+    return np.asarray(((columns != 0).any(axis=2) | (measured != 0)).astype(float))
+
+
 @dataclass(frozen=True, eq=False)
 class Units:
     """Units in which all noise is one and the robot's columns are orthonormal.
@@ -131,7 +141,7 @@ class Units:
         combined = np.column_stack([self.white, values])
         for columns, further, measured in passes.rows_beside(combined, self.beside.columns):
             own = measured - columns[..., -1]
-            ones = ((columns != 0).any(axis=2) | (measured != 0)).astype(float)
+            ones = counted(columns, measured)
             if not alone:  # each is then a mixture of all
                 ones = np.broadcast_to(ones.max(axis=0), ones.shape)
             stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
