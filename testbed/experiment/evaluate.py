@@ -13,7 +13,9 @@ from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
 from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
+from testbed.robot.rotor_spin import with_rotor_spin
 from testbed.robot.tree import Tree
+from testbed.simulation.effect import Effect
 
 
 def evaluate(
@@ -31,7 +33,7 @@ def evaluate(
         methods: Which estimates to make.
     """
     return assemble_run(
-        robot_of(experiment),
+        with_rotor_spin(robot_of(experiment), experiment.robot.spins),
         recording,
         name=experiment.name,
         settings=experiment.identification,
@@ -58,7 +60,20 @@ def robot_of(experiment: Experiment) -> Tree:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    return tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
+    tree = tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
+    for effect in effects_of(experiment, tree):
+        tree = effect.robot(tree)
+    return tree
+
+
+def effects_of(experiment: Experiment, tree: Tree) -> list[Effect]:
+    """What else is in the plant, on the robot.
+
+    Args:
+        experiment: Says so in `simulation.effect`.
+        tree: The robot.
+    """
+    return [effect.on(tree.names) for effect in experiment.simulation.effect]
 
 
 def model_of(experiment: Experiment) -> ModelFile:

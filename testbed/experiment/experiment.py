@@ -118,9 +118,18 @@ class Experiment(ExperimentTables):
             for fault in self.measurement.fault
             for name, joints in fault.by_joint.items()
         }
-        return faults | {
-            "robot.joint": self.robot.joint,
-            "motion.max_velocity": self.motion.max_velocity,
-            "motion.max_acceleration": self.motion.max_acceleration,
-            "measurement.torque_constant_error": self.measurement.torque_constant_error,
+        effects = {
+            f"simulation.effect ({effect.kind}).{name}": joints
+            for effect in self.simulation.effect
+            for name, joints in effect.by_joint.items()
         }
+        return (
+            faults
+            | effects
+            | {
+                "robot.joint": self.robot.joint,
+                "motion.max_velocity": self.motion.max_velocity,
+                "motion.max_acceleration": self.motion.max_acceleration,
+                "measurement.torque_constant_error": self.measurement.torque_constant_error,
+            }
+        )

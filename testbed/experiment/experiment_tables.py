@@ -12,6 +12,9 @@ from typing import Annotated
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from testbed.errors import UnknownName
+from testbed.kind_table import AsTable
+from testbed.simulation.effect import Effect
+from testbed.simulation.effects import effect_of
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -54,6 +57,9 @@ class JointTable(Table):
     """Viscous friction [N m s/rad or N s/m]."""
     rotor_inertia: NotNegative | None = None
     """Of the drive, at the joint [kg m^2 or kg]."""
+    rotor_spin: Finite | None = None
+    """Ratio times inertia of a rotor that spins on its carrier: what the plate feels of it, counted
+    as the minimal parameters' that hold it (docs/plants.md) [kg m^2]."""
 
 
 class RobotTable(Table):
@@ -69,7 +75,17 @@ class RobotTable(Table):
     @property
     def settings(self) -> dict[str, dict[str, object]]:
         """What is said of joints, by joint and key."""
-        return {name: table.model_dump(exclude_none=True) for name, table in self.joint.items()}
+        left_out = {"rotor_spin"}
+        return {
+            name: table.model_dump(exclude_none=True, exclude=left_out)
+            for name, table in self.joint.items()
+        }
+
+    @property
+    def spins(self) -> dict[str, float]:
+        """Spin of rotors, by joint."""
+        given = {name: table.rotor_spin for name, table in self.joint.items()}
+        return {name: spin for name, spin in given.items() if spin is not None}
 
 
 class MotionTable(Table):
@@ -102,6 +118,8 @@ class SimulationTable(Table):
     """Relative, of every mass and coefficient of friction that the controller believes."""
     warm_up: NotNegative = 2.0
     """Time run before the recording starts [s]."""
+    effect: tuple[Annotated[Effect, AsTable(effect_of)], ...] = ()
+    """What else is in the plant, `[[simulation.effect]]` (docs/plants.md)."""
 
 
 class Bound(Table):

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
+from testbed.arrays import Array
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.evaluate import model_of, robot_of
+from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
@@ -24,7 +25,8 @@ from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
 from testbed.simulation.drive_model import believed
-from testbed.simulation.rollout import Rollout, Sampling, StepForces, Watch, simulate_motion
+from testbed.simulation.effect import StepForces
+from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
 
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
@@ -65,6 +67,7 @@ def simulate(
         simulation.step,
         changed=experiment.robot.joint,
         friction=simulation.friction,
+        effects=effects_of(experiment, tree),
     )
     run = simulate_motion(
         plant,
@@ -75,10 +78,24 @@ def simulate(
         sampling,
         progress,
         watch,
-        forces,
+        _forces(experiment, tree, forces),
     )
     facts, seed = _facts(experiment, tree, run), experiment.seed
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, seed, installed)
+
+
+def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> StepForces | None:
+    """What effects and a caller push the joints with; None for nothing."""
+    step = experiment.simulation.step
+    asked = [effect.forces(tree, step) for effect in effects_of(experiment, tree)]
+    pushes = [push for push in (*asked, more) if push is not None]
+    if not pushes:
+        return None
+
+    def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+        return np.asarray(sum(each(time, q, qd, motor) for each in pushes))
+
+    return push
 
 
 def _drives_model(experiment: Experiment, tree: Tree) -> Tree:

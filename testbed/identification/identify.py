@@ -38,6 +38,7 @@ from testbed.identification.instrument import (
     trace_tests,
 )
 from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress, one_blas_thread
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
@@ -97,6 +98,8 @@ def identify(
     check_source(source, tree, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
+    if method == "internal" and settings.open_speed:
+        settings = with_speed(tree, source, minimal, settings, threads, progress)
     drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
-from testbed.robot.friction import JointLaw, joint_law
+from testbed.robot.friction import STRIBECK, JointLaw, joint_law
 
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
@@ -50,8 +50,9 @@ class Settings:
     filter's weight reaches, 0.15 s at 5 Hz."""
 
     terms: Sequence[str | JointLaw] = ("coulomb", "viscous")
-    """What a joint's torque holds besides the forces that move the bodies: "coulomb",
-    "viscous", "offset", "rotor" (testbed/robot/friction.py)."""
+    """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
+    "offset", "rotor", "asymmetric", "quadratic", "square_root", and "stribeck@0.1", friction that
+    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py)."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
@@ -110,8 +111,14 @@ class Settings:
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
-        """The terms as laws of the joints' torque."""
-        return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms)
+        """The terms as laws of the joints' torque; of one with an open speed, none yet."""
+        named = (t for t in self.terms if t != STRIBECK)
+        return tuple(joint_law(t) if isinstance(t, str) else t for t in named)
+
+    @property
+    def open_speed(self) -> bool:
+        """Whether the speed at which friction fades out is to be found."""
+        return STRIBECK in self.terms
 
     @property
     def facts(self) -> dict[str, tuple[float, float]]:
@@ -183,7 +190,8 @@ def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
     for term in given:
         if not isinstance(term, str | JointLaw):
             raise SettingsError(f"terms is a list of names, found {term!r} in it")
-        kinds.append((joint_law(term) if isinstance(term, str) else term).kind)
+        named = isinstance(term, str) and term != STRIBECK
+        kinds.append(joint_law(term).kind if named else getattr(term, "kind", STRIBECK))
     if len(set(kinds)) < len(kinds):
         raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
     return tuple(given)

@@ -1,45 +1,29 @@
 """Joint torques as measurements of the drives: torque constants, rotors, friction, offsets.
 
 The plate tells what torque the bodies need, free of friction and drives. What a drive reports is a
-constant times that torque and the joint's own terms: one short regression a joint, in which the
-uncertainty of the plate's parameters counts.
+constant times that torque and the joint's own terms.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.errors import SettingsError
+from testbed.identification.drive_laws import Choice, choices, offered
+from testbed.identification.drive_regression import JointRegression, regressions, torques_beside
 from testbed.identification.estimate import Estimate
-from testbed.identification.identify import check_source, in_its_gravity, tare_of
-from testbed.identification.noise.autoregression import HIGHEST
-from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fit
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.replicas import Replicas
-from testbed.identification.noise.scaled import scaled_solve
-from testbed.identification.noise.units import counted
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
-from testbed.identification.windows import make_plan
-from testbed.kernel.layout import layout
-from testbed.kernel.records import products_wanted
-from testbed.parameters.joint_terms import DriveSet, with_joint_terms
-from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.parameters.joint_terms import DriveSet
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
-from testbed.robot.friction import JointLaw
+from testbed.recordings.source import Source
+from testbed.robot.friction import JointLaw, JointTerm
 from testbed.robot.tree import Tree
-
-ROUNDING = 1e-20
-"""Of a torque's square: what exact data leave."""
-
-TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -71,6 +55,7 @@ class DriveEstimate:
         residual: Rms of what is left, as reported [N m or N].
         unit: N m or N.
         rows: How many counted.
+        choice: How the terms were chosen; None where they were given.
     """
 
     joint: str
@@ -80,6 +65,7 @@ class DriveEstimate:
     residual: float
     unit: str
     rows: int
+    choice: Choice | None = None
 
 
 def drive_estimates(
@@ -89,6 +75,7 @@ def drive_estimates(
     *,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
+    choose: bool = False,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> tuple[DriveEstimate, ...]:
@@ -100,6 +87,8 @@ def drive_estimates(
         bodies: The external estimate: of this recording or of another.
         gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
         settings: How the signals are treated, and which terms are looked for.
+        choose: Choose each joint's terms by held-out data; of those in the settings, only a
+            rotor's inertia counts then.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
 
@@ -107,134 +96,55 @@ def drive_estimates(
         RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    source, settings = open_source(recording), settings or Settings()
-    check_source(source, tree, "internal")
-    tree = in_its_gravity(tree, source, gravity)
-    drives = with_joint_terms(
-        tree, minimal_set(tree, "dynamic", zeros=settings.zeros), settings.laws
+    settings = settings or Settings()
+    torques = torques_beside(
+        tree,
+        recording,
+        bodies,
+        offered(settings.laws) if choose or settings.open_speed else settings.laws,
+        gravity=gravity,
+        settings=settings,
+        threads=threads,
+        progress=progress,
     )
-    lift = _lift(tree, bodies, drives, settings)
-    rows = layout(tree.without_inertias(), drives.minimal, drives.terms, False)
-    plan = make_plan(source, rows, tare_of(tree, source), settings)
-    passes = Passes(plan, threads, progress, 3)
-    with one_blas_thread():
-        sums = passes.sums(products_wanted(tree.n))
-        equations = gather(rows, drives.names, tree.names, sums)
-        combined = np.column_stack([lift @ bodies.values, drives.columns])
-        own = [
-            [0, *(1 + k for k, term in enumerate(drives.asked) if term.joint == joint)]
-            for joint in range(tree.n)
-        ]
-        fits = _fits(passes, combined, own)
-    found = []
-    for joint, (fit, squares) in enumerate(fits):
-        lead = combined[:, own[joint]]
-        moved = _by_bodies(equations, joint, lead, lift, fit.values)
-        covariance = fit.covariance + moved @ bodies.covariance @ moved.T
-        laws = [drives.asked[k - 1].law for k in own[joint][1:]]
-        used = int(equations.used[joint])
-        residual = float(np.sqrt(squares / max(used, 1)))
-        found.append(_estimate(tree, joint, laws, fit.values, covariance, residual, used))
-    return tuple(found)
+    asked = torques.drives.asked
+    if not (choose or settings.open_speed):
+        return tuple(drive_of(tree, asked, found) for found in regressions(torques, bodies))
+    chosen = choices(torques)
+
+    def picked(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+        del equations
+        laws = chosen[joint].laws
+        own = [k for k, t in enumerate(drives.asked) if t.joint == joint and t.law in laws]
+        return np.eye(len(drives.asked))[:, own]
+
+    return tuple(
+        replace(drive_of(tree, asked, found), choice=chosen[found.joint])
+        for found in regressions(torques, bodies, picked)
+    )
 
 
-def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
-    """How the plate's parameters make the internal unknowns without terms, (p, N_r)."""
-    reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
-    if bodies.method != "external" or bodies.names != reaction.names:
-        raise SettingsError(
-            "drives are held against the plate's estimate, of the same robot, gravity and zeros"
-        )
-    found = np.zeros((drives.count, reaction.count))
-    found[: drives.minimal.count] = selection(drives.minimal, reaction)
-    return found
+def drive_of(tree: Tree, asked: Sequence[JointTerm], found: JointRegression) -> DriveEstimate:
+    """A joint's regression in words: its own terms as they are, not as reported.
 
-
-def _fits(
-    passes: Passes, combined: Array, own: Sequence[Sequence[int]]
-) -> list[tuple[NoiseFit, float]]:
-    """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
-    sums = [LaggedSums(HIGHEST) for _ in own]
-    for joint, part in _parts(passes, combined, own):
-        sums[joint].add(part)
-    given = [each.finish() for each in sums]
-    sizes = [_left(each.products[0, 0]) for each in given]
-    scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
-    found = [weighted_fit(each) for each in scaled]
-    replicas = [Replicas(fit.noise, len(which)) for fit, which in zip(found, own, strict=True)]
-    for joint, part in _parts(passes, combined, own):
-        replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
-    corrected = []
-    for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
-        factor = made.factor(weighted_fit, np.eye(len(fit.values)))
-        squares = _square(each.products[0, 0], fit.values) * size**2
-        corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
-    return corrected
-
-
-def _parts(
-    passes: Passes, combined: Array, own: Sequence[Sequence[int]]
-) -> Iterator[tuple[int, Array]]:
-    """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
-    for columns, measured in passes.rows(combined):
-        ones = counted(columns, measured)
-        for joint, which in enumerate(own):
-            last = np.stack([measured[joint], ones[joint]], axis=1)
-            part = [columns[joint][:, list(which)], last]
-            yield joint, np.concatenate(part, axis=1)[None]
-
-
-def _left(squares: Array) -> float:
-    """Rms of what plain least squares leaves, and next to nothing at least."""
-    m = len(squares) - 2
-    values = scaled_solve(squares[:m, :m], squares[:m, m])
-    count, whole = max(float(squares[m + 1, m + 1]), 1.0), float(squares[m, m])
-    return float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
-
-
-def _square(squares: Array, values: Array) -> float:
-    return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
-
-
-def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
-    """Columns and torques in units of what is left."""
-    columns = given.products.shape[2]
-    return given.combined(np.diag([*np.full(columns - 1, 1 / size), 1.0]))
-
-
-def _by_bodies(
-    equations: NormalEquations, joint: int, lead: Array, lift: Array, values: Array
-) -> Array:
-    """How a joint's numbers move with the plate's parameters, (q, N_r)."""
-    normal, _, _ = equations.of_channel(joint)
-    across = lead.T @ normal
-    return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))
-
-
-def _estimate(
-    tree: Tree,
-    joint: int,
-    laws: Sequence[JointLaw],
-    values: Array,
-    covariance: Array,
-    residual: float,
-    rows: int,
-) -> DriveEstimate:
-    """Numbers of a joint; its own terms as they are: as reported, over the constant."""
-    constant = float(values[0])
-    terms = []
-    for k, law in enumerate(laws, start=1):
-        value = float(values[k]) / constant
-        slope = np.zeros(len(values))
-        slope[0], slope[k] = -value / constant, 1 / constant
-        sigma = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
-        terms.append(DriveTerm(law, law.unit(tree.joints[joint]), value, sigma))
+    Args:
+        tree: The robot.
+        asked: All terms.
+        found: The regression, each coefficient that of one term.
+    """
+    laws = [asked[k].law for k in found.terms.argmax(axis=0)]
+    joint = tree.joints[found.joint]
+    terms, covariance = found.as_they_are
+    sigmas = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return DriveEstimate(
-        joint=tree.names[joint],
-        constant=constant,
-        sigma=float(np.sqrt(max(float(covariance[0, 0]), 0.0))),
-        terms=tuple(terms),
-        residual=residual,
-        unit="N m" if tree.joints[joint].revolute else "N",
-        rows=rows,
+        joint=joint.name,
+        constant=float(found.values[0]),
+        sigma=float(np.sqrt(max(float(found.covariance[0, 0]), 0.0))),
+        terms=tuple(
+            DriveTerm(law, law.unit(joint), float(value), float(sigma))
+            for law, value, sigma in zip(laws, terms, sigmas, strict=True)
+        ),
+        residual=found.residual,
+        unit="N m" if joint.revolute else "N",
+        rows=found.rows,
     )

@@ -13,10 +13,11 @@ from testbed.errors import RecordingError, SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
 from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
 from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal
-from testbed.instruments.faults import AsTable
+from testbed.instruments.faults import fault_of
 from testbed.instruments.plate_noise import PlateNoise
 from testbed.instruments.stage import applied, numbered, stream
 from testbed.instruments.tare import MeasuredTare
+from testbed.kind_table import AsTable
 from testbed.recordings.recording import Recording, Truth
 
 _PLATE = ("force_noise", "moment_noise")
@@ -55,7 +56,7 @@ class Instrument:
     force_noise: float = 0.0
     moment_noise: float = 0.0
     full_scale: tuple[float, float, float, float, float, float] = FULL_SCALE
-    fault: tuple[Annotated[Fault, AsTable()], ...] = ()
+    fault: tuple[Annotated[Fault, AsTable(fault_of)], ...] = ()
 
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
 

@@ -8,8 +8,9 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint
-from testbed.instruments.fault_keys import hidden, key
+from testbed.instruments.fault import Fault, Place, Signal
+from testbed.keys import hidden, key
+from testbed.kind_table import PerJoint, each_joint
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.instruments.fault import Fault, PerJoint, Place, Signal, each_joint
-from testbed.instruments.fault_keys import key
+from testbed.instruments.fault import Fault, Place, Signal
 from testbed.instruments.interpolation import first_instants
+from testbed.keys import key
+from testbed.kind_table import PerJoint, each_joint
 
 
 @dataclass(frozen=True)

@@ -12,23 +12,20 @@ or the default where zero makes no sense, as for a period.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import MISSING, Field, dataclass, fields, replace
+from abc import abstractmethod
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, TypeAlias
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import SettingsError, UnknownName
-from testbed.instruments.fault_keys import COUNTS, Key
+from testbed.keys import COUNTS
+from testbed.kind_table import KindTable
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """What a fault spoils; the tare is what the plate shows at rest without the robot."""
 
-PerJoint: TypeAlias = float | tuple[float, ...] | Mapping[str, float]
-"""One for all joints, one a joint in their order, or by name."""
 PerAxis: TypeAlias = float | tuple[float, ...]
 """One for x, y and z, or three."""
 PerChannel: TypeAlias = float | tuple[float, ...]
@@ -71,28 +68,11 @@ class Rig:
     position: Array | None = None
 
 
-class Fault(ABC):
+class Fault(KindTable):
     """One imperfection that an experiment file can ask for."""
 
-    kind: ClassVar[str]
-    """Its name in files, and of its random stream."""
     signal: ClassVar[Signal]
     place: ClassVar[Place]
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
-
-    def __post_init__(self) -> None:
-        for name, wanted in self.known_keys().items():
-            value = getattr(self, name)
-            if value is not None or _default(self, name) is not None:
-                object.__setattr__(self, name, wanted.checked(value, f"{self.kind}: {name}"))
-
-    def __eq__(self, other: object) -> bool:
-        """Faults are the same if their tables are, whatever they are installed on."""
-        return isinstance(other, Fault) and self.table() == other.table()
-
-    def __hash__(self) -> int:
-        return hash(self.kind)
 
     @abstractmethod
     def apply(self, signal: Array, time: Array, rng: np.random.Generator) -> Array:
@@ -103,22 +83,6 @@ class Fault(ABC):
             time: (M,) [s].
             rng: The fault's own random numbers.
         """
-
-    @classmethod
-    def known_keys(cls) -> dict[str, Key]:
-        """What may be said in the fault's table, besides `kind`."""
-        return {f.name: f.metadata["key"] for f in fields(cls) if "key" in f.metadata}
-
-    def table(self) -> dict[str, Any]:
-        """The fault as an experiment file says it, every default written out."""
-        values = {name: _plain(getattr(self, name)) for name in self.known_keys()}
-        return {"kind": self.kind} | {k: v for k, v in values.items() if v is not None}
-
-    @property
-    def by_joint(self) -> dict[str, Mapping[str, float]]:
-        """The values that are tables by joint name."""
-        values = {name: getattr(self, name) for name in self.known_keys()}
-        return {name: value for name, value in values.items() if isinstance(value, Mapping)}
 
     def on(self, rig: Rig) -> Self:
         """The same fault on a robot and a plate: a value a joint, in their order.
@@ -132,11 +96,7 @@ class Fault(ABC):
         found: dict[str, Any] = {
             f.name: getattr(rig, f.name) for f in fields(self) if f.metadata.get("rig")
         }
-        for name, wanted in self.known_keys().items():
-            value = getattr(self, name)
-            if wanted.members == "joints":
-                found[name] = self._by_joint(name, value, rig.names)
-        return replace(self, **found)
+        return replace(self, **found, **self.of_joints(rig.names))
 
     def check_rate(self, rate: float) -> None:
         """Whether the fault can be at a rate.
@@ -165,40 +125,8 @@ class Fault(ABC):
                 found[name] = tuple(rng.uniform(0, 2 * np.pi, count).tolist())
         return replace(self, **found)
 
-    def _by_joint(self, name: str, value: Any, names: tuple[str, ...]) -> Any:
-        if isinstance(value, Mapping):
-            for joint in value:
-                if joint not in names:
-                    raise SettingsError(f"{self.kind}: {UnknownName('joint', joint, names)}")
-            wanted = self.known_keys()[name]
-            other = _default(self, name) if wanted.positive else 0.0
-            return tuple(value.get(joint, other) for joint in names)
-        if isinstance(value, tuple) and len(value) != len(names):
-            raise SettingsError(
-                f"{self.kind}: {name} has {len(value)} numbers for {len(names)} joints "
-                f"({', '.join(names)})"
-            )
-        return value
-
-
-def _default(fault: Fault, name: str) -> Any:
-    default = type(fault).__dataclass_fields__[name].default
-    return None if default is MISSING else default
-
-
-def _plain(value: Any) -> Any:
-    """A value as TOML takes it."""
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    return dict(value) if isinstance(value, Mapping) else value
-
 
 def each_channel(force: PerAxis, moment: PerAxis) -> Array:
     """Forces' and moments' values, channel by channel, (6,) [N, N m]."""
     three = [np.broadcast_to(np.asarray(part, dtype=float), 3) for part in (force, moment)]
     return np.concatenate(three)
-
-
-def each_joint(value: PerJoint) -> Array:
-    """Values that multiply or add to joint columns: () or (n,)."""
-    return np.asarray(value, dtype=float)

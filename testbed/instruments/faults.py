@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from testbed.errors import SettingsError, UnknownName
 from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise, tare
 from testbed.instruments.fault import Fault
+from testbed.kind_table import of_table
 
 _DEVICES = (encoders, drives, plate, plate_clock, plate_noise, tare)
 
@@ -28,15 +28,7 @@ def fault_of(table: object) -> Fault:
     """
     if isinstance(table, Fault):
         return table
-    if not isinstance(table, Mapping) or not isinstance(table.get("kind"), str):
-        raise SettingsError('a fault is a table with its kind, as { kind = "plate_bias" }')
-    fault = fault_named(table["kind"])
-    values = {name: value for name, value in table.items() if name != "kind"}
-    known = fault.known_keys()
-    for name in values:
-        if name not in known:
-            raise SettingsError(str(UnknownName(f"key of {fault.kind}", str(name), known)))
-    return fault(**values)
+    return of_table(table, "a fault", "plate_bias", fault_named)
 
 
 def fault_named(kind: str) -> type[Fault]:
@@ -53,16 +45,3 @@ def fault_named(kind: str) -> type[Fault]:
         said = UnknownName("kind of fault", kind, device or KINDS)
         raise SettingsError(f"{said}; `testbed faults` lists all")
     return KINDS[kind]
-
-
-class AsTable:
-    """How pydantic reads a fault of an experiment file's table, and writes it back."""
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> dict[str, Any]:
-        """A schema of pydantic-core, which is a plain dictionary."""
-        del source, handler
-        return {
-            "type": "function-plain",
-            "function": {"type": "no-info", "function": fault_of},
-            "serialization": {"type": "function-plain", "function": Fault.table},
-        }

@@ -18,7 +18,7 @@ from testbed.instruments.fault import (
     Rig,
     Signal,
 )
-from testbed.instruments.fault_keys import hidden, key
+from testbed.keys import hidden, key
 from testbed.robot.rotations import from_vector
 
 

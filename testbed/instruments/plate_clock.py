@@ -10,8 +10,8 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import SettingsError
 from testbed.instruments.fault import Fault, Place, Signal
-from testbed.instruments.fault_keys import key
 from testbed.instruments.interpolation import at_times
+from testbed.keys import key
 
 _LEAST_CUTOFF = 1e-5
 """Of a filter, in sampling rates: below, its coefficients drown in rounding."""

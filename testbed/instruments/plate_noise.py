@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.instruments.fault import Fault, PerAxis, PerChannel, Place, Signal, each_channel
-from testbed.instruments.fault_keys import key
+from testbed.keys import key
 
 
 @dataclass(frozen=True)

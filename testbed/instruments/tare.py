@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import SettingsError
 from testbed.instruments.fault import Fault, Place, Signal
-from testbed.instruments.fault_keys import key
+from testbed.keys import key
 
 _MOST_SAMPLES = 1e6
 """Of a tare: they are held in memory."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -86,6 +87,18 @@ def _acceleration(qd: Any, qdd: Any) -> Any:
     return qdd
 
 
+def _speed(qd: Any, qdd: Any) -> Any:
+    return np.abs(qd)
+
+
+def _square(qd: Any, qdd: Any) -> Any:
+    return qd * np.abs(qd)
+
+
+def _square_root(qd: Any, qdd: Any) -> Any:
+    return np.sign(qd) * np.sqrt(np.abs(qd))
+
+
 COULOMB = JointLaw("coulomb", "N m", "N", _sign, "coulomb", resists=True, jumps=True)
 """Dry friction: against the motion, however fast."""
 
@@ -98,8 +111,45 @@ OFFSET = JointLaw("offset", "N m", "N", _one)
 ROTOR = JointLaw("rotor", "kg m^2", "kg", _acceleration, "rotor_inertia")
 """Inertia of the drive's rotor, reflected to the joint."""
 
-LAWS: tuple[JointLaw, ...] = (COULOMB, VISCOUS, OFFSET, ROTOR)
-"""All that can be asked for by name."""
+ASYMMETRIC = JointLaw("asymmetric", "N m s/rad", "N s/m", _speed)
+"""Viscous friction that differs by direction; where dry friction does, an offset tells it."""
+
+QUADRATIC = JointLaw("quadratic", "N m s^2/rad^2", "N s^2/m^2", _square)
+"""Friction in proportion to the square of the velocity."""
+
+SQUARE_ROOT = JointLaw("square_root", "N m s^.5/rad^.5", "N s^.5/m^.5", _square_root)
+"""Friction in proportion to the root of the velocity: of lubricated gears."""
+
+LAWS: tuple[JointLaw, ...] = (
+    COULOMB,
+    VISCOUS,
+    OFFSET,
+    ROTOR,
+    ASYMMETRIC,
+    QUADRATIC,
+    SQUARE_ROOT,
+)
+"""All that can be asked for by name; beside them stribeck@SPEED."""
+
+STRIBECK = "stribeck"
+"""Kind of the laws that fade out above a speed; by itself it leaves the speed open."""
+
+SLOWEST, FASTEST = 1e-3, 10.0
+"""Speeds at which friction may fade out [rad/s or m/s]."""
+
+
+@lru_cache
+def stribeck(speed: float) -> JointLaw:
+    """Friction that dry friction has more at low speed: sign(v) exp(-(v / speed)^2).
+
+    Args:
+        speed: At which it fades out [rad/s or m/s].
+    """
+
+    def column(qd: Any, qdd: Any) -> Any:
+        return np.sign(qd) * np.exp(-((qd / speed) ** 2))
+
+    return JointLaw(f"{STRIBECK}@{speed:g}", "N m", "N", column, jumps=True)
 
 
 @dataclass(frozen=True)
@@ -129,15 +179,25 @@ def joint_terms(tree: Tree, laws: Iterable[JointLaw]) -> tuple[JointTerm, ...]:
 
 
 def joint_law(kind: str) -> JointLaw:
-    """The law of that name.
+    """The law of that name: one of LAWS, or stribeck@SPEED.
 
     Raises:
         UnknownName: There is none.
     """
     known = {law.kind: law for law in LAWS}
+    family, _, speed = kind.partition("@")
+    if family == STRIBECK and _is_speed(speed):
+        return stribeck(float(speed))
     if kind not in known:
-        raise UnknownName("term of a joint's torque", kind, known)
+        raise UnknownName("term of a joint's torque", kind, (*known, f"{STRIBECK}@0.1"))
     return known[kind]
+
+
+def _is_speed(text: str) -> bool:
+    try:
+        return SLOWEST <= float(text) <= FASTEST
+    except ValueError:
+        return False
 
 
 def friction_torque(tree: Tree, qd: Array, smooth: float = 0.0) -> Array:

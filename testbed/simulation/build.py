@@ -14,7 +14,7 @@ pays for it (docs/architecture.md).
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import mujoco
@@ -28,6 +28,7 @@ from testbed.robot.formats.urdf_xml import supported_xml
 from testbed.robot.load import model_format
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
+from testbed.simulation.effect import PLATE_FREEDOM, Effect
 from testbed.simulation.plant import Plant, check_plant
 
 _PLATE = "testbed/bedplate"
@@ -41,28 +42,42 @@ def build_plant(
     *,
     changed: Collection[str] = (),
     friction: bool = True,
+    effects: Sequence[Effect] = (),
 ) -> Plant:
     """Put the robot of a model file on its sensing bedplate.
 
     Args:
         model: The model file, and how it is read.
-        tree: The tree read from it; gives joint names, their order and gravity.
+        tree: The tree read from it, with what effects add to it; gives joint names, their order
+            and gravity.
         step: Simulation step [s].
         changed: Joints whose friction and rotor inertia are the tree's, not the file's.
         friction: Keep the joints' friction.
+        effects: What else is in the plant, on the robot.
 
     Raises:
-        ModelError: MuJoCo refuses the model.
+        ModelError: MuJoCo refuses the model, or an effect departs from its law.
     """
-    tree = tree if friction else tree.without_friction()
+    if not friction or any(effect.owns_friction for effect in effects):
+        tree = tree.without_friction()
     path, spec = model.path, _robot(model)
     prefix = ""
     with no_mujoco_warnings():  # attaching overrides timestep and camera, and says so
         if _plate_of(compile_spec(spec, path)) is None:
             spec, prefix = _on_plate(spec), _PREFIX
         _equip(spec, tree, step, prefix, changed)
+        for effect in effects:
+            effect.equip(spec, tree, prefix)
         plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
         check_plant(plant, tree, path)
+        for effect in effects:
+            effect.disturb(spec, tree, prefix)
+        if effects:
+            plant = _plant_of(compile_spec(spec, path), tree, path, prefix)
+    for effect in effects:
+        flaw = effect.flaw(plant, tree)
+        if flaw:
+            raise ModelError(f"{path}: {effect.kind}: {flaw}")
     return plant
 
 
@@ -142,16 +157,30 @@ def _plant_of(model: mujoco.MjModel, tree: Tree, path: Path, prefix: str) -> Pla
         found = [model.sensor(f"testbed/{kind.name}/{prefix}{n}").adr[0] for n in tree.names]
         return np.array(found)
 
+    order = np.array([model.joint(prefix + name).dofadr[0] for name in tree.names])
     return Plant(
         model=model,
-        order=np.array([model.joint(prefix + name).dofadr[0] for name in tree.names]),
+        order=order,
+        dofs=_dofs(model, order),
         positions=sensors(mujoco.mjtSensor.mjSENS_JOINTPOS),
         velocities=sensors(mujoco.mjtSensor.mjSENS_JOINTVEL),
         plate=np.concatenate([model.sensor_adr[s] + np.arange(3) for s in (force, torque)]),
         plate_turn=data.site_xmat[site].reshape(3, 3).copy(),
         plate_origin=data.site_xpos[site].copy(),
-        tare=_tare(model, data, int(model.site_bodyid[site]), tree.gravity),
+        tare=_tare(model, data, int(model.site_bodyid[site]), model.opt.gravity),
     )
+
+
+def _dofs(model: mujoco.MjModel, order: Array) -> Array:
+    """How MuJoCo's velocities go with those of the joints, (nv, n)."""
+    found = np.zeros((model.nv, len(order)))
+    found[order, np.arange(len(order))] = 1.0
+    for gear in np.flatnonzero(model.eq_type == int(mujoco.mjtEq.mjEQ_JOINT)):
+        led, leader = int(model.eq_obj1id[gear]), int(model.eq_obj2id[gear])
+        if leader >= 0:
+            with_it = found[model.jnt_dofadr[leader]]
+            found[model.jnt_dofadr[led]] = model.eq_data[gear, 1] * with_it
+    return found
 
 
 def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
@@ -162,10 +191,17 @@ def _plate_of(model: mujoco.MjModel) -> tuple[int, int] | None:
     for site in range(model.nsite):
         force = found.get((int(mujoco.mjtSensor.mjSENS_FORCE), site))
         torque = found.get((int(mujoco.mjtSensor.mjSENS_TORQUE), site))
-        welded = model.body_weldid[model.site_bodyid[site]] == 0
-        if force is not None and torque is not None and welded:
+        if force is not None and torque is not None and _stands(model, model.site_bodyid[site]):
             return force, torque
     return None
+
+
+def _stands(model: mujoco.MjModel, body: int) -> bool:
+    """Whether a body is the world's, or moves with the plate alone."""
+    first = int(model.body_weldid[body])
+    joints = range(model.body_jntadr[first], model.body_jntadr[first] + model.body_jntnum[first])
+    ours = all(model.joint(k).name.startswith(PLATE_FREEDOM) for k in joints)
+    return first == 0 or (ours and model.body_weldid[model.body_parentid[first]] == 0)
 
 
 def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int, gravity: Array) -> Array:
@@ -175,7 +211,7 @@ def _tare(model: mujoco.MjModel, data: mujoco.MjData, body: int, gravity: Array)
         chain = b
         while chain > body:
             chain = model.body_parentid[chain]
-        if chain == body and model.body_weldid[b] == 0:
+        if chain == body and model.body_weldid[b] == model.body_weldid[body]:
             mass += model.body_mass[b]
             moment += model.body_mass[b] * data.xipos[b]
     return np.concatenate([-mass * gravity, -np.cross(moment, gravity)])

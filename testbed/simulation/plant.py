@@ -29,6 +29,8 @@ class Plant:
     Attributes:
         model: The MuJoCo model.
         order: For each joint of the tree, its index among MuJoCo's velocities, (n,).
+        dofs: How MuJoCo's positions and velocities go with the joints', (nv, n): one for each
+            joint, a ratio for what a joint takes along.
         positions: Where its position stands among the sensor data, (n,).
         velocities: Likewise its velocity, (n,).
         plate: Where the plate's force and moment stand among the sensor data, (6,).
@@ -40,6 +42,7 @@ class Plant:
 
     model: mujoco.MjModel
     order: Array
+    dofs: Array
     positions: Array
     velocities: Array
     plate: Array

@@ -21,6 +21,7 @@ from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import Controller, computed_torque
+from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant
 
 _STATE = ("qpos", "qvel")
@@ -31,10 +32,6 @@ _SLAB = 1000
 
 
 Watch: TypeAlias = Callable[[Array, Truth], None]
-
-StepForces: TypeAlias = Callable[[float, Array, Array], Array]
-"""Forces on the joints besides motors and the model's friction, (n,) [N m or N], of time [s],
-positions (n,) and velocities (n,), joints in the order of the tree; held over a step."""
 
 
 class SimulationDiverged(TestbedError):
@@ -146,8 +143,8 @@ class _Loop:
         self._batch = Batch(plant.model, nsim=1, nthread=1)
         keys = (*_STATE, *_RECORD, "qacc", "ctrl", "qfrc_applied")
         self._live = {key: self._batch.bind(key)[0] for key in keys}
-        self._live["qpos"][plant.order] = drive.reference.q[0]  # every joint has one position
-        self._live["qvel"][plant.order] = drive.reference.qd[0]
+        self._live["qpos"][:] = plant.dofs @ drive.reference.q[0]  # every joint has one position
+        self._live["qvel"][:] = plant.dofs @ drive.reference.qd[0]
 
     def run(self, samples: range) -> Truth:
         """Follow some samples of the reference."""
@@ -198,7 +195,7 @@ class _Loop:
             return np.zeros(len(order))
         time = self._drive.reference.t[k] + step / (self._sampling.steps * self._sampling.rate)
         position, velocity = (self._live[key][order] for key in _STATE)
-        force = self._forces(time, position, velocity)
+        force = self._forces(time, position, velocity, self._live["ctrl"].copy())
         self._live["qfrc_applied"][order] = force
         return force
 
@@ -217,13 +214,13 @@ class _Loop:
     def _truth(
         self, log: dict[str, Array], torque: Array, applied: Array, acceleration: Array
     ) -> Truth:
-        sensed, order = log["sensordata"], self._plant.order
+        sensed = log["sensordata"]
         lost = log["qfrc_passive"] + log["qfrc_constraint"]
         return Truth(
             position=sensed[:, self._plant.positions],
             velocity=sensed[:, self._plant.velocities],
             acceleration=acceleration,
             torque=torque,
-            friction=-lost[:, order] - applied,
+            friction=-lost @ self._plant.dofs - applied,
             wrench=self._plant.bedplate_wrench(sensed[:, self._plant.plate]),
         )

@@ -32,7 +32,7 @@ def test_every_example_runs_as_printed(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(found) >= 4
     for block in found:
         exec(compile(block, "docs/extending.md", "exec", dont_inherit=True), scope)
-    assert "quadratic/elbow" in scope["estimate"].names
+    assert "cubic/elbow" in scope["estimate"].names
 
 
 def test_a_format_is_one_module_more(

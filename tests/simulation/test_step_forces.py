@@ -12,7 +12,8 @@ from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import Rollout, Sampling, StepForces, simulate_motion
+from testbed.simulation.effect import StepForces
+from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -47,7 +48,7 @@ def test_forces_of_zero_change_no_bit(
     sampling: Sampling, robot: tuple[tb.Tree, Path, Fourier]
 ) -> None:
     alone = run(robot, sampling, None).truth
-    pushed = run(robot, sampling, lambda t, q, qd: np.zeros(3)).truth
+    pushed = run(robot, sampling, lambda t, q, qd, motor: np.zeros(3)).truth
     for name, values in vars(alone).items():
         np.testing.assert_array_equal(getattr(pushed, name), values, err_msg=name)
 
@@ -58,7 +59,7 @@ def test_a_viscous_force_is_viscous_friction(
 ) -> None:
     """To the first order of the step, over which the force is held."""
     inside = run(robot, sampling, None, viscous=2.0).truth
-    outside = run(robot, sampling, lambda t, q, qd: -2.0 * qd).truth
+    outside = run(robot, sampling, lambda t, q, qd, motor: -2.0 * qd).truth
     scale = np.abs(inside.friction).max()
     assert scale > 0.1
     assert np.abs(inside.friction - outside.friction).max() < 0.02 * scale
@@ -71,7 +72,7 @@ def test_no_force_at_the_joints_reaches_the_plate(
     """Torque less friction moves the robot, and the wrench is that of the motion alone."""
     tree = robot[0]
 
-    def rough(time: float, q: Array, qd: Array) -> Array:
+    def rough(time: float, q: Array, qd: Array, motor: Array) -> Array:
         return np.asarray(-1.5 * np.tanh(qd / 0.1) - 0.5 * np.sin(3 * q) + 0.3 * np.sin(40 * time))
 
     found = run(robot, INSTANTS, rough)
@@ -88,7 +89,7 @@ def test_no_force_at_the_joints_reaches_the_plate(
 def test_forces_know_time_and_state(robot: tuple[tb.Tree, Path, Fourier]) -> None:
     seen: list[tuple[float, Array, Array]] = []
 
-    def watch(time: float, q: Array, qd: Array) -> Array:
+    def watch(time: float, q: Array, qd: Array, motor: Array) -> Array:
         seen.append((time, q.copy(), qd.copy()))
         return np.zeros(3)
 

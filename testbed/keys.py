@@ -1,4 +1,4 @@
-"""What may stand under a key of a fault's table: numbers within bounds, lists, tables by joint."""
+"""What may stand under a key of a kind's table: numbers within bounds, lists, tables by joint."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from testbed.errors import SettingsError
 
 LARGEST = 1e9
-"""Sizes of faults beyond this are a mistake; so are positive ones below its inverse."""
+"""Sizes beyond this are a mistake; so are positive ones below its inverse."""
 
 COUNTS = {"axes": 3, "channels": 6}
 """How many members a list has that is not of joints."""
@@ -23,11 +23,11 @@ _LISTS = {
 
 @dataclass(frozen=True)
 class Key:
-    """What may stand under a key of a fault's table.
+    """What may stand under a key of a kind's table.
 
     Attributes:
         members: What the value may be one of each for: "joints", "axes", "channels"; or
-            "matrix" (6, 6); or nothing.
+            "matrix" (6, 6); "word", a word instead of a number; or nothing.
         drawn: What a single number leaves open: "sign", "phase" (where the value is left
             out), or nothing.
         least: Smallest value.
@@ -44,7 +44,7 @@ class Key:
     whole: bool = False
 
     def checked(self, value: Any, label: str) -> Any:
-        """A value as a fault keeps it: floats, tuples, tables by joint name.
+        """A value as it is kept: floats, tuples, tables by joint name.
 
         Args:
             value: As Python or TOML gives it.
@@ -61,6 +61,10 @@ class Key:
             raise SettingsError(f"{label} is {self._words()}, found {said}") from None
 
     def _kept(self, value: Any) -> Any:
+        if self.members == "word":
+            if not isinstance(value, str):
+                raise TypeError
+            return value
         if self.members == "matrix":
             rows = tuple(tuple(self._number(each) for each in row) for row in value)
             if [len(row) for row in rows] != [6] * 6:
@@ -86,6 +90,8 @@ class Key:
 
     def _words(self) -> str:
         """What the key takes."""
+        if self.members == "word":
+            return "a name"
         if self.members == "matrix":
             return "six lists of six numbers"
         number = "positive " * self.positive + "whole " * self.whole + "number"
@@ -98,7 +104,7 @@ class Key:
 
 
 def key(default: Any, members: str = "", drawn: str = "", **bounds: Any) -> Any:
-    """A field of a fault that is a key of its table.
+    """A field that is a key of its kind's table.
 
     Args:
         default: Its value; None where nothing need be said.
@@ -110,5 +116,5 @@ def key(default: Any, members: str = "", drawn: str = "", **bounds: Any) -> Any:
 
 
 def hidden(default: Any) -> Any:
-    """A field of a fault that its rig decides, not its table."""
+    """A field that is no key: what the value is installed on decides it."""
     return field(default=default, repr=False, compare=False, metadata={"rig": True})

@@ -1,0 +1,253 @@
+"""One joint's reported torque on what its bodies need and its own terms: a short regression.
+
+The bodies are known from the plate; their uncertainty counts in what comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
+
+from testbed.arrays import Array
+from testbed.errors import SettingsError
+from testbed.identification.estimate import Estimate
+from testbed.identification.identify import check_source, in_its_gravity, tare_of
+from testbed.identification.noise.autoregression import HIGHEST
+from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fit
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.replicas import Replicas
+from testbed.identification.noise.scaled import scaled_solve
+from testbed.identification.noise.units import counted
+from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.settings import Settings
+from testbed.identification.windows import make_plan
+from testbed.kernel.layout import layout
+from testbed.kernel.records import products_wanted
+from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source
+from testbed.robot.friction import JointLaw
+from testbed.robot.tree import Tree
+
+ROUNDING = 1e-20
+"""Of a torque's square: what exact data leave."""
+
+TINY = float(np.finfo(float).tiny)
+
+
+@dataclass(frozen=True, eq=False)
+class JointRegression:
+    """One joint's.
+
+    Attributes:
+        joint: Index.
+        terms: How its q coefficients make those of the asked terms, (asked, q).
+        values: What the drive reports over what the torque is, then the coefficients as
+            reported, (1 + q,).
+        covariance: (1 + q, 1 + q); it holds that of the bodies.
+        residual: Rms of what is left, as reported [N m or N].
+        rows: How many counted.
+    """
+
+    joint: int
+    terms: Array
+    values: Array
+    covariance: Array
+    residual: float
+    rows: int
+
+    @property
+    def as_they_are(self) -> tuple[Array, Array]:
+        """The coefficients in true torque, (q,), and their covariance, (q, q)."""
+        constant, terms = float(self.values[0]), self.values[1:] / self.values[0]
+        slope = np.column_stack([-terms / constant, np.eye(len(terms)) / constant])
+        return terms, slope @ self.covariance @ slope.T
+
+
+Pick = Callable[[int, DriveSet, NormalEquations], Array]
+"""How the coefficients of a joint's regression make those of the asked terms, (asked, q): of its
+index, the set and the equations."""
+
+
+def all_terms(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+    """Every term of the joint has a coefficient.
+
+    Args:
+        joint: Its index.
+        drives: The terms.
+        equations: Of all rows.
+    """
+    del equations
+    own = [k for k, term in enumerate(drives.asked) if term.joint == joint]
+    return np.eye(len(drives.asked))[:, own]
+
+
+@dataclass(frozen=True, eq=False)
+class Torques:
+    """A recording's joint torques beside what a plate's estimate says of the bodies.
+
+    Attributes:
+        drives: The unknowns.
+        passes: Over the rows.
+        equations: Of all rows.
+        lift: How the plate's parameters make the unknowns, (p, N_r).
+        combined: How unknowns combine to the columns of a regression, (p, 1 + asked): the
+            torque that the bodies need, and the terms.
+    """
+
+    drives: DriveSet
+    passes: Passes
+    equations: NormalEquations
+    lift: Array
+    combined: Array
+
+
+def torques_beside(
+    tree: Tree,
+    recording: Recording | Source | str,
+    bodies: Estimate,
+    laws: Sequence[JointLaw],
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Torques:
+    """A recording's joint torques, ready for regressions.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: With joint torques, as for `identify`.
+        bodies: The external estimate: of this recording or of another.
+        laws: Of the joints' own torque.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording has no torques, or is of another robot.
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    source, settings = open_source(recording), settings or Settings()
+    check_source(source, tree, "internal")
+    tree = in_its_gravity(tree, source, gravity)
+    drives = with_joint_terms(tree, minimal_set(tree, "dynamic", zeros=settings.zeros), laws)
+    lift = _lift(tree, bodies, drives, settings)
+    rows = layout(tree.without_inertias(), drives.minimal, drives.terms, False)
+    plan = make_plan(source, rows, tare_of(tree, source), settings)
+    passes = Passes(plan, threads, progress, 3)
+    with one_blas_thread():
+        sums = passes.sums(products_wanted(tree.n))
+        equations = gather(rows, drives.names, tree.names, sums)
+    combined = np.column_stack([lift @ bodies.values, drives.columns])
+    return Torques(drives, passes, equations, lift, combined)
+
+
+def regressions(
+    torques: Torques, bodies: Estimate, pick: Pick = all_terms
+) -> tuple[JointRegression, ...]:
+    """Every joint's regression, with an honest covariance.
+
+    Args:
+        torques: And what the bodies need.
+        bodies: The external estimate.
+        pick: Which terms each joint has.
+    """
+    drives, equations = torques.drives, torques.equations
+    n = len(equations.channels)
+    picked = [pick(joint, drives, equations) for joint in range(n)]
+    own = [block_diag(1.0, terms) for terms in picked]
+    with one_blas_thread():
+        fits = _fits(torques.passes, torques.combined, own)
+    found = []
+    for joint, (fit, squares) in enumerate(fits):
+        lead = torques.combined @ own[joint]
+        moved = _by_bodies(equations, joint, lead, torques.lift, fit.values)
+        used = int(equations.used[joint])
+        found.append(
+            JointRegression(
+                joint=joint,
+                terms=picked[joint],
+                values=fit.values,
+                covariance=fit.covariance + moved @ bodies.covariance @ moved.T,
+                residual=float(np.sqrt(squares / max(used, 1))),
+                rows=used,
+            )
+        )
+    return tuple(found)
+
+
+def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
+    """How the plate's parameters make the internal unknowns without terms, (p, N_r)."""
+    reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
+    if bodies.method != "external" or bodies.names != reaction.names:
+        raise SettingsError(
+            "drives are held against the plate's estimate, of the same robot, gravity and zeros"
+        )
+    found = np.zeros((drives.count, reaction.count))
+    found[: drives.minimal.count] = selection(drives.minimal, reaction)
+    return found
+
+
+def _fits(passes: Passes, combined: Array, own: Sequence[Array]) -> list[tuple[NoiseFit, float]]:
+    """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
+    sums = [LaggedSums(HIGHEST) for _ in own]
+    for joint, part in _parts(passes, combined, own):
+        sums[joint].add(part)
+    given = [each.finish() for each in sums]
+    sizes = [_left(each.products[0, 0]) for each in given]
+    scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
+    found = [weighted_fit(each) for each in scaled]
+    replicas = [Replicas(fit.noise, which.shape[1]) for fit, which in zip(found, own, strict=True)]
+    for joint, part in _parts(passes, combined, own):
+        replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
+    corrected = []
+    for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
+        factor = made.factor(weighted_fit, np.eye(len(fit.values)))
+        squares = _square(each.products[0, 0], fit.values) * size**2
+        corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
+    return corrected
+
+
+def _parts(passes: Passes, combined: Array, own: Sequence[Array]) -> Iterator[tuple[int, Array]]:
+    """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
+    for columns, measured in passes.rows(combined):
+        ones = counted(columns, measured)
+        for joint, which in enumerate(own):
+            last = np.stack([measured[joint], ones[joint]], axis=1)
+            part = [columns[joint] @ which, last]
+            yield joint, np.concatenate(part, axis=1)[None]
+
+
+def _left(squares: Array) -> float:
+    """Rms of what plain least squares leaves, and next to nothing at least."""
+    m = len(squares) - 2
+    values = scaled_solve(squares[:m, :m], squares[:m, m])
+    count, whole = max(float(squares[m + 1, m + 1]), 1.0), float(squares[m, m])
+    return float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
+
+
+def _square(squares: Array, values: Array) -> float:
+    return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
+
+
+def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
+    """Columns and torques in units of what is left."""
+    columns = given.products.shape[2]
+    return given.combined(np.diag([*np.full(columns - 1, 1 / size), 1.0]))
+
+
+def _by_bodies(
+    equations: NormalEquations, joint: int, lead: Array, lift: Array, values: Array
+) -> Array:
+    """How a joint's numbers move with the plate's parameters, (q, N_r)."""
+    normal, _, _ = equations.of_channel(joint)
+    across = lead.T @ normal
+    return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))

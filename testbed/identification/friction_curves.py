@@ -1,0 +1,218 @@
+"""Friction torque as a curve over velocity, with a band: no law is assumed.
+
+The curve is straight between nodes, one curve for each direction of motion; the torque at a node is
+the coefficient of a law of its own, so that filters, weights and sigma are those of every law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array, readonly
+from testbed.identification.drive_regression import JointRegression, regressions, torques_beside
+from testbed.identification.estimate import Estimate
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.parameters.joint_terms import DriveSet
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+from testbed.robot.friction import ROTOR, JointLaw
+from testbed.robot.tree import Tree
+
+NODES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
+"""Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
+
+LEAST = 4.0
+"""Rows' worth of data that a node needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """One joint's friction over velocity.
+
+    Attributes:
+        joint: Its name.
+        speed: Of the nodes, ascending; zero is there twice, for either direction, (m,)
+            [rad/s or m/s].
+        torque: What friction takes there, with the sign of the motion, (m,) [N m or N].
+        sigma: Standard deviations, (m,).
+        constant: What the drive reports over what the torque is.
+        unit: N m or N.
+    """
+
+    joint: str
+    speed: Array
+    torque: Array
+    sigma: Array
+    constant: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "torque", "sigma"):
+            values = getattr(self, name)
+            object.__setattr__(self, name, readonly(values, (len(self.speed),), name))
+
+
+@lru_cache
+def node_law(number: int, direction: int) -> JointLaw:
+    """The law whose coefficient is the torque at a node.
+
+    Args:
+        number: Of the node.
+        direction: Of the motion, 1 or -1.
+    """
+    return JointLaw(f"node {direction * number}", "N m", "N", _hat(number, direction), jumps=True)
+
+
+def _hat(number: int, direction: int) -> Callable[[Any, Any], Any]:
+    places = np.array(NODES)
+    heights = np.eye(len(NODES))[number]
+
+    def column(qd: Any, qdd: Any) -> Any:
+        del qdd
+        forward = direction * np.asarray(qd, dtype=float)
+        return np.where(forward > 0, np.interp(forward, places, heights), 0.0)
+
+    return column
+
+
+LAWS = tuple(node_law(number, way) for way in (1, -1) for number in range(len(NODES)))
+"""Of all nodes, forwards and then backwards."""
+
+
+def friction_curves(
+    tree: Tree,
+    recording: Recording | Source | str,
+    bodies: Estimate,
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings | None = None,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> tuple[FrictionCurve, ...]:
+    """Friction over velocity, joint by joint, with the torque constant found beside it.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: With joint torques, as for `identify`.
+        bodies: The external estimate: of this recording or of another.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated; a rotor's inertia is looked for where it is
+            among the terms.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording has no torques, or is of another robot.
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    settings = settings or Settings()
+    rotors = tuple(law for law in settings.laws if law == ROTOR)
+    torques = torques_beside(
+        tree,
+        recording,
+        bodies,
+        (*rotors, *LAWS),
+        gravity=gravity,
+        settings=settings,
+        threads=threads,
+        progress=progress,
+    )
+    curves = []
+    for found in regressions(torques, bodies, _with_enough_data):
+        nodes = _nodes_of(found.joint, torques.drives, torques.equations)
+        curves.append(_curve(tree, found, nodes))
+    return tuple(curves)
+
+
+def _with_enough_data(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+    """Torques at the nodes of which there are enough data make those at all; rotors stay."""
+    nodes = _nodes_of(joint, drives, equations)
+    columns = []
+    place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
+    for way in (-1, 1):
+        kept = [number for number, each in nodes if each == way]
+        between = _between(kept)
+        for column in between.T:
+            full = np.zeros(len(drives.asked))
+            full[[place[node_law(k, way)] for k in range(len(NODES))]] = column
+            columns.append(full)
+    if ROTOR in place:
+        columns.append(np.eye(len(drives.asked))[place[ROTOR]])
+    return np.column_stack(columns)
+
+
+def _nodes_of(joint: int, drives: DriveSet, equations: NormalEquations) -> list[tuple[int, int]]:
+    """Number and direction of the nodes with enough data, backwards first, ascending numbers."""
+    normal, _, _ = equations.of_channel(joint)
+    worth = {}
+    for k, term in enumerate(drives.asked):
+        if term.joint == joint and term.law != ROTOR:
+            column = drives.columns[:, k]
+            worth[term.law] = float(column @ normal @ column)
+    return [
+        (number, way)
+        for way in (-1, 1)
+        for number in range(len(NODES))
+        if worth[node_law(number, way)] >= LEAST
+    ]
+
+
+def _between(kept: list[int]) -> Array:
+    """How torques at some nodes make those at all, (all, k)."""
+    places = np.array(NODES)
+    return _straight(places, places[kept])
+
+
+def _straight(places: Array, nodes: Array) -> Array:
+    """Weights of values at nodes in straight lines through them, and beyond, (len(places), k)."""
+    if len(nodes) < 2:
+        return np.ones((len(places), len(nodes)))
+    at = np.clip(np.searchsorted(nodes, places) - 1, 0, len(nodes) - 2)
+    share = (places - nodes[at]) / (nodes[at + 1] - nodes[at])
+    found, rows = np.zeros((len(places), len(nodes))), np.arange(len(places))
+    found[rows, at], found[rows, at + 1] = 1 - share, share
+    return found
+
+
+def curve_of(speed: Array, torque: Array, nodes: Array) -> Array:
+    """The curve that a known torque makes, by least squares, at the nodes of another, (m,).
+
+    Args:
+        speed: (M,) [rad/s or m/s].
+        torque: What friction takes at these, (M,) [N m or N].
+        nodes: Speeds of the nodes, as a `FrictionCurve` has them.
+    """
+    found = np.zeros(len(nodes))
+    zeros = np.flatnonzero(nodes == 0)
+    split = zeros[-1] if len(zeros) else int(np.searchsorted(nodes, 0.0))
+    for part, way in ((slice(None, split), -1), (slice(split, None), 1)):
+        there = np.sort(np.abs(nodes[part]))
+        own = way * speed > 0
+        weights = _straight(way * speed[own], there)
+        values = np.linalg.lstsq(weights, torque[own], rcond=None)[0]
+        found[part] = values[::way]
+    return found
+
+
+def _curve(tree: Tree, found: JointRegression, nodes: list[tuple[int, int]]) -> FrictionCurve:
+    torque, covariance = found.as_they_are
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    speed = np.array([way * NODES[number] for number, way in nodes])
+    order = np.lexsort((np.array([way for _, way in nodes]), speed))
+    joint = tree.joints[found.joint]
+    return FrictionCurve(
+        joint=joint.name,
+        speed=speed[order],
+        torque=torque[order],
+        sigma=sigma[order],
+        constant=float(found.values[0]),
+        unit="N m" if joint.revolute else "N",
+    )

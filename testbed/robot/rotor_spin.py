@@ -1,0 +1,54 @@
+"""Rotors that spin on their carriers: what their angular momentum adds to the robot.
+
+A rotor of ratio times its joint's speed has the momentum h qd e beyond that of a rotor at rest,
+h = ratio times inertia, e the joint's axis. Since e is fixed in both bodies of the joint, a joint
+body with h e e' more inertia and a carrier with h e e' less have the same momentum: spin is among
+the minimal parameters already, for any tree. The torque of the joint takes ratio^2 times inertia,
+of which h is then in the bodies.
+
+Source    derived for this project (docs/plants.md)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Tree
+
+
+def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
+    """The robot whose minimal parameters hold what its rotors' spin adds.
+
+    Args:
+        tree: The robot, rotors at rest on their carriers.
+        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
+
+    Raises:
+        UnknownName: There is no such joint.
+        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
+    """
+    inertias, pedestal, joints = list(tree.inertias), tree.pedestal, list(tree.joints)
+    for name, spin in spins.items():
+        j = tree.index(name)
+        joint = joints[j]
+        if not joint.revolute:
+            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
+        inertias[j] = inertias[j] + _about(joint.axis, spin)
+        less = _about(joint.carried_axis, -spin)
+        if joint.parent < 0:
+            pedestal = pedestal + less
+        else:
+            inertias[joint.parent] = inertias[joint.parent] + less
+        joints[j] = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
+    return replace(tree, inertias=tuple(inertias), pedestal=pedestal, joints=tuple(joints))
+
+
+def _about(axis: Array, size: float) -> Inertia:
+    """Inertia about one axis alone."""
+    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))

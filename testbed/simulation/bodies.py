@@ -1,0 +1,215 @@
+"""Effects that are bodies: a payload on a link, a drive's rotor that spins on its carrier."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import base_wrench
+from testbed.dynamics.kinematics import poses
+from testbed.dynamics.motion import Motion
+from testbed.errors import SettingsError, UnknownName
+from testbed.keys import key
+from testbed.kind_table import PerJoint, each_joint
+from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
+from testbed.robot.inertia import Inertia
+from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.tree import Tree
+from testbed.simulation.effect import Effect
+from testbed.simulation.plant import Plant
+
+MASSLESS = 1e-9
+"""Mass of a body of which only the inertia counts [kg]: MuJoCo needs one."""
+
+FELT = 1e-3
+"""Largest relative departure of what rotors add to the wrench from their law."""
+
+
+@dataclass(frozen=True, eq=False)
+class Payload(Effect):
+    """A body fixed to a link, as a tool or a load at the flange; a part of the robot's truth.
+
+    Source    Our own choice: 1 kg, a sphere of 7 cm.
+
+    Attributes:
+        joint: The link is the one that this joint moves; "" for the last.
+        mass: [kg].
+        centre: Of mass, in the frame of the joint's body, one for x, y and z or three [m].
+        inertia: About the centre, likewise [kg m^2].
+    """
+
+    kind: ClassVar[str] = "payload"
+    joint: str = key("", "word")
+    mass: float = key(1.0, positive=True)
+    centre: float | tuple[float, ...] = key(0.05, "axes")
+    inertia: float | tuple[float, ...] = key(2e-3, "axes", positive=True)
+
+    @property
+    def body(self) -> Inertia:
+        """In the frame of the joint's body."""
+        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        return Inertia.about_centre(self.mass, centre, np.diag(moments))
+
+    def robot(self, tree: Tree) -> Tree:
+        """The robot with the payload."""
+        if self.joint and self.joint not in tree.names:
+            raise SettingsError(f"payload: {UnknownName('joint', self.joint, tree.names)}")
+        return _with_inertia(tree, self._link(tree), self.body)
+
+    def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """A body of MuJoCo's, welded to the link."""
+        link = self._link(tree)
+        body = spec.joint(prefix + tree.names[link]).parent
+        turn, place = _seen_from(spec, body.name, *_at_zero(tree, link))
+        centre, moments = (np.broadcast_to(np.asarray(v), 3) for v in (self.centre, self.inertia))
+        _weld(body, "testbed/payload", turn, place + turn @ centre, self.mass, moments)
+
+    def _link(self, tree: Tree) -> int:
+        return tree.index(self.joint) if self.joint else tree.n - 1
+
+
+@dataclass(frozen=True, eq=False)
+class GearedRotor(Effect):
+    """A rotor that the carrying link holds and that turns so many times faster than its joint.
+
+    Its angular momentum reaches the plate: ratio inertia d(qd e)/dt, which is what a joint body
+    of that much more inertia about the axis e would add, and a carrier of that much less. The
+    model file's own rotor inertia stays beside it. Turning joints only.
+
+    Source    [AKB86]: reflected 1.14 kg m^2 at a PUMA's waist, by a ratio of 62.6.
+
+    Attributes:
+        inertia: Of the rotor about its axis [kg m^2].
+        ratio: Turns of the rotor a turn of the joint.
+    """
+
+    kind: ClassVar[str] = "geared_rotor"
+    inertia: PerJoint = key(2e-4, "joints", least=0)
+    ratio: PerJoint = key(60.0, "joints")
+
+    def robot(self, tree: Tree) -> Tree:
+        """The carriers with the rotors at rest on them, the joints with what their spin takes."""
+        for joint, inertia, ratio in self._each(tree):
+            if not tree.joints[joint].revolute:
+                raise SettingsError(
+                    f"geared_rotor: joint '{tree.names[joint]}' slides; give inertia by joint name"
+                )
+            known = tree.joints[joint]
+            axis = known.carried_axis
+            still = inertia / 2 * (np.eye(3) + np.outer(axis, axis))
+            tree = _with_inertia(tree, known.parent, Inertia(0.0, np.zeros(3), still))
+            reflected = known.rotor_inertia + ratio**2 * inertia
+            tree = tree.with_joints({known.name: {"rotor_inertia": reflected}})
+        return tree
+
+    def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """The rotors at rest on their carriers, and what their spin takes."""
+        for joint, inertia, _ in self._each(tree):
+            name = tree.names[joint]
+            hinge = spec.joint(prefix + name)
+            carrier = hinge.parent.parent
+            turn, place = _at_zero(tree, joint)
+            onto_axis = turn @ _onto(tree.joints[joint].axis)
+            turn, place = _seen_from(spec, carrier.name, onto_axis, place)
+            moments = inertia * np.array([0.5, 0.5, 1.0])
+            _weld(carrier, _rotor(name), turn, place, MASSLESS, moments)
+            hinge.armature = tree.joints[joint].rotor_inertia
+
+    def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
+        """Rotors that turn."""
+        step = spec.option.timestep
+        for joint, inertia, ratio in self._each(tree):
+            name = prefix + tree.names[joint]
+            rotor = _rotor(tree.names[joint])
+            spec.body(rotor).add_joint(name=rotor, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            spec.joint(name).armature -= ratio**2 * inertia
+            gear = spec.add_equality(name=rotor, type=mujoco.mjtEq.mjEQ_JOINT)
+            gear.objtype = mujoco.mjtObj.mjOBJ_JOINT
+            gear.name1, gear.name2 = rotor, name
+            gear.data[:5] = [0.0, ratio, 0.0, 0.0, 0.0]
+            gear.solref, gear.solimp = [2 * step, 1], [0.9999, 0.9999, 0.001, 0.5, 2]
+
+    def flaw(self, plant: Plant, tree: Tree) -> str | None:
+        """Whether the rotors' spin reaches the bedplate as the law has it."""
+        rng = np.random.default_rng(0)
+        q, qd = rng.uniform(-0.5, 0.5, tree.n), rng.uniform(0.5, 1.0, tree.n)
+        data = mujoco.MjData(plant.model)
+        data.qpos[:], data.qvel[:] = plant.dofs @ q, plant.dofs @ qd
+        data.ctrl[:] = rng.uniform(-1, 1, tree.n)
+        mujoco.mj_forward(plant.model, data)
+        spins = {tree.names[j]: ratio * inertia for j, inertia, ratio in self._each(tree)}
+        motion = Motion(np.zeros(1), q[None], qd[None], data.qacc[plant.order][None])
+        resting = base_wrench(tree, motion)[0]
+        spun = base_wrench(with_rotor_spin(tree, spins), motion)[0] - resting
+        felt = plant.bedplate_wrench(data.sensordata[plant.plate]) - plant.tare - resting
+        if np.abs(felt - spun).max() <= FELT * np.abs(spun).max():
+            return None
+        return f"the plate feels {felt} of the rotors' spin, not {spun}"
+
+    def _each(self, tree: Tree) -> Iterator[tuple[int, float, float]]:
+        """Joint, inertia and ratio where there is a rotor."""
+        sizes, ratios = (
+            np.broadcast_to(each_joint(value), tree.n) for value in (self.inertia, self.ratio)
+        )
+        for joint, (inertia, ratio) in enumerate(zip(sizes, ratios, strict=True)):
+            if inertia and ratio:
+                yield joint, float(inertia), float(ratio)
+
+
+def _rotor(joint: str) -> str:
+    return f"testbed/rotor/{joint}"
+
+
+def _with_inertia(tree: Tree, link: int, more: Inertia) -> Tree:
+    """A robot with more on one link; -1 is the bedplate."""
+    if link < 0:
+        return replace(tree, pedestal=tree.pedestal + more)
+    inertias = [body + more if k == link else body for k, body in enumerate(tree.inertias)]
+    return replace(tree, inertias=tuple(inertias))
+
+
+def _at_zero(tree: Tree, link: int) -> tuple[Array, Array]:
+    """Axes and place of a body's frame in the bedplate frame, all joints at zero."""
+    turn, place = poses(tree, np.zeros((1, tree.n)))[link]
+    return turn[0], place[0]
+
+
+def _seen_from(spec: mujoco.MjSpec, body: str, turn: Array, place: Array) -> tuple[Array, Array]:
+    """A frame in the bedplate frame, as seen from a body of MuJoCo's, all joints at zero."""
+    with no_mujoco_warnings():
+        model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.0
+    mujoco.mj_kinematics(model, data)
+    there = data.body(body).xmat.reshape(3, 3)
+    return there.T @ turn, there.T @ (place - data.body(body).xpos)
+
+
+def _onto(axis: Array) -> Array:
+    """A turn that takes z to an axis, (3, 3)."""
+    across = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    x = across / np.linalg.norm(across)
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+def _weld(
+    to: mujoco.MjsBody, name: str, turn: Array, place: Array, mass: float, moments: Array
+) -> None:
+    """A body of MuJoCo's at its centre of mass, along its principal axes."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, turn.ravel())
+    to.add_body(
+        name=name,
+        pos=place,
+        quat=quaternion,
+        mass=mass,
+        ipos=np.zeros(3),  # which is `pos` where it is left out
+        iquat=[1.0, 0.0, 0.0, 0.0],
+        inertia=moments,
+        explicitinertial=True,
+    )

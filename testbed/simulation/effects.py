@@ -1,0 +1,61 @@
+"""All kinds of effects in the plant, and an effect of the table that an experiment file has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from testbed.errors import SettingsError, UnknownName
+from testbed.kind_table import of_table
+from testbed.simulation.bodies import GearedRotor, Payload
+from testbed.simulation.effect import Effect
+from testbed.simulation.joint_friction import (
+    AsymmetricFriction,
+    LoadFriction,
+    LuGreFriction,
+    PowerFriction,
+    StribeckFriction,
+)
+from testbed.simulation.support import CompliantPlate, Tilt
+
+EFFECTS: tuple[type[Effect], ...] = (
+    StribeckFriction,
+    PowerFriction,
+    AsymmetricFriction,
+    LoadFriction,
+    LuGreFriction,
+    GearedRotor,
+    Payload,
+    CompliantPlate,
+    Tilt,
+)
+
+KINDS: Mapping[str, type[Effect]] = {effect.kind: effect for effect in EFFECTS}
+"""Every effect that an experiment file can ask for, by kind."""
+
+
+def effect_of(table: object) -> Effect:
+    """An effect of its table.
+
+    Args:
+        table: `kind` and the kind's own keys; an effect is returned as it is.
+
+    Raises:
+        SettingsError: The kind or a key is not known, or a value is none that it takes.
+    """
+    if isinstance(table, Effect):
+        return table
+    return of_table(table, "an effect", "stribeck_friction", effect_named)
+
+
+def effect_named(kind: str) -> type[Effect]:
+    """The effects of a kind.
+
+    Args:
+        kind: Its name.
+
+    Raises:
+        SettingsError: There is none.
+    """
+    if kind not in KINDS:
+        raise SettingsError(str(UnknownName("kind of effect", kind, KINDS)))
+    return KINDS[kind]

@@ -1,0 +1,194 @@
+"""Friction that no model file can state: of any speed, direction and load, and with a memory.
+
+All of it acts at the joints and none reaches the plate. What jumps where a motion reverses is
+smoothed over a small speed, since forces are held over a step: sign(v) is tanh(v / 0.01).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.keys import key
+from testbed.kind_table import PerJoint, each_joint
+from testbed.robot.friction import COULOMB, VISCOUS
+from testbed.robot.tree import Tree
+from testbed.simulation.effect import Effect, StepForces
+
+SMOOTH = 0.01
+"""Speed over which a sign is smoothed [rad/s or m/s]."""
+
+
+def smooth_sign(velocity: Array) -> Array:
+    """sign(v), smoothed.
+
+    Args:
+        velocity: [rad/s or m/s].
+    """
+    return np.asarray(np.tanh(velocity / SMOOTH))
+
+
+@dataclass(frozen=True, eq=False)
+class StribeckFriction(Effect):
+    """Friction that is higher at low speed: coefficient sign(v) exp(-(v / speed)^2).
+
+    It comes on top of the joints' own dry and viscous friction.
+
+    Source    Armstrong's measurements of a PUMA's joints: half the dry friction, below 0.1 rad/s.
+
+    Attributes:
+        coefficient: What dry friction at rest has more [N m or N].
+        speed: Above which it fades out [rad/s or m/s].
+    """
+
+    kind: ClassVar[str] = "stribeck_friction"
+    coefficient: PerJoint = key(3.0, "joints", least=0)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Against the motion, the more the slower."""
+        del tree, step
+        size, speed = each_joint(self.coefficient), each_joint(self.speed)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            return np.asarray(-size * np.exp(-((qd / speed) ** 2)) * smooth_sign(qd))
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class PowerFriction(Effect):
+    """Friction that grows with a power of the speed: coefficient sign(v) abs(v)^exponent.
+
+    Source    Lubricated gears: the exponent lies between one half and two, 1 is viscous friction.
+
+    Attributes:
+        coefficient: At 1 rad/s or 1 m/s [N m or N].
+        exponent: Of the speed.
+    """
+
+    kind: ClassVar[str] = "power_friction"
+    coefficient: PerJoint = key(2.0, "joints", least=0)
+    exponent: float = key(0.5, positive=True, most=4)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Against the motion, the more the faster."""
+        del tree, step
+        size = each_joint(self.coefficient)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            return np.asarray(-size * np.abs(qd) ** self.exponent * smooth_sign(qd))
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class AsymmetricFriction(Effect):
+    """Friction that is higher in one direction: by so much more where the joint moves forwards.
+
+    Source    Armstrong's measurements of a PUMA's joints: directions differ by 10 to 20 %.
+
+    Attributes:
+        coulomb: Dry friction that forward motion has more [N m or N].
+        viscous: Viscous friction that it has more [N m s/rad or N s/m].
+    """
+
+    kind: ClassVar[str] = "asymmetric_friction"
+    coulomb: PerJoint = key(1.0, "joints", least=0)
+    viscous: PerJoint = key(1.0, "joints", least=0)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Against forward motion."""
+        del tree, step
+        dry, wet = each_joint(self.coulomb), each_joint(self.viscous)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            forward = np.maximum(qd, 0.0)
+            return np.asarray(-dry * smooth_sign(forward) - wet * forward)
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class LoadFriction(Effect):
+    """Dry friction that grows with the load: share abs(motor torque) sign(v).
+
+    Source    Losses of geared drives in data sheets: 3 to 10 % of the torque they pass on.
+
+    Attributes:
+        share: Of the motor's torque.
+    """
+
+    kind: ClassVar[str] = "load_friction"
+    share: PerJoint = key(0.05, "joints", least=0, most=1)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Against the motion, the more the higher the load."""
+        del tree, step
+        share = each_joint(self.share)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q
+            return np.asarray(-share * np.abs(motor) * smooth_sign(qd))
+
+        return push
+
+
+@dataclass(frozen=True, eq=False)
+class LuGreFriction(Effect):
+    """Friction with a memory, of bristles that bend before they slip, instead of dry friction.
+
+    With deflection z: dz/dt = v - stiffness abs(v) z / g(v), friction = stiffness z + damping dz/dt
+    + viscous v, g(v) = coulomb (1 + (static - 1) exp(-(v / speed)^2)). Dry and viscous friction are
+    the model's.
+
+    Source    Canudas de Wit et al., IEEE Transactions on Automatic Control 40 (1995) 419.
+
+    Attributes:
+        static: Friction at rest over dry friction in motion.
+        speed: Above which the difference fades out [rad/s or m/s].
+        stiffness: Of the bristles [N m/rad or N/m].
+        damping: Of the bristles [N m s/rad or N s/m].
+    """
+
+    kind: ClassVar[str] = "lugre_friction"
+    owns_friction: ClassVar[bool] = True
+    static: PerJoint = key(1.5, "joints", least=1, most=10)
+    speed: PerJoint = key(0.08, "joints", positive=True)
+    stiffness: PerJoint = key(2e4, "joints", positive=True)
+    damping: PerJoint = key(50.0, "joints", least=0)
+
+    def forces(self, tree: Tree, step: float) -> StepForces:
+        """Of bristles that are straight at first."""
+        dry, wet = COULOMB.coefficients(tree), VISCOUS.coefficients(tree)
+        static, speed = each_joint(self.static), each_joint(self.speed)
+        stiff, damping = each_joint(self.stiffness), each_joint(self.damping)
+        bent = np.zeros(tree.n)
+
+        def push(time: float, q: Array, qd: Array, motor: Array) -> Array:
+            del time, q, motor
+            nonlocal bent
+            slip = dry * (1 + (static - 1) * np.exp(-((qd / speed) ** 2)))
+            before = bent
+            bent = _bent(before, qd, slip, stiff, step)
+            rate = (bent - before) / step
+            return np.asarray(-(stiff * bent + damping * rate + wet * qd))
+
+        return push
+
+
+def _bent(before: Array, velocity: Array, slip: Array, stiff: Array, step: float) -> Array:
+    """Deflection after a step of constant velocity: exact, so that it never overshoots."""
+    there = slip > 0
+    decay = stiff * np.abs(velocity) / np.where(there, slip, 1.0)
+    small = decay * step < 1e-8
+    kept = np.exp(-decay * step)
+    steady = np.sign(velocity) * slip / stiff
+    after = np.where(small, before + velocity * step, steady + (before - steady) * kept)
+    return np.where(there, after, 0.0)
