@@ -20,7 +20,7 @@ from testbed.identification.noise.autoregression import HIGHEST
 from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
-from testbed.identification.noise.scaled import scaled_solve
+from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
 from testbed.identification.noise.units import counted
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress, one_blas_thread
@@ -52,6 +52,8 @@ class JointRegression:
             reported, (1 + q,).
         covariance: (1 + q, 1 + q); it holds that of the bodies.
         residual: Rms of what is left, as reported [N m or N].
+        noise: What the residual would be, were rows independent of each other and as uncertain as
+            the covariance has it [N m or N].
         rows: How many counted.
     """
 
@@ -60,6 +62,7 @@ class JointRegression:
     values: Array
     covariance: Array
     residual: float
+    noise: float
     rows: int
 
     @property
@@ -171,13 +174,18 @@ def regressions(
         lead = torques.combined @ own[joint]
         moved = _by_bodies(equations, joint, lead, torques.lift, fit.values)
         used = int(equations.used[joint])
+        residual = float(np.sqrt(squares / max(used, 1)))
+        normal, _, _ = equations.of_channel(joint)
+        plain = np.diagonal(scaled_inverse(lead.T @ normal @ lead))
+        noise = float(np.sqrt(np.mean(np.diagonal(fit.covariance) / plain)))
         found.append(
             JointRegression(
                 joint=joint,
                 terms=picked[joint],
                 values=fit.values,
                 covariance=fit.covariance + moved @ bodies.covariance @ moved.T,
-                residual=float(np.sqrt(squares / max(used, 1))),
+                residual=residual,
+                noise=max(noise, residual),
                 rows=used,
             )
         )

@@ -112,8 +112,7 @@ class Settings:
     @property
     def laws(self) -> tuple[JointLaw, ...]:
         """The terms as laws of the joints' torque; of one with an open speed, none yet."""
-        named = (t for t in self.terms if t != STRIBECK)
-        return tuple(joint_law(t) if isinstance(t, str) else t for t in named)
+        return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms if t != STRIBECK)
 
     @property
     def open_speed(self) -> bool:
@@ -190,8 +189,9 @@ def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
     for term in given:
         if not isinstance(term, str | JointLaw):
             raise SettingsError(f"terms is a list of names, found {term!r} in it")
-        named = isinstance(term, str) and term != STRIBECK
-        kinds.append(joint_law(term).kind if named else getattr(term, "kind", STRIBECK))
+        if isinstance(term, str) and term != STRIBECK:
+            term = joint_law(term)
+        kinds.append(term if isinstance(term, str) else term.kind)
     if len(set(kinds)) < len(kinds):
         raise SettingsError(f"terms names something twice: {', '.join(kinds)}")
     return tuple(given)
