@@ -1,4 +1,4 @@
-"""Commands about plate and drives themselves: calibrate, drives."""
+"""Commands about plate, drives and payload themselves: calibrate, drives, payload."""
 
 from __future__ import annotations
 
@@ -89,6 +89,9 @@ def drives(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    choose_terms: Annotated[
+        bool, typer.Option("--choose-terms", help="Choose each joint's terms by held-out data.")
+    ] = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -96,11 +99,12 @@ def drives(
 
     The bodies are known from the plate; what a drive reports is a constant times the torque that
     they need and its own terms: --set 'identification.terms=["coulomb","viscous","rotor"]'.
+    Friction curves are in the JSON, and drawn by report --set identification.drives=given.
 
-    Example: testbed drives run.parquet --model robot.urdf
+    Example: testbed drives run.parquet --model robot.urdf --choose-terms
     """
+    from testbed.identification.drive_findings import identify_drives
     from testbed.identification.identify import identify
-    from testbed.identification.torque_constants import drive_estimates
     from testbed.report import terminal
     from testbed.report.drive_table import drives_as_json
 
@@ -112,16 +116,79 @@ def drives(
             tree, source, gravity=gravity, settings=table, threads=threads, progress=progress
         )
     with terminal.Progress("regressing torques") as progress:
-        found = drive_estimates(
+        found = identify_drives(
             tree,
             source,
             bodies,
             gravity=gravity,
             settings=table,
+            choose=choose_terms or table.drives == "chosen",
             threads=threads,
             progress=progress,
         )
     if as_json:
         terminal.print_json(drives_as_json(found))
     else:
-        terminal.print_drives(found, [*tree.warnings, *bodies.warnings])
+        terminal.print_drives(found, [*tree.warnings, *bodies.warnings, *found.warnings])
+
+
+@app.command()
+def payload(
+    without: Annotated[Path, typer.Argument(metavar="WITHOUT", help="Recording without it.")],
+    loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with it.")],
+    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot alone.")],
+    joint: Annotated[
+        str | None,
+        typer.Option(help="The link that carries it is the one this moves; default the last."),
+    ] = None,
+    at_rest: Annotated[
+        bool, typer.Option("--at-rest", help="By the weight in a few poses at rest.")
+    ] = False,
+    settings: RecordingSet = None,
+    gravity: Gravity = None,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
+    plate: Plate = None,
+    threads: Threads = None,
+    as_json: Json = False,
+) -> None:
+    """Find a payload's mass, centre and inertia by two recordings, without it and with it.
+
+    Those of its ten parameters that the bedplate sees are told; for a robot at rest in some poses,
+    mass and centre by the weight alone.
+
+    Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
+    """
+    from testbed.identification.identify import identify, in_its_gravity
+    from testbed.identification.payload import payload as payload_of
+    from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
+    from testbed.report import payload_table, terminal
+
+    reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic, plate)
+    tree, table = reading.tree(model), reading.tables().identification
+    sources = [reading.source(path, tree) for path in (without, loaded)]
+    if at_rest:
+        tree = in_its_gravity(tree, sources[0], gravity)
+        alone, carrying = (poses_at_rest(tree, source) for source in sources)
+        weighed = weigh_payload(tree, alone, carrying, joint)
+        words = payload_table.weighed_as_json(weighed, weigh(tree, alone))
+        lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
+        terminal.print_json(words) if as_json else terminal.print_lines(lines, tree.warnings)
+        return
+    estimates = []
+    for source, name in zip(sources, ("without", "with"), strict=True):
+        with terminal.Progress(f"identifying, {name}") as progress:
+            estimates.append(
+                identify(
+                    tree, source, gravity=gravity, settings=table, threads=threads,
+                    progress=progress,
+                )
+            )  # fmt: skip
+    found = payload_of(tree, estimates[0], estimates[1], joint)
+    if as_json:
+        terminal.print_json(payload_table.payload_as_json(found))
+    else:
+        warnings = [*tree.warnings, *(w for e in estimates for w in e.warnings), *found.warnings]
+        terminal.print_payload(found, warnings)

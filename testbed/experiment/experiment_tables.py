@@ -30,6 +30,17 @@ METRICS = (
     "internal_max_z",
     "internal_to_external",
     "friction_max_relative_error",
+    "torque_constant_max_error",
+    "torque_constant_max_z",
+    "coulomb_max_relative_error",
+    "rotor_max_relative_error",
+    "friction_curve_rms",
+    "combined_rms_relative_error",
+    "combined_max_z",
+    "payload_mass_error",
+    "payload_mass_z",
+    "payload_mass_sigma",
+    "payload_centre_error",
 )
 """What `[expect]` can bound (docs/experiments.md)."""
 

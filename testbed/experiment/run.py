@@ -7,13 +7,15 @@ somebody's own instruments.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from testbed.errors import RecordingError, UnseenParameters
+from testbed.errors import RecordingError, TestbedError, UnseenParameters
+from testbed.experiment.drive_score import drive_metrics
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
 from testbed.experiment.shown_motion import shown_motion
+from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
@@ -41,6 +43,7 @@ class Run:
         warnings: What a careful reader should know, one line each.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
+        drives: What the plate says of the drives; None where it was not asked.
     """
 
     name: str
@@ -54,6 +57,7 @@ class Run:
     model: ModelFile | None = None
     warnings: tuple[str, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
+    drives: DriveFindings | None = None
 
     @property
     def truths(self) -> dict[str, float]:
@@ -128,6 +132,11 @@ def assemble_run(
         friction = experiment.simulation.friction
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
+    warnings = warnings_of(tree, recording, estimates, failures, errors)
+    drives, more = _drives(tree, recording, estimates, settings, progress)
+    if judged is not None and drives is not None and experiment is not None:
+        told = drive_metrics(tree, experiment, recording, drives)
+        judged = replace(judged, metrics={**judged.metrics, **told})
     return Run(
         name=name,
         tree=tree,
@@ -138,5 +147,33 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        warnings=warnings_of(tree, recording, estimates, failures, errors),
+        warnings=(*warnings, *more),
+        drives=drives,
     )
+
+
+def _drives(
+    tree: Tree,
+    recording: Recording,
+    estimates: Mapping[Method, Estimate],
+    settings: Settings,
+    progress: Progress,
+) -> tuple[DriveFindings | None, tuple[str, ...]]:
+    """What the plate says of the drives where that is asked, and what to know of it."""
+    if settings.drives == "off":
+        return None, ()
+    if recording.torque is None or "external" not in estimates:
+        return None, ("drives are held against the plate: that needs its estimate and torques",)
+    choose = settings.drives == "chosen"
+    try:
+        found = identify_drives(
+            tree,
+            recording,
+            estimates["external"],
+            settings=settings,
+            choose=choose,
+            progress=progress,
+        )
+    except TestbedError as error:
+        return None, (f"drives could not be held against the plate: {error}",)
+    return found, found.warnings

@@ -17,7 +17,7 @@ from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import scaled_inverse
 from testbed.parameters.barycentric import STANDARD, to_barycentric
-from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.robot.tree import Tree
 
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -122,8 +122,10 @@ def payload(
             "a payload is the difference of two estimates by the plate, of the same robot, gravity "
             "and zeros"
         )
-    if any(not np.allclose(a, b) for a, b in [(without.gravity, loaded.gravity)]):
+    if (without.gravity != loaded.gravity).any():
         raise SettingsError("the two recordings are under different gravity")
+    if minimal.names != minimal_set(tree.with_gravity(without.gravity), "reaction").names:
+        raise SettingsError("a payload breaks the symmetry of links: estimate without known zeros")
     adds = seen_of_payload(tree, minimal, joint)
     count = len(adds)
     difference = loaded.values[:count] - without.values[:count]

@@ -71,6 +71,11 @@ class Settings:
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
 
+    drives: Literal["off", "given", "chosen"] = "off"
+    """Whether joint torques are held against the plate's estimate: torque constants, friction
+    curves, both methods combined; with the given terms, or with those that held-out data choose
+    for each joint (docs/drives.md)."""
+
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
@@ -82,7 +87,8 @@ class Settings:
             "reversal_reach": _reach(self.reversal_reach),
             "terms": _terms(self.terms),
             "weights": _weights(self.weights),
-            "noise": _noise(self.noise),
+            "noise": _one_of("noise", self.noise, ("ar", "white")),
+            "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "nuisances": _nuisances(self.nuisances),
             "known": _known(self.known),
         }
@@ -197,9 +203,9 @@ def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
     return tuple(given)
 
 
-def _noise(given: object) -> str:
-    if given not in ("ar", "white"):
-        raise UnknownName("noise", str(given), ("ar", "white"))
+def _one_of(name: str, given: object, known: tuple[str, ...]) -> str:
+    if given not in known:
+        raise UnknownName(name, str(given), known)
     return str(given)
 
 

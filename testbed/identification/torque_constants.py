@@ -10,18 +10,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.identification.drive_laws import Choice, choices, offered
-from testbed.identification.drive_regression import JointRegression, regressions, torques_beside
-from testbed.identification.estimate import Estimate
+from testbed.identification.drive_regression import JointRegression, Torques, all_terms
 from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.parameters.joint_terms import DriveSet
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
 from testbed.robot.friction import JointLaw, JointTerm
 from testbed.robot.tree import Tree
 
@@ -68,60 +63,70 @@ class DriveEstimate:
     choice: Choice | None = None
 
 
-def drive_estimates(
-    tree: Tree,
-    recording: Recording | Source | str,
-    bodies: Estimate,
-    *,
-    gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
-    choose: bool = False,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
-) -> tuple[DriveEstimate, ...]:
-    """Torque constants and the joints' own terms, joint by joint.
+@dataclass(frozen=True)
+class Terms:
+    """Which terms of the joints' torque are looked for.
+
+    Attributes:
+        laws: All of which columns are needed.
+        choose: Whether each joint's are chosen of them by held-out data.
+    """
+
+    laws: tuple[JointLaw, ...]
+    choose: bool
+
+    def chosen(self, torques: Torques) -> ChosenTerms:
+        """Which each joint has.
+
+        Args:
+            torques: With columns of all laws.
+        """
+        return ChosenTerms(choices(torques) if self.choose else None)
+
+
+def picked_terms(settings: Settings, choose: bool) -> Terms:
+    """Which terms are looked for: those of the settings, or of all that can be chosen.
 
     Args:
-        tree: The robot; its inertias are not used, except for `settings.zeros`.
-        recording: With joint torques, as for `identify`.
-        bodies: The external estimate: of this recording or of another.
-        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: How the signals are treated, and which terms are looked for.
-        choose: Choose each joint's terms by held-out data; of those in the settings, only a
-            rotor's inertia counts then.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
-
-    Raises:
-        RecordingError: The recording has no torques, or is of another robot.
-        SettingsError: The estimate is not the plate's, or not of these parameters.
+        settings: Says which; a speed that it leaves open is chosen.
+        choose: Choose each joint's.
     """
-    settings = settings or Settings()
-    torques = torques_beside(
-        tree,
-        recording,
-        bodies,
-        offered(settings.laws) if choose or settings.open_speed else settings.laws,
-        gravity=gravity,
-        settings=settings,
-        threads=threads,
-        progress=progress,
-    )
-    asked = torques.drives.asked
-    if not (choose or settings.open_speed):
-        return tuple(drive_of(tree, asked, found) for found in regressions(torques, bodies))
-    chosen = choices(torques)
+    if choose or settings.open_speed:
+        return Terms(offered(settings.laws), True)
+    return Terms(settings.laws, False)
 
-    def picked(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
-        del equations
-        laws = chosen[joint].laws
+
+@dataclass(frozen=True)
+class ChosenTerms:
+    """Which terms each joint has.
+
+    Attributes:
+        choices: By joint, chosen by held-out data; None where each joint has all.
+    """
+
+    choices: tuple[Choice, ...] | None
+
+    def pick(self, joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+        """As `drive_regression.Pick`."""
+        every = all_terms(joint, drives, equations)
+        if self.choices is None:
+            return every
+        laws = self.choices[joint].laws
         own = [k for k, t in enumerate(drives.asked) if t.joint == joint and t.law in laws]
         return np.eye(len(drives.asked))[:, own]
 
-    return tuple(
-        replace(drive_of(tree, asked, found), choice=chosen[found.joint])
-        for found in regressions(torques, bodies, picked)
-    )
+    def estimates(
+        self, tree: Tree, torques: Torques, found: Sequence[JointRegression]
+    ) -> tuple[DriveEstimate, ...]:
+        """Every joint's regression in words."""
+        asked = torques.drives.asked
+        estimates = tuple(drive_of(tree, asked, each) for each in found)
+        if self.choices is None:
+            return estimates
+        return tuple(
+            replace(each, choice=choice)
+            for each, choice in zip(estimates, self.choices, strict=True)
+        )
 
 
 def drive_of(tree: Tree, asked: Sequence[JointTerm], found: JointRegression) -> DriveEstimate:

@@ -14,6 +14,8 @@ from testbed.report.tables import number_with_sigma
 from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:
+    from testbed.identification.drive_findings import DriveFindings
+    from testbed.identification.drive_laws import Choice
     from testbed.identification.torque_constants import DriveEstimate
 
 
@@ -24,7 +26,7 @@ def drive_tables(console: Console, drives: Sequence[DriveEstimate]) -> list[Tabl
         console: Where they are to be printed.
         drives: One a joint.
     """
-    kinds = [term.law.kind for term in drives[0].terms]
+    kinds = list(dict.fromkeys(term.law.kind for each in drives for term in each.terms))
     heads = ["torque constant", *kinds, "residual"]
     layouts = (
         [_table(drives, part) for part in parts] for parts in ([heads], [[h] for h in heads])
@@ -52,16 +54,70 @@ def _cell(drive: DriveEstimate, head: str) -> str:
         return number_with_sigma(drive.constant, drive.sigma, short=True)
     if head == "residual":
         return f"{drive.residual:.3g} {drive.unit}"
-    term = next(term for term in drive.terms if term.law.kind == head)
+    term = next((term for term in drive.terms if term.law.kind == head), None)
+    if term is None:
+        return ""
     return f"{number_with_sigma(term.value, term.sigma, short=True)} {term.unit}"
 
 
-def drives_as_json(drives: Sequence[DriveEstimate]) -> dict[str, Any]:
+def drive_lines(drives: DriveFindings) -> list[str]:
+    """Which terms were chosen, and whether plate and torques agree, a sentence each.
+
+    Args:
+        drives: All that the plate says of them.
+    """
+    lines = []
+    for each in drives.estimates:
+        if each.choice is not None:
+            lines.append(f"{printable(each.joint)}: {_chosen(each.choice)}")
+    said = drives.combined.disagreement
+    if not drives.warnings:
+        lines.append(f"Plate and joint torques agree (chance {said.chance:.2g}).")
+    return lines
+
+
+def _chosen(choice: Choice) -> str:
+    """Coulomb and viscous, then stribeck@0.08 (better by 5.1 standard errors); next ..., 0.4."""
+    better = "better by {:.1f} standard errors"
+    added = [f"{step.kind} ({better.format(step.gain)})" for step in choice.steps[1:]]
+    text = " and ".join(law.kind for law in choice.laws[: len(choice.laws) - len(added)])
+    text += f", then {', '.join(added)}" if added else ", nothing else"
+    if choice.next_best is not None:
+        text += f"; next would be {choice.next_best.kind}, by {choice.next_best.gain:.1f}"
+    return text
+
+
+def drives_as_json(drives: DriveFindings) -> dict[str, Any]:
     """For programs.
 
     Args:
-        drives: One a joint.
+        drives: All that the plate says of them.
     """
+    both = drives.combined
+    return {
+        "joints": _joints_as_json(drives.estimates),
+        "curves": {
+            curve.joint: {
+                "speed": curve.speed.tolist(),
+                "torque": curve.torque.tolist(),
+                "sigma": curve.sigma.tolist(),
+                "unit": curve.unit,
+            }
+            for curve in drives.curves
+        },
+        "combined": {
+            "names": list(both.names),
+            "values": both.values.tolist(),
+            "sigma": both.sigma.tolist(),
+            "torque_constants": both.constants.tolist(),
+            "torque_constant_sigmas": both.constant_sigma.tolist(),
+            "chance": both.disagreement.chance,
+            "moved": dict(zip(both.disagreement.names, both.disagreement.z.tolist(), strict=True)),
+        },
+    }
+
+
+def _joints_as_json(drives: Sequence[DriveEstimate]) -> dict[str, Any]:
     return {
         each.joint: {
             "torque_constant": {"value": each.constant, "sigma": each.sigma},
@@ -72,6 +128,20 @@ def drives_as_json(drives: Sequence[DriveEstimate]) -> dict[str, Any]:
             "residual": each.residual,
             "unit": each.unit,
             "rows": each.rows,
+            "choice": None if each.choice is None else _choice_as_json(each.choice),
         }
         for each in drives
     }
+
+
+def _choice_as_json(choice: Choice) -> list[dict[str, Any]]:
+    steps = [*choice.steps, *([] if choice.next_best is None else [choice.next_best])]
+    return [
+        {
+            "added": step.kind,
+            "held_out_residual": step.residual,
+            "standard_errors": step.gain,
+            "taken": step in choice.steps,
+        }
+        for step in steps
+    ]

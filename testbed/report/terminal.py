@@ -15,7 +15,8 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 from testbed.experiment.summary import validation_lines
-from testbed.report.drive_table import drive_tables
+from testbed.report.drive_table import drive_lines, drive_tables
+from testbed.report.payload_table import payload_lines, payload_table
 from testbed.report.plate_tables import plate_lines, plate_tables
 from testbed.report.tables import quality_lines, result_tables
 from testbed.report.validation_tables import validation_tables
@@ -23,8 +24,9 @@ from testbed.report.validation_tables import validation_tables
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
+    from testbed.identification.drive_findings import DriveFindings
     from testbed.identification.estimate import Estimate
-    from testbed.identification.torque_constants import DriveEstimate
+    from testbed.identification.payload import PayloadEstimate
     from testbed.identification.validate import Validation
 
 
@@ -112,16 +114,45 @@ def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None
     out.print(f"plate: {path}", soft_wrap=True)
 
 
-def print_drives(drives: Sequence[DriveEstimate], warnings: Sequence[str]) -> None:
+def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
     """Print what the plate says of the drives.
 
     Args:
-        drives: One a joint.
-        warnings: About robot, recording and bodies.
+        drives: All of it.
+        warnings: About robot, recording, bodies and drives.
     """
     out = console()
-    for table in drive_tables(out, drives):
+    for table in drive_tables(out, drives.estimates):
         out.print(table)
+    for line in drive_lines(drives):
+        out.print(line, soft_wrap=True)
+    print_warnings(out, warnings)
+
+
+def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
+    """Print what a link carries more.
+
+    Args:
+        found: The payload.
+        warnings: About robot, recordings and payload.
+    """
+    out = console()
+    out.print(payload_table(found))
+    for line in payload_lines(found):
+        out.print(line, soft_wrap=True)
+    print_warnings(out, warnings)
+
+
+def print_lines(lines: Sequence[str], warnings: Sequence[str]) -> None:
+    """Print sentences.
+
+    Args:
+        lines: One each.
+        warnings: What a careful reader should know.
+    """
+    out = console()
+    for line in lines:
+        out.print(line, soft_wrap=True)
     print_warnings(out, warnings)
 
 

@@ -1,0 +1,105 @@
+"""What the plate says of the drives, against what they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.score import relative_errors
+from testbed.identification.drive_findings import DriveFindings
+from testbed.identification.friction_curves import FrictionCurve, curve_of
+from testbed.identification.torque_constants import DriveEstimate
+from testbed.instruments.drives import TorqueConstantError
+from testbed.kind_table import each_joint
+from testbed.parameters.barycentric import barycentric
+from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.recordings.recording import Recording, Truth
+from testbed.robot.friction import COULOMB, ROTOR, JointLaw
+from testbed.robot.tree import Tree
+
+
+def drive_metrics(
+    tree: Tree, experiment: Experiment, recording: Recording, found: DriveFindings
+) -> dict[str, float]:
+    """Figures of merit by name (docs/experiments.md); those that make no sense are absent.
+
+    Args:
+        tree: The robot with its true inertias, friction and rotors.
+        experiment: What was carried out.
+        recording: What it recorded, columns in the order of `tree.names`.
+        found: What the plate says of the drives.
+    """
+    constants = true_constants(experiment, recording)
+    estimates = found.estimates
+    errors = np.array([each.constant for each in estimates]) / constants - 1
+    sigmas = np.array([each.sigma for each in estimates]) / constants
+    metrics = {
+        "torque_constant_max_error": float(np.abs(errors).max()),
+        "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
+        **_bodies(tree, experiment, found),
+    }
+    for law, name in ((COULOMB, "coulomb"), (ROTOR, "rotor")):
+        off = list(_relative(tree, law, estimates))
+        if off:
+            metrics[f"{name}_max_relative_error"] = max(off)
+    if recording.truth is not None:
+        least = experiment.identification.deadband
+        metrics["friction_curve_rms"] = _rms(_curve_errors(found.curves, recording.truth, least))
+    return metrics
+
+
+def true_constants(experiment: Experiment, recording: Recording) -> Array:
+    """What each drive reports over what its torque is, (n,).
+
+    Args:
+        experiment: What was carried out.
+        recording: What it recorded.
+    """
+    shown = np.ones(len(recording.names))
+    instrument = experiment.measurement
+    stages = instrument.installed(recording.names, recording.position, experiment.seed)
+    for fault in stages["torque"]:
+        if isinstance(fault, TorqueConstantError):
+            shown = shown * (1 + each_joint(fault.error))
+    return shown
+
+
+def _relative(tree: Tree, law: JointLaw, drives: Iterable[DriveEstimate]) -> Iterator[float]:
+    """Relative errors of one law's coefficients, where the robot has them."""
+    for true, drive in zip(law.coefficients(tree), drives, strict=True):
+        for term in drive.terms:
+            if term.law == law and true:
+                yield abs(term.value / float(true) - 1)
+
+
+def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -> Iterator[Array]:
+    """Of every joint at its nodes: against the curve that its true friction makes."""
+    for j, curve in enumerate(curves):
+        moving = np.abs(truth.velocity[:, j]) > least
+        speed, torque = truth.velocity[moving, j], truth.friction[moving, j]
+        if len(curve.speed) and moving.any():
+            yield curve.torque - curve_of(speed, torque, curve.speed)
+
+
+def _rms(errors: Iterator[Array]) -> float:
+    every = np.concatenate([*errors, np.zeros(0)])
+    return float(np.sqrt(np.mean(every**2))) if every.size else float("nan")
+
+
+def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[str, float]:
+    """The estimate of plate and torques together."""
+    zeros = experiment.identification.zeros
+    reaction, dynamic = (minimal_set(tree, m, zeros=zeros) for m in ("reaction", "dynamic"))
+    theta = barycentric(tree)
+    both = found.combined
+    shared = selection(dynamic, reaction) @ both.values
+    relative = relative_errors(shared, dynamic.values(theta), dynamic.units)
+    there = relative[np.isfinite(relative)]
+    z = (both.values - reaction.values(theta)) / np.maximum(both.sigma, 1e-300)
+    return {
+        "combined_rms_relative_error": float(np.sqrt(np.mean(there**2))),
+        "combined_max_z": float(np.abs(z).max()),
+    }

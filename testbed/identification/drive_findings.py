@@ -1,0 +1,94 @@
+"""All that the plate says of the drives: constants and terms, friction curves, both combined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+
+from testbed.identification.combined import Combined, combined
+from testbed.identification.drive_regression import regressions, torques_beside
+from testbed.identification.estimate import Estimate
+from testbed.identification.friction_curves import FrictionCurve, friction_curves
+from testbed.identification.passes import Progress
+from testbed.identification.settings import Settings
+from testbed.identification.torque_constants import DriveEstimate, picked_terms
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class DriveFindings:
+    """What a recording's joint torques are, beside the plate's estimate.
+
+    Attributes:
+        estimates: Constants and terms, one a joint.
+        curves: Friction over velocity, one a joint.
+        combined: The bodies by plate and torques together.
+    """
+
+    estimates: tuple[DriveEstimate, ...]
+    curves: tuple[FrictionCurve, ...]
+    combined: Combined
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a careful reader should know, one line each."""
+        return self.combined.disagreement.warnings
+
+
+def identify_drives(
+    tree: Tree,
+    recording: Recording | Source | str,
+    bodies: Estimate,
+    *,
+    gravity: ArrayLike | None = None,
+    settings: Settings | None = None,
+    choose: bool = False,
+    threads: int | None = None,
+    progress: Progress = lambda done, total: None,
+) -> DriveFindings:
+    """Torque constants, the joints' own terms and friction curves; plate and torques together.
+
+    Args:
+        tree: The robot; its inertias are not used, except for `settings.zeros`.
+        recording: With joint torques, as for `identify`.
+        bodies: The external estimate: of this recording or of another.
+        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
+        settings: How the signals are treated, and which terms are looked for.
+        choose: Choose each joint's terms by held-out data; of those in the settings, only a
+            rotor's inertia counts then.
+        threads: How many to use; default one a processor.
+        progress: Called with samples done and samples in all.
+
+    Raises:
+        RecordingError: The recording has no torques, or is of another robot.
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    settings, source = settings or Settings(), open_source(recording)
+    terms = picked_terms(settings, choose)
+    torques = torques_beside(
+        tree,
+        source,
+        bodies,
+        terms.laws,
+        gravity=gravity,
+        settings=settings,
+        threads=threads,
+        progress=progress,
+    )
+    chosen = terms.chosen(torques)
+    found = regressions(torques, bodies, chosen.pick)
+    curves = friction_curves(
+        tree,
+        source,
+        bodies,
+        gravity=gravity,
+        settings=settings,
+        threads=threads,
+        progress=progress,
+    )
+    return DriveFindings(
+        chosen.estimates(tree, torques, found), curves, combined(torques, bodies, found)
+    )
