@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.payload_score import with_payload_metrics
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.experiment.unseen import on_unseen_motion
@@ -24,4 +25,5 @@ def carry_out(
         watch: Called with what happens while it is simulated, a second or so at a time.
     """
     run = evaluate(experiment, simulate(experiment, progress, watch))
+    run = with_payload_metrics(run, progress)
     return on_unseen_motion(run, progress)[0]

@@ -10,7 +10,7 @@ from testbed.arrays import Array
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.score import relative_errors
 from testbed.identification.drive_findings import DriveFindings
-from testbed.identification.friction_curves import FrictionCurve, curve_of
+from testbed.identification.friction_curves import FrictionCurve
 from testbed.identification.torque_constants import DriveEstimate
 from testbed.instruments.drives import TorqueConstantError
 from testbed.kind_table import each_joint
@@ -19,6 +19,12 @@ from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import COULOMB, ROTOR, JointLaw
 from testbed.robot.tree import Tree
+
+NEAR = 0.1
+"""Relative distance from a speed that is near it."""
+
+FEW = 10
+"""Samples that are needed there."""
 
 
 def drive_metrics(
@@ -76,12 +82,30 @@ def _relative(tree: Tree, law: JointLaw, drives: Iterable[DriveEstimate]) -> Ite
 
 
 def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -> Iterator[Array]:
-    """Of every joint at its nodes: against the curve that its true friction makes."""
+    """Of every joint at its nodes: against true friction near the nodes' speeds."""
     for j, curve in enumerate(curves):
-        moving = np.abs(truth.velocity[:, j]) > least
-        speed, torque = truth.velocity[moving, j], truth.friction[moving, j]
-        if len(curve.speed) and moving.any():
-            yield curve.torque - curve_of(speed, torque, curve.speed)
+        there = [
+            true_friction(truth, j, float(speed)) if abs(speed) > least else np.nan
+            for speed in curve.speed
+        ]
+        errors = curve.torque - np.array(there)
+        yield errors[np.isfinite(errors)]
+
+
+def true_friction(truth: Truth, joint: int, speed: float) -> float:
+    """What friction took near a speed, by a straight line; not a number without data.
+
+    Args:
+        truth: What happened.
+        joint: Index.
+        speed: [rad/s or m/s].
+    """
+    away = truth.velocity[:, joint] - speed
+    near = np.abs(away) < NEAR * abs(speed)
+    if near.sum() < FEW:
+        return float("nan")
+    line = np.polynomial.polynomial.polyfit(away[near], truth.friction[near, joint], 1)
+    return float(line[0])
 
 
 def _rms(errors: Iterator[Array]) -> float:

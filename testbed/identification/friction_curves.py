@@ -26,7 +26,26 @@ from testbed.recordings.source import Source
 from testbed.robot.friction import ROTOR, JointLaw
 from testbed.robot.tree import Tree
 
-NODES = (0.0, 0.05, 0.1, 0.2, 0.3, 0.45, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 5.6, 8.0, 11.0, 16.0)
+NODES = (
+    0.0,
+    0.03,
+    0.06,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.45,
+    0.7,
+    1.0,
+    1.4,
+    2.0,
+    2.8,
+    4.0,
+    5.6,
+    8.0,
+    11.0,
+    16.0,
+)
 """Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
 
 LEAST = 4.0
@@ -179,26 +198,6 @@ def _straight(places: Array, nodes: Array) -> Array:
     share = (places - nodes[at]) / (nodes[at + 1] - nodes[at])
     found, rows = np.zeros((len(places), len(nodes))), np.arange(len(places))
     found[rows, at], found[rows, at + 1] = 1 - share, share
-    return found
-
-
-def curve_of(speed: Array, torque: Array, nodes: Array) -> Array:
-    """The curve that a known torque makes, by least squares, at the nodes of another, (m,).
-
-    Args:
-        speed: (M,) [rad/s or m/s].
-        torque: What friction takes at these, (M,) [N m or N].
-        nodes: Speeds of the nodes, as a `FrictionCurve` has them.
-    """
-    found = np.zeros(len(nodes))
-    zeros = np.flatnonzero(nodes == 0)
-    split = zeros[-1] if len(zeros) else int(np.searchsorted(nodes, 0.0))
-    for part, way in ((slice(None, split), -1), (slice(split, None), 1)):
-        there = np.sort(np.abs(nodes[part]))
-        own = way * speed > 0
-        weights = _straight(way * speed[own], there)
-        values = np.linalg.lstsq(weights, torque[own], rcond=None)[0]
-        found[part] = values[::way]
     return found
 
 

@@ -13,6 +13,7 @@ from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
 from testbed.report.facts import asked, origin
 from testbed.report.instrument_tables import instrument_tables
+from testbed.report.matrix_map import matrix_maps
 from testbed.report.portrait import portrait
 from testbed.report.sections import SHOWN, seconds_shown, sections
 from testbed.report.tables import with_sigma
@@ -57,6 +58,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
             for section in sections(predict(run, unseen), unseen is not None)
         ],
         "instrument": instrument_tables(run),
+        "matrix": matrix_maps(run),
         "maps": _maps(run.tree),
         "origin": origin(run),
     }

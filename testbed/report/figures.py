@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from html import escape
 from typing import Any
 
@@ -83,6 +83,8 @@ class Panel:
         x_label: With unit.
         log: Both axes logarithmic.
         points: Which curves are drawn as points.
+        bars: Half the length of the error bars of points, by curve.
+        bands: Half the width of the band around a line, by curve.
     """
 
     title: str
@@ -90,6 +92,8 @@ class Panel:
     x_label: str
     log: bool = False
     points: tuple[str, ...] = ()
+    bars: Mapping[str, Array] = field(default_factory=dict)
+    bands: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def svg(self) -> str:
@@ -105,6 +109,13 @@ class Panel:
                 else:
                     style |= {"linewidth": _WIDTHS.get(label, 1.1)}
                 axis.plot(x, y, **style)
+                if label in self.bars:
+                    at, height = np.asarray(x), np.asarray(self.bars[label])
+                    axis.vlines(at, y - height, y + height, color=COLOURS[label], linewidth=1.1)
+                if label in self.bands:
+                    wide = np.asarray(self.bands[label])
+                    colour = COLOURS[label]
+                    axis.fill_between(x, y - wide, y + wide, color=colour, alpha=0.3, linewidth=0)
             axis.set_title(self.title, loc="left")
             axis.set_xlabel(self.x_label, labelpad=3)
             drawn = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)

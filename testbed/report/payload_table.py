@@ -44,7 +44,12 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
     Args:
         found: The payload.
     """
-    lines = [f"{found.rank} of ten parameters or combinations are told."]
+    whole = all(found.told)
+    lines = [
+        "All ten are told."
+        if whole
+        else f"{sum(found.told)} are told alone, and {found.rank} combinations in all."
+    ]
     centre = found.centre
     if centre is not None:
         lines.append(f"Centre of mass: {_place(*centre)}.")

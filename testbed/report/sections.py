@@ -11,6 +11,7 @@ from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
+from testbed.report.drive_sections import BAND, curve_lines, drive_section
 from testbed.report.figures import Panel, thinned
 from testbed.report.spectrum import rms_within, spectrum
 
@@ -34,6 +35,9 @@ def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
         drawn.append(_spectra(found))
     if found.unexplained_torque is not None:
         drawn.append(_friction(found))
+        if found.run.drives is not None:
+            seconds = seconds_shown(found.motion.t)
+            drawn.append(drive_section(found, found.run.drives, CUTOFF, seconds))
     return drawn
 
 
@@ -180,12 +184,17 @@ def _friction(found: Predictions) -> dict[str, Any]:
         model = found.friction(grid)
         if model is not None:
             curves["internal"] = grid[:, j], model[:, j]
+        bands = {}
+        if run.drives is not None:
+            nodes, torque, sigma = curve_lines(run.drives.curves[j])
+            curves["external"], bands["external"] = (nodes, torque), BAND * sigma
         panels.append(
             Panel(
                 f"{joint.name} [{units[1]}]",
                 curves,
                 f"velocity [{units[0]}]",
                 points=("unexplained",),
+                bands=bands,
             )
         )
     return {
@@ -194,7 +203,8 @@ def _friction(found: Predictions) -> dict[str, Any]:
         "says": "Unexplained torque: measured motor torque less what the robot needs by the "
         "bedplate's estimate, over velocity. It is what friction takes, and what the drives report "
         "wrongly. The line is the friction that the internal estimate found.",
-        "legend": {"unexplained": "unexplained torque", "internal": "friction, internal"},
+        "legend": {"unexplained": "unexplained torque", "internal": "friction, internal"}
+        | ({} if run.drives is None else {"external": "friction curve by the plate"}),
         "panels": panels,
         "caption": "Points are samples; the line is what the internal estimate's terms make of a "
         "steady velocity.",
