@@ -59,6 +59,7 @@ def run(
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
     from testbed.errors import RecordingError
+    from testbed.experiment.carry_out import checked_elsewhere
     from testbed.experiment.evaluate import evaluate
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.results import result
@@ -69,7 +70,6 @@ def run(
         write_result,
     )
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.experiment.unseen import on_unseen_motion
     from testbed.report import terminal
 
     experiment = Experiment.load(file, settings or ())
@@ -82,7 +82,7 @@ def run(
     with terminal.Progress("identifying") as progress:
         done = evaluate(experiment, recording, progress)
     with terminal.Progress("validating on an unseen motion") as progress:
-        done, _ = on_unseen_motion(done, progress)
+        done, _ = checked_elsewhere(done, progress)
     write_result(done, folder)
     if as_json:
         terminal.print_json(result(done) | {"folder": str(folder)})

@@ -91,7 +91,7 @@ def report(
 
     Example: testbed report runs/table6-286a25ef
     """
-    from testbed.experiment.unseen import on_unseen_motion
+    from testbed.experiment.carry_out import checked_elsewhere
     from testbed.report import terminal
     from testbed.report.html import write_report
 
@@ -106,7 +106,7 @@ def report(
     _check_said([run], model, reading)
     done = _run_at(run, model, reading)
     with terminal.Progress("simulating an unseen motion") as progress:
-        done, other = on_unseen_motion(done, progress)
+        done, other = checked_elsewhere(done, progress)
     beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True

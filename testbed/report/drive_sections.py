@@ -54,6 +54,7 @@ def _constants(drives: DriveFindings) -> Panel:
         f"joint, 1 ({drives.estimates[0].joint}) to {len(place)} ({drives.estimates[-1].joint})",
         points=("external",),
         bars={"external": BAND * sigma},
+        whole=True,
     )
 
 

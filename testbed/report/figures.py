@@ -85,6 +85,7 @@ class Panel:
         points: Which curves are drawn as points.
         bars: Half the length of the error bars of points, by curve.
         bands: Half the width of the band around a line, by curve.
+        whole: Whether the horizontal axis counts.
     """
 
     title: str
@@ -94,6 +95,7 @@ class Panel:
     points: tuple[str, ...] = ()
     bars: Mapping[str, Array] = field(default_factory=dict)
     bands: Mapping[str, Array] = field(default_factory=dict)
+    whole: bool = False
 
     @property
     def svg(self) -> str:
@@ -120,6 +122,9 @@ class Panel:
             axis.set_xlabel(self.x_label, labelpad=3)
             drawn = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)
             (_logarithmic if self.log and drawn else _linear)(axis)
+            if self.whole:
+                axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+                axis.margins(x=0.1, y=0.1)
             figure.subplots_adjust(left=max(_MARGINS["left"], _WIDER * _room(figure, axis)))
             return _svg(figure, self.title)
 

@@ -207,7 +207,13 @@ def _friction(found: Predictions) -> dict[str, Any]:
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
         "panels": panels,
         "caption": "Points are samples; the line is what the internal estimate's terms make of a "
-        "steady velocity.",
+        "steady velocity."
+        + (
+            ""
+            if run.drives is None
+            else f" The curve by the plate assumes no law; its band is {BAND:g} sigma wide to "
+            "either side."
+        ),
         "heads": ["joint", "term", "unit", "found", "true"],
         "rows": _term_rows(run),
     }

@@ -10,6 +10,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.experiment.growth import growing_errors
 from testbed.viewer.colours import COLOURS, Colour, palette
+from testbed.viewer.drive_notes import log_curve
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, safe
 
@@ -93,6 +94,8 @@ def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             line = np.column_stack([grid[:, j] / width, -curve[:, j] / height])
             strip = rr.LineStrips2D([line], colors=[COLOURS["internal"]], radii=[0.008])
             stream.log(f"{path}/curve", strip, static=True)
+        if scene.run.drives is not None:
+            log_curve(stream, path, scene.run.drives.curves[j], (width, height))
 
 
 def _log_axes(

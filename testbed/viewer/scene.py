@@ -19,6 +19,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance
+from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
@@ -126,6 +127,7 @@ class Scene:
         lines = [f"# {plain(run.name)}", *(plain(line) for line in said)]
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
+        lines += [*notes_of_drives(run), *notes_of_plate(run)]
         if self.warnings:
             lines.append("## Warnings")
             lines.append("\n".join(f"- {plain(line)}" for line in self.warnings))

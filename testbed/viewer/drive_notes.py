@@ -1,0 +1,81 @@
+"""What the plate says of the drives, and of itself, as the viewer shows it: curves and notes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import rerun as rr
+
+from testbed.arrays import Array
+from testbed.experiment.run import Run
+from testbed.identification.friction_curves import FrictionCurve
+from testbed.viewer.colours import COLOURS
+
+BAND = 2.0
+"""Sigmas to either side of a curve."""
+
+
+def log_curve(
+    stream: rr.RecordingStream, path: str, curve: FrictionCurve, axes: tuple[float, float]
+) -> None:
+    """A joint's friction curve and the edges of its band, a strip for each direction.
+
+    Args:
+        stream: Where to.
+        path: The plot's place among the entities.
+        curve: The joint's.
+        axes: Largest speed and torque, where the axes end.
+    """
+    lines, widths = [], []
+    for part in _directions(curve):
+        speed, torque, sigma = curve.speed[part], curve.torque[part], curve.sigma[part]
+        for away, width in ((0.0, 0.006), (-BAND, 0.002), (BAND, 0.002)):
+            height = torque + away * sigma
+            lines.append(np.column_stack([speed / axes[0], -height / axes[1]]))  # y points down
+            widths.append(width)
+    if lines:
+        strips = rr.LineStrips2D(lines, colors=[COLOURS["external"]], radii=widths)
+        stream.log(f"{path}/by the plate", strips, static=True)
+
+
+def _directions(curve: FrictionCurve) -> Iterator[Array]:
+    """Backwards and forwards, where there are at least two nodes."""
+    split = int(np.searchsorted(curve.speed, 0.0))
+    for part in (np.arange(split), np.arange(split, len(curve.speed))):
+        if len(part) > 1:
+            yield part
+
+
+def notes_of_drives(run: Run) -> list[str]:
+    """Torque constants and terms, joint by joint, as paragraphs of Markdown; [] without them.
+
+    Args:
+        run: The run.
+    """
+    if run.drives is None:
+        return []
+    lines = ["| joint | torque constant | terms |", "| --- | --- | --- |"]
+    for each in run.drives.estimates:
+        terms = ", ".join(
+            f"{t.law.kind} {t.value:.4g} ± {t.sigma:.2g} {t.unit}" for t in each.terms
+        )
+        name = each.joint.replace("|", "/")
+        lines.append(f"| {name} | {each.constant:.5g} ± {each.sigma:.2g} | {terms} |")
+    return ["## Drives, held against the plate", "\n".join(lines)]
+
+
+def notes_of_plate(run: Run) -> list[str]:
+    """Numbers of the plate that were estimated, as paragraphs of Markdown; [] without them.
+
+    Args:
+        run: The run.
+    """
+    external = run.estimates.get("external")
+    if external is None or not external.nuisances:
+        return []
+    lines = ["| number | value | unit |", "| --- | --- | --- |"]
+    lines += [
+        f"| {n.name} | {n.value:.4g} ± {n.sigma:.2g} | {n.unit} |" for n in external.nuisances
+    ]
+    return ["## The plate, estimated with the parameters", "\n".join(lines)]
