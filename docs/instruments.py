@@ -11,12 +11,18 @@ BEGIN = "<!-- written by python -m docs.instruments -->\n"
 END = "<!-- end of what is written -->\n"
 
 
-def main() -> None:
-    """Replace what stands between the marks."""
-    text = DOCUMENT.read_text()
-    before, _, rest = text.partition(BEGIN)
-    DOCUMENT.write_text(before + BEGIN + as_markdown() + END + rest.partition(END)[2])
+def between_marks(document: Path, begin: str, written: str) -> None:
+    """Replace what stands between the marks of a document.
+
+    Args:
+        document: The file.
+        begin: The mark before.
+        written: What is to stand there.
+    """
+    text = document.read_text()
+    before, _, rest = text.partition(begin)
+    document.write_text(before + begin + written + END + rest.partition(END)[2])
 
 
 if __name__ == "__main__":
-    main()
+    between_marks(DOCUMENT, BEGIN, as_markdown())

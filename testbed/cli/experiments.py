@@ -141,31 +141,6 @@ def simulate(
 
 
 @app.command()
-def faults(
-    kind: Annotated[
-        str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")
-    ] = None,
-) -> None:
-    """List what may be wrong with encoders, drives and plate in an experiment.
-
-    Example: testbed faults plate_pose
-    """
-    from testbed.instruments.catalogue import catalogue, entry_of
-
-    if kind is None:
-        for entry in catalogue():
-            typer.echo(f"{entry.kind:26s}{entry.summary}")
-        typer.echo("\nOne of them, with its keys: testbed faults KIND")
-        return
-    entry = entry_of(kind)
-    typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
-    for name, default, meaning in entry.keys:
-        typer.echo(f"  {name} = {default}: {meaning}")
-    typer.echo(f"Source of the size: {entry.source}")
-    typer.echo(f"In an experiment: [measurement] fault = [{entry.example}]")
-
-
-@app.command()
 def identify(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
     model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],

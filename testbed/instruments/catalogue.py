@@ -1,47 +1,17 @@
-"""What there is to say of every kind of fault, from the faults themselves.
-
-Their docstrings hold a sentence, details, the source of the default size, and the keys.
-"""
+"""What there is to say of every kind of fault, from the faults themselves."""
 
 from __future__ import annotations
 
-import inspect
-import json
-import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
 
 from testbed.instruments.fault import Place
 from testbed.instruments.faults import KINDS, fault_named
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One kind of fault in words.
-
-    Attributes:
-        kind: Its name.
-        signal: What it spoils.
-        summary: What it is, in a sentence.
-        details: Formulas and what else is to be known; may be empty.
-        source: Where the default size comes from.
-        keys: (name, default, meaning with unit) of each key.
-        example: A line of an experiment file.
-    """
-
-    kind: str
-    signal: str
-    summary: str
-    details: str
-    source: str
-    keys: tuple[tuple[str, str, str], ...]
-    example: str
+from testbed.kind_words import Entry, in_words, rows
 
 
 def catalogue() -> Iterator[Entry]:
     """All kinds, device by device, in the order in which devices list them."""
-    return (entry_of(kind) for kind in KINDS)
+    return (in_words(fault) for fault in KINDS.values())
 
 
 def entry_of(kind: str) -> Entry:
@@ -53,35 +23,7 @@ def entry_of(kind: str) -> Entry:
     Raises:
         SettingsError: There is none.
     """
-    fault = fault_named(kind)
-    text = inspect.getdoc(fault) or ""
-    body, _, attributes = text.partition("\n\nAttributes:\n")
-    body, _, source = body.partition("\n\nSource ")
-    summary, _, details = body.partition("\n\n")
-    table = fault().table()
-    meanings = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE))
-    keys = tuple((k, _toml(table.get(k)), _line(meanings[k])) for k in fault.known_keys())
-    example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
-    return Entry(
-        fault.kind,
-        fault.signal,
-        _line(summary),
-        _line(details),
-        _line(source),
-        keys,
-        f"{{ {example} }}",
-    )
-
-
-def _line(text: str) -> str:
-    return " ".join(text.split())
-
-
-def _toml(value: Any) -> str:
-    """A default as TOML writes it; numbers in a few digits."""
-    if value is None:
-        return "none"
-    return json.dumps(value) if isinstance(value, str) else f"{value:.6g}"
+    return in_words(fault_named(kind))
 
 
 def as_markdown() -> str:
@@ -92,17 +34,9 @@ def as_markdown() -> str:
         kinds = [f for f in KINDS.values() if f.place == place]
         cells = [", ".join(f"`{f.kind}`" for f in kinds if f.signal == s) for s in _TITLES]
         lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")
-    signal = ""
-    for entry in catalogue():
-        if entry.signal != signal:
-            signal = entry.signal
-            lines += ["", f"### {_TITLES[signal]}", ""]
-            lines += ["| kind | what it is | keys: default, meaning | source of the size |"]
-            lines += ["| --- | --- | --- | --- |"]
-        keys = "<br>".join(f"`{k}`: {default}, {said}" for k, default, said in entry.keys)
-        what = " ".join(filter(None, (entry.summary, entry.details)))
-        row = (f"`{entry.kind}`", what, keys, entry.source)
-        lines.append(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |")
+    for signal, title in _TITLES.items():
+        own = [in_words(fault) for fault in KINDS.values() if fault.signal == signal]
+        lines += ["", f"### {title}", "", *rows(own)]
     examples = "\n".join(f"    {entry.example}," for entry in catalogue())
     lines += ["", "### All of them, as they may be written", ""]
     lines += ["```toml", "[measurement]", "fault = [", examples, "]", "```", ""]

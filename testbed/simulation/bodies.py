@@ -81,7 +81,7 @@ class GearedRotor(Effect):
     of that much more inertia about the axis e would add, and a carrier of that much less. The
     model file's own rotor inertia stays beside it. Turning joints only.
 
-    Source    [AKB86]: reflected 1.14 kg m^2 at a PUMA's waist, by a ratio of 62.6.
+    Source    [AKB86]: a PUMA's waist, 1.14 kg m^2 at the joint by a ratio of 62.6.
 
     Attributes:
         inertia: Of the rotor about its axis [kg m^2].

@@ -37,7 +37,7 @@ class StribeckFriction(Effect):
 
     It comes on top of the joints' own dry and viscous friction.
 
-    Source    Armstrong's measurements of a PUMA's joints: half the dry friction, below 0.1 rad/s.
+    Source    Our own choice: half a PUMA's dry friction, below 0.1 rad/s.
 
     Attributes:
         coefficient: What dry friction at rest has more [N m or N].
@@ -64,7 +64,7 @@ class StribeckFriction(Effect):
 class PowerFriction(Effect):
     """Friction that grows with a power of the speed: coefficient sign(v) abs(v)^exponent.
 
-    Source    Lubricated gears: the exponent lies between one half and two, 1 is viscous friction.
+    Source    Our own choice: lubricated gears have exponents from one half to two.
 
     Attributes:
         coefficient: At 1 rad/s or 1 m/s [N m or N].
@@ -91,7 +91,7 @@ class PowerFriction(Effect):
 class AsymmetricFriction(Effect):
     """Friction that is higher in one direction: by so much more where the joint moves forwards.
 
-    Source    Armstrong's measurements of a PUMA's joints: directions differ by 10 to 20 %.
+    Source    Our own choice: directions differ by 15 % on a PUMA's joints.
 
     Attributes:
         coulomb: Dry friction that forward motion has more [N m or N].
@@ -119,7 +119,7 @@ class AsymmetricFriction(Effect):
 class LoadFriction(Effect):
     """Dry friction that grows with the load: share abs(motor torque) sign(v).
 
-    Source    Losses of geared drives in data sheets: 3 to 10 % of the torque they pass on.
+    Source    Our own choice: gears lose 3 to 10 % of the torque that they pass on.
 
     Attributes:
         share: Of the motor's torque.

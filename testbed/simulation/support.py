@@ -28,7 +28,7 @@ class CompliantPlate(Effect):
 
     Each is as stiff as the frequency wants, for the robot with all its joints at zero.
 
-    Source    [DLS14]: force plates under a robot of 60 kg, 60 to 200 Hz.
+    Source    Our own choice: plates with strain gauges under robots of 60 kg, 60 to 200 Hz.
 
     Attributes:
         frequency: Of each spring with the robot on it [Hz].

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 import rerun as rr
 
-from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.identification.friction_curves import FrictionCurve
 from testbed.viewer.colours import COLOURS
@@ -36,15 +35,15 @@ def log_curve(
             widths.append(width)
     if lines:
         strips = rr.LineStrips2D(lines, colors=[COLOURS["external"]], radii=widths)
-        stream.log(f"{path}/by the plate", strips, static=True)
+        stream.log(f"{path}/by_plate", strips, static=True)
 
 
-def _directions(curve: FrictionCurve) -> Iterator[Array]:
+def _directions(curve: FrictionCurve) -> Iterator[slice]:
     """Backwards and forwards, where there are at least two nodes."""
-    split = int(np.searchsorted(curve.speed, 0.0))
-    for part in (np.arange(split), np.arange(split, len(curve.speed))):
-        if len(part) > 1:
-            yield part
+    split, count = int(np.searchsorted(curve.speed, 0.0)), len(curve.speed)
+    for first, last in ((0, split), (split, count)):
+        if last - first > 1:
+            yield slice(first, last)
 
 
 def notes_of_drives(run: Run) -> list[str]:

@@ -16,11 +16,15 @@ HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
 # What a room may import, besides itself. docs/architecture.md draws the same plan.
-BASE = {"errors", "arrays", "files", "keys", "kind_table"}
+BASE = {"errors", "arrays", "files"}
+KINDS = {"keys", "kind_table", "kind_words"}
 PLAN = {
     "errors": set(),
     "arrays": set(),
     "files": set(),
+    "keys": {"errors"},
+    "kind_table": {"errors", "arrays", "keys"},
+    "kind_words": {"kind_table"},
     "robot": BASE,
     "parameters": BASE | {"robot"},
     "dynamics": BASE | {"robot", "parameters"},
@@ -28,10 +32,11 @@ PLAN = {
     "symbolic": BASE | {"robot", "parameters", "dynamics"},
     "excitation": BASE | {"robot", "parameters", "dynamics"},
     "recordings": BASE | {"robot"},
-    "instruments": BASE | {"robot", "recordings"},
-    "simulation": BASE | {"robot", "dynamics", "excitation", "recordings"},
+    "instruments": BASE | KINDS | {"robot", "recordings"},
+    "simulation": BASE | KINDS | {"robot", "dynamics", "excitation", "recordings"},
     "identification": BASE | {"robot", "parameters", "dynamics", "kernel", "recordings"},
     "experiment": BASE
+    | KINDS
     | {
         "robot", "parameters", "dynamics", "excitation", "recordings", "instruments",
         "simulation", "identification",

@@ -14,6 +14,10 @@ import pytest
 import testbed as tb
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits
+from testbed.identification.combined import Combined, Disagreement
+from testbed.identification.friction_curves import FrictionCurve
+from testbed.identification.payload import PayloadEstimate
+from testbed.identification.rest import Pose
 from testbed.identification.stated import Stated
 from testbed.identification.validate import Validation
 from testbed.robot.visuals.shapes import Shape
@@ -71,6 +75,13 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Stated": lambda: Stated(
         "external", ("a", "b"), some(2), some(2, 2), some(3), some(1), {}
+    ),
+    "FrictionCurve": lambda: FrictionCurve("a", some(3), some(3), some(3), 1.0, "N m"),
+    "Combined": lambda: Combined(("a", "b"), some(2), some(2), some(3), some(3), NOTHING),
+    "Disagreement": lambda: Disagreement(("a", "b"), some(2), 1.0),
+    "Pose": lambda: Pose(some(3), some(6), some(6), 0.5),
+    "PayloadEstimate": lambda: PayloadEstimate(
+        "a", (), (), (), some(10), some(10), some(10, 10), 10, 1.0
     ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),

@@ -10,7 +10,9 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.torque_constants import DriveEstimate, drive_estimates
+from testbed.identification.drive_findings import identify_drives
+from testbed.identification.estimate import Estimate
+from testbed.identification.torque_constants import DriveEstimate
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal
@@ -38,6 +40,12 @@ def constants(tree: tb.Tree) -> Array:
 
 def reported(tree: tb.Tree, recording: Recording) -> Recording:
     return replace(recording, torque=recording.measured("torque") * constants(tree))
+
+
+def drive_estimates(
+    tree: tb.Tree, recording: Recording, bodies: Estimate, settings: tb.Settings | None = None
+) -> tuple[DriveEstimate, ...]:
+    return identify_drives(tree, recording, bodies, settings=settings).estimates
 
 
 def numbers(found: DriveEstimate) -> tuple[Array, Array]:
