@@ -49,8 +49,7 @@ def in_words(kind: type[KindTable]) -> Entry:
     meanings = dict(re.findall(r"^    (\w+): ((?:.|\n {8})*)", attributes, re.MULTILINE))
     keys = tuple((k, _toml(table.get(k)), _line(meanings[k])) for k in kind.known_keys())
     example = ", ".join(f"{name} = {_toml(value)}" for name, value in table.items())
-    said = (_line(part) for part in (summary, details, source))
-    return Entry(kind.kind, *said, keys, f"{{ {example} }}")
+    return Entry(kind.kind, _line(summary), _line(details), _line(source), keys, f"{{ {example} }}")
 
 
 def rows(entries: list[Entry]) -> list[str]:

@@ -32,7 +32,7 @@ def loaded(tree: tb.Tree, link: int = -1) -> tb.Tree:
 def ten(load: Inertia) -> Array:
     tree = robot("puma")
     only = replace(tree, inertias=(load, *tree.inertias[1:]))
-    return standard(only)[0]
+    return np.array(standard(only)[0])
 
 
 def score(found: PayloadEstimate) -> Array:
@@ -45,7 +45,7 @@ def test_exact_data_give_what_is_told(name: str) -> None:
     tree = robot(name)
     pair = [tb.identify(t, ideal(t, seed=k), settings=EXACT) for k, t in
             enumerate((tree, loaded(tree)))]  # fmt: skip
-    found = payload(tree, *pair)
+    found = payload(tree, pair[0], pair[1])
     told = np.array(found.told)
     assert told[0]
     np.testing.assert_allclose(found.values[told], ten(LOAD)[told], atol=1e-8)
@@ -83,10 +83,10 @@ def test_what_is_no_payload_is_noticed() -> None:
     tree = robot("ur5")
     other = loaded(loaded(tree), 1)
     pair = [tb.identify(t, measured(t, k)) for k, t in enumerate((tree, other))]
-    found = payload(tree, *pair)
+    found = payload(tree, pair[0], pair[1])
     assert found.chance < 1e-6
     assert "something else changed" in found.warnings[0]
-    swapped = payload(tree, *reversed(pair))
+    swapped = payload(tree, pair[1], pair[0])
     assert any("changed places" in line for line in swapped.warnings)
 
 
