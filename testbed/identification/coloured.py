@@ -82,8 +82,7 @@ def under_coloured_noise(
     values, further = start.values + grown[:p], grown[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
-    back = _in_channels(units, directions)
-    bias = back @ found.values[m:]
+    bias = (back := _in_channels(units, directions)) @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
@@ -111,6 +110,7 @@ def under_coloured_noise(
             bias=bias,
             bias_sigma=bias_sigma,
             bias_chance=_chance(square_of_last(found, count) / factor**2, count),
+            span=plan.source.samples / plan.source.rate,
             hidden=_imitating(hidden[:, :m] @ units.lead[:p].T, names),
             repetition=repeated.found() if repeated else None,
         ),

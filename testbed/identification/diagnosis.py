@@ -14,6 +14,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.finding import Finding, components, few
+from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
@@ -29,6 +30,9 @@ enough, however small it is."""
 
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
+
+DRIFT = 0.5
+"""Part of a recording over which the noise of a channel holds on, and is a drift."""
 
 ILL_CONDITIONED = 1e3
 """Condition of the scaled equations above which the estimate is reported as doubtful."""
@@ -128,8 +132,10 @@ def quality_warnings(estimate: Estimate) -> list[str]:
 def _noise_warnings(estimate: Estimate) -> list[str]:
     """What constants and slow noise do to an estimate."""
     noise = estimate.noise
-    if noise is None or noise.bias_chance > SMALL_CHANCE:
+    if noise is None:
         return []
+    if noise.bias_chance > SMALL_CHANCE:
+        return _drifting(estimate, noise)
     told = ", ".join(
         f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
         for channel, unit, value, sigma in zip(
@@ -146,6 +152,24 @@ def _noise_warnings(estimate: Estimate) -> list[str]:
     return [
         f"the plate's zero is off, or drifts: constants were estimated with the parameters "
         f"({told}){hidden}"
+    ]
+
+
+def _drifting(estimate: Estimate, noise: FoundNoise) -> list[str]:
+    """Channels that wander so slowly that what rests on their constants rests on nothing."""
+    if not noise.hidden:
+        return []
+    slow = [
+        f"{channel} ({memory:.2g} s)"
+        for channel, memory in zip(estimate.channels, noise.memory, strict=True)
+        if memory > DRIFT * noise.span
+    ]
+    if not slow:
+        return []
+    return [
+        f"the plate's zero drifts: what is left of {', '.join(slow)} wanders as slowly as the "
+        f"recording lasts; {', '.join(noise.hidden)} cannot be told from a constant, and sigma "
+        "does not hold for it"
     ]
 
 

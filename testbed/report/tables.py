@@ -148,8 +148,10 @@ def _noise(estimate: Estimate) -> str:
     if noise is None:
         return ""
     constants = ", constants estimated" if noise.bias_sigma.any() else ""
+    rests = f", {', '.join(noise.hidden)} if its zero is right" if noise.hidden else ""
     return (
-        f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}), "
+        f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}"
+        f"{rests}), "
     )
 
 

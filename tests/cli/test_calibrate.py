@@ -127,7 +127,10 @@ def test_drives_are_held_against_the_plate(
     call = ("drives", "right.parquet", "--model", PUMA, "--zeros")
     done = command_line(*call, "--json", cwd=place)
     assert (done.returncode, done.stderr) == (0, "")
-    said = json.loads(done.stdout)
+    whole = json.loads(done.stdout)
+    assert set(whole) == {"joints", "curves", "combined"}
+    assert set(whole["curves"]) == {"waist", "shoulder", "elbow"}
+    said = whole["joints"]
     for name, friction in (("waist", 6.3), ("shoulder", 5.5), ("elbow", 2.6)):
         constant, coulomb = said[name]["torque_constant"], said[name]["terms"]["coulomb"]
         assert abs(constant["value"] - 1) < 5 * constant["sigma"]
@@ -146,3 +149,48 @@ def test_drives_need_torques_and_a_plate(place: Path) -> None:
         done = command_line("drives", "half.parquet", "--model", PUMA, cwd=place)
         assert (done.returncode, done.stdout) == (2, "")
         assert f"has no {lacking}" in done.stderr
+
+
+def test_terms_are_chosen_on_request(place: Path) -> None:
+    call = ("drives", "right.parquet", "--model", PUMA, "--zeros", "--choose-terms")
+    shown = command_line(*call, cwd=place)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert "waist: coulomb and viscous" in shown.stdout
+    said = json.loads(command_line(*call, "--json", cwd=place).stdout)["joints"]["waist"]
+    assert said["choice"][0] == {
+        "added": "", "held_out_residual": said["choice"][0]["held_out_residual"],
+        "standard_errors": 0.0, "taken": True,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("width", [60, 120])
+def test_a_payload_is_weighed(place: Path, width: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same recording twice: nothing was added, in motion; at rest it never was."""
+    monkeypatch.setenv("COLUMNS", str(width))
+    call = ("payload", "right.parquet", "right.parquet", "--model", PUMA)
+    said = json.loads(command_line(*call, "--json", cwd=place).stdout)
+    assert said["joint"] == "elbow"
+    assert said["parameters"]["m"]["value"] == 0.0
+    assert said["centre"] is None
+    shown = command_line(*call, cwd=place)
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert max(map(len, shown.stdout.splitlines())) <= width
+    resting = command_line(*call, "--at-rest", cwd=place)
+    assert (resting.returncode, resting.stdout) == (2, "")
+    assert "0 poses at rest" in resting.stderr
+    assert resting.stderr.count("\n") == 1
+    wrong = command_line(*call, "--joint", "wrist", cwd=place)
+    assert wrong.returncode == 2
+    assert "'wrist'" in wrong.stderr
+
+
+@pytest.mark.parametrize("command", ["faults", "effects"])
+def test_what_can_be_asked_for_is_listed(command: str, tmp_path: Path) -> None:
+    listed = command_line(command, cwd=tmp_path)
+    kinds = [line.split()[0] for line in listed.stdout.splitlines() if line]
+    assert len(kinds) > 8
+    one = command_line(command, kinds[0], cwd=tmp_path)
+    assert one.returncode == 0
+    assert f'kind = "{kinds[0]}"' in one.stdout
+    unknown = command_line(command, "wobble", cwd=tmp_path)
+    assert (unknown.returncode, unknown.stderr.count("\n")) == (2, 1)

@@ -329,3 +329,15 @@ def test_one_method_alone_has_nothing_to_be_held_against(
         assert warnings_between([estimate]) == []
     other = tb.identify(puma, recording, "internal", gravity=[0, 0, -1.62])
     assert cross_check(estimates["external"], other) == ()
+
+
+@pytest.mark.parametrize("size", [2.0, 20.0])
+def test_a_drift_that_only_the_total_mass_feels_is_said(puma: tb.Tree, size: float) -> None:
+    """No constant of Fz can be told from the mass: that it wanders can."""
+    recording = measured(puma)
+    drift = np.zeros((recording.samples, 6))
+    drift[:, 2] = np.linspace(0, size, recording.samples)
+    drifting = replace(recording, wrench=recording.measured("wrench") + drift)
+    said = tb.identify(puma, drifting).warnings
+    assert any("the plate's zero drifts" in line and "Fz" in line for line in said)
+    assert not any("drifts" in line for line in tb.identify(puma, recording).warnings)

@@ -19,7 +19,7 @@ def test_a_line_says_what_the_noise_is_like(puma: tb.Tree) -> None:
     assert "residual rms waist 0." in internal
     for line, estimate in zip((external, internal), estimates, strict=True):
         assert estimate.noise is not None
-        assert f"(sigma x {estimate.noise.factor:.2f} by bootstrap)" in line
+        assert f"(sigma x {estimate.noise.factor:.2f} by bootstrap" in line
         assert f"noise of {max(estimate.noise.memory):.2g} s" in line
 
 

@@ -19,6 +19,7 @@ class FoundNoise:
         bias: Constants of the channels that were taken as unknown, (C,) [N, N m]; zero if none.
         bias_sigma: Their standard deviations, (C,).
         bias_chance: Probability of constants as large as these where there are none.
+        span: How long the recording is [s].
         hidden: Parameters that no motion can tell from a constant of a channel.
         repetition: Whether the residuals repeat with the motion; None where that cannot be told.
     """
@@ -29,5 +30,6 @@ class FoundNoise:
     bias: Array
     bias_sigma: Array
     bias_chance: float
+    span: float
     hidden: tuple[str, ...]
     repetition: Repetition | None = None
