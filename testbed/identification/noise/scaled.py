@@ -40,6 +40,20 @@ def scaled_inverse(matrix: Array) -> Array:
     return np.asarray(root @ root.T)
 
 
+def square_root(matrix: Array) -> Array:
+    """R with R R' the matrix, (m, m); of one that is singular but for rounding, nearly so.
+
+    Args:
+        matrix: Symmetric and positive, (m, m).
+    """
+    try:
+        return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
+        size, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
+        return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING)))
+
+
 def _root(matrix: Array) -> Array:
     """R with R R' the inverse, (m, m)."""
     diagonal = np.diagonal(matrix)

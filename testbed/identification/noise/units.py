@@ -17,6 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
 
@@ -45,10 +46,6 @@ class Beside:
 
 NOTHING = Beside()
 """No columns beside the robot's."""
-
-
-def _cholesky(matrix: Array) -> Array:
-    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
 
 
 class Rows(NamedTuple):
@@ -164,10 +161,10 @@ def units_of(start: least_squares.Fit, beside: Beside) -> Units:
         start: The solution, and the weights in whose units rows are taken.
         beside: Columns beside the robot's.
     """
-    white = _cholesky(start.inverse)
+    white = square_root(start.inverse)
     given = beside.facts
     if given is None or not len(given):
-        return Units(_cholesky(start.weights), white, beside, None, None)
+        return Units(square_root(start.weights), white, beside, None, None)
     grown = linalg.block_diag(white, np.eye(beside.unknown))
     left = free(replace(given, rows=given.rows @ grown))
-    return Units(_cholesky(start.weights), white, beside, given, left)
+    return Units(square_root(start.weights), white, beside, given, left)

@@ -87,12 +87,18 @@ def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
 @contextmanager
 def no_mujoco_warnings() -> Iterator[None]:
     """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
+    with unwarned_steps(), captured_stderr(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+@contextmanager
+def unwarned_steps() -> Iterator[None]:
+    """The same for what MuJoCo says while it steps; standard error stays as it is."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
-        with captured_stderr(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
+        yield
     finally:
         mujoco.set_mju_user_warning(before)
 
