@@ -93,6 +93,7 @@ FREE = {
     ("Shape", "vertices", 0),
     ("Shape", "faces", 0),
     ("Stated", "residual", 0),
+    ("Pose", "position", 0),
 }
 """Axes of any length that nothing else has."""
 
