@@ -103,10 +103,10 @@ def drives(
 
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
     """
+    from testbed.experiment.drive_results import drives_as_json
     from testbed.identification.drive_findings import identify_drives
     from testbed.identification.identify import identify
     from testbed.report import terminal
-    from testbed.report.drive_table import drives_as_json
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification

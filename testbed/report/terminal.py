@@ -122,11 +122,15 @@ def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
         warnings: About robot, recording, bodies and drives.
     """
     out = console()
+    _print_drives(out, drives)
+    print_warnings(out, warnings)
+
+
+def _print_drives(out: Console, drives: DriveFindings) -> None:
     for table in drive_tables(out, drives.estimates):
         out.print(table)
     for line in drive_lines(drives):
         out.print(line, soft_wrap=True)
-    print_warnings(out, warnings)
 
 
 def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
@@ -169,6 +173,8 @@ def print_run(run: Run, folder: Path) -> None:
         out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
+    if run.drives is not None:
+        _print_drives(out, run.drives)
     for line in validation_lines(run.validation):
         out.print(printable(line), soft_wrap=True)
     print_warnings(out, run.warnings)

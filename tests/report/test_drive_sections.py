@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.experiment.results import result
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.report.contents import contents
@@ -104,3 +106,5 @@ def test_metrics_of_drives_are_judged(tmp_path: Path) -> None:
     assert run.metrics["coulomb_max_relative_error"] < 1e-2
     assert run.metrics["friction_curve_rms"] < 0.1
     assert "rotor_max_relative_error" not in run.metrics
+    kept = json.loads(json.dumps(result(run)))["drives"]["joints"]["waist"]["torque_constant"]
+    assert kept["value"] == run.drives.estimates[0].constant
