@@ -113,7 +113,13 @@ def drives(
     source = reading.source(recording, tree)
     with terminal.Progress("identifying, external") as progress:
         bodies = identify(
-            tree, source, gravity=gravity, settings=table, threads=threads, progress=progress
+            tree,
+            source,
+            gravity=gravity,
+            settings=table,
+            doubt=reading.doubt(tree),
+            threads=threads,
+            progress=progress,
         )
     with terminal.Progress("regressing torques") as progress:
         found = identify_drives(
@@ -182,8 +188,8 @@ def payload(
         with terminal.Progress(f"identifying, {name}") as progress:
             estimates.append(
                 identify(
-                    tree, source, gravity=gravity, settings=table, threads=threads,
-                    progress=progress,
+                    tree, source, gravity=gravity, settings=table, doubt=reading.doubt(tree),
+                    threads=threads, progress=progress,
                 )
             )  # fmt: skip
     found = payload_of(tree, estimates[0], estimates[1], joint)

@@ -174,7 +174,7 @@ def identify(
         reading.tree(model),
         reading.model_file(model),
     )
-    source = reading.source(recording, tree)
+    source, doubt = reading.source(recording, tree), reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
@@ -188,6 +188,7 @@ def identify(
                 name,
                 gravity=gravity,
                 settings=table,
+                doubt=doubt,
                 threads=threads,
                 progress=progress,
             )

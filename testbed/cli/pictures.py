@@ -154,4 +154,5 @@ def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
         name=path.stem,
         settings=reading.tables().identification,
         model=reading.model_file(model),
+        doubt=reading.doubt(tree),
     )

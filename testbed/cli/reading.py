@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
+    from testbed.identification.plate_doubt import PlateDoubt
     from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
     from testbed.robot.tree import Tree
@@ -63,6 +64,12 @@ class Reading:
         from testbed.recordings.source import open_source
 
         return corrected_source(open_source(path), tree, self.plate)
+
+    def doubt(self, tree: Tree) -> PlateDoubt | None:
+        """What the plate's calibration leaves open; None where the plate is taken as perfect."""
+        from testbed.experiment.plate_file import read_plate
+
+        return None if self.plate is None else read_plate(self.plate, tree).doubt
 
     def tree(self, path: Path) -> Tree:
         """The robot of a model file, with what --set says of its joints."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict
 
+from testbed.arrays import Array
+from testbed.errors import ExperimentError
 from testbed.experiment.experiment_tables import Finite
 from testbed.experiment.toml_text import checked, read_toml
 from testbed.experiment.versions import versions
@@ -35,6 +38,7 @@ class _Plate(BaseModel):
     robot: str = ""
     known: dict[str, tuple[Finite, Finite]] = {}
     numbers: dict[str, _Number]
+    correlation: list[list[Finite]] = []
 
 
 def write_plate(plate: Calibration, path: Path) -> None:
@@ -52,6 +56,13 @@ def write_plate(plate: Calibration, path: Path) -> None:
         unit = f", unit = {json.dumps(each.unit)}" if each.unit else ""
         number = f"{{ value = {each.value!r}, sigma = {each.sigma!r}{unit} }}"
         lines.append(f"{json.dumps(each.name)} = {number}")
+    if plate.correlation is not None:
+        head = "correlation = [  # of the numbers, in their order, up to the diagonal"
+        rows = [
+            ", ".join(f"{value:.5g}" for value in row[: k + 1])
+            for k, row in enumerate(plate.correlation.tolist())
+        ]
+        lines[1:1] = [head, *(f"  [{row}]," for row in rows), "]"]
     with replacing(path) as fresh:
         fresh.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -72,4 +83,33 @@ def read_plate(path: Path, tree: Tree) -> Calibration:
         NuisanceEstimate(kinds.get(name, name), name, each.unit, each.value, each.sigma)
         for name, each in found.numbers.items()
     )
-    return Calibration(found.robot, found.known, numbers)
+    return Calibration(
+        found.robot,
+        found.known,
+        numbers,
+        correlation=_correlation(found.correlation, numbers, path),
+    )
+
+
+def _correlation(
+    rows: list[list[float]], numbers: tuple[NuisanceEstimate, ...], path: Path
+) -> Array | None:
+    """Of its lower triangle; None where the file has none.
+
+    Raises:
+        ExperimentError: It is no correlation of these numbers.
+    """
+    if not rows:
+        return None
+    count = len(numbers)
+    found = np.eye(count)
+    fits = [len(row) for row in rows] == list(range(1, count + 1))
+    if fits:
+        for k, row in enumerate(rows):
+            found[k, : k + 1] = found[: k + 1, k] = row
+    if not fits or np.abs(found).max() > 1 or (np.diagonal(found) != 1).any():
+        raise ExperimentError(
+            f"{path}: correlation is the lower triangle of {count} rows, ones at their ends, "
+            "nothing beyond one; leave it out for independent numbers"
+        )
+    return found

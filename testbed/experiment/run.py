@@ -19,6 +19,7 @@ from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
+from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.identification.validate import Validation
 from testbed.recordings.recording import Recording
@@ -93,6 +94,7 @@ def assemble_run(
     settings: Settings | None = None,
     experiment: Experiment | None = None,
     model: ModelFile | None = None,
+    doubt: PlateDoubt | None = None,
     methods: Iterable[Method] = METHODS,
     progress: Progress = lambda done, total: None,
 ) -> Run:
@@ -107,6 +109,7 @@ def assemble_run(
         settings: How the signals are treated; default `Settings()`.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
+        doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
         progress: Called with samples done and samples in all, method by method.
 
@@ -121,7 +124,7 @@ def assemble_run(
     for method in methods:
         try:
             estimates[method] = identify(
-                tree, recording, method, settings=settings, progress=progress
+                tree, recording, method, settings=settings, doubt=doubt, progress=progress
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)

@@ -16,10 +16,13 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
+from testbed.identification.noise.scaled import square_root
+from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.identification.nuisances.corrected import lastingly_corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.identification.nuisances.matrix import SENSITIVITIES
 from testbed.identification.passes import Progress
+from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
@@ -38,12 +41,24 @@ class Calibration:
         known: Value and sigma of what was known before, by name.
         numbers: Of the plate, with their sigmas.
         estimate: Of the robot, made with them; None where it is not known any more.
+        correlation: Of the numbers, (k, k); None where they are taken as independent.
     """
 
     robot: str
     known: Mapping[str, tuple[float, float]]
     numbers: tuple[NuisanceEstimate, ...]
     estimate: Estimate | None = None
+    correlation: Array | None = None
+
+    @property
+    def doubt(self) -> PlateDoubt:
+        """What is left open of the numbers that hold for other recordings, too."""
+        passing = {nuisance.kind for nuisance in NUISANCES if nuisance.passing}
+        kept = [k for k, each in enumerate(self.numbers) if each.kind not in passing]
+        correlation = np.eye(len(self.numbers)) if self.correlation is None else self.correlation
+        sigma = np.array([self.numbers[k].sigma for k in kept])
+        root = sigma[:, None] * square_root(correlation[np.ix_(kept, kept)])
+        return PlateDoubt(tuple(self.numbers[k].name for k in kept), root)
 
     @property
     def matrix(self) -> Array:
@@ -95,7 +110,19 @@ def calibrate(
         threads=threads,
         progress=progress,
     )
-    return Calibration(tree.name, settings.facts, estimate.nuisances, estimate)
+    return Calibration(
+        tree.name, settings.facts, estimate.nuisances, estimate, _correlation(estimate)
+    )
+
+
+def _correlation(estimate: Estimate) -> Array:
+    """Of the instrument's numbers, (k, k): one with itself, even where it is known."""
+    covariance = estimate.nuisance_covariance
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    scale = np.where(sigma > 0, sigma, 1.0)
+    found: Array = covariance / np.outer(scale, scale)
+    np.fill_diagonal(found, 1.0)
+    return found
 
 
 def corrected(source: Source, tree: Tree, plate: Calibration) -> Source:

@@ -161,7 +161,7 @@ def _by_facts(
     across = lead.T @ normal
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    spread = units.grown @ moved[:count] * units.facts.sigma
+    spread = units.grown @ moved[:count] @ units.facts.root
     return np.asarray(spread @ spread.T)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -158,6 +158,7 @@ class Estimate:
         noise: What the residuals are like; None where they are taken as white.
         nuisances: Numbers of the instrument that were estimated with the parameters.
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
+        nuisance_covariance: Of the instrument's numbers, (s, s).
     """
 
     method: Method
@@ -182,6 +183,7 @@ class Estimate:
     noise: FoundNoise | None = None
     nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
+    nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)

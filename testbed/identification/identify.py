@@ -31,6 +31,7 @@ from testbed.identification.estimate import (
 from testbed.identification.finding import in_lines
 from testbed.identification.instrument import (
     Start,
+    nuisance_covariance,
     nuisance_estimates,
     nuisance_warnings,
     settled,
@@ -40,6 +41,7 @@ from testbed.identification.instrument import (
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
@@ -64,6 +66,7 @@ def identify(
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
+    doubt: PlateDoubt | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Estimate:
@@ -82,6 +85,7 @@ def identify(
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
         settings: How the signals are treated; default `Settings()`.
+        doubt: About the plate by which the recording was corrected: sigma counts it.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
 
@@ -116,7 +120,7 @@ def identify(
         return Start(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
-        beside = side(rows, minimal, names, settings, tare)
+        beside = side(rows, minimal, names, settings, tare, doubt)
         taken_back = settled(source, begin, beside)
         passes, equations, fit = taken_back.start
         if settings.noise == "ar":
@@ -129,6 +133,7 @@ def identify(
         estimate = replace(
             _estimate(method, tree, equations, found, minimal, drives),
             nuisances=nuisance_estimates(beside, taken_back.values, found),
+            nuisance_covariance=nuisance_covariance(beside, found),
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)

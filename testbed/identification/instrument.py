@@ -28,6 +28,7 @@ from testbed.identification.nuisances.offsets import BIAS, SLOPE
 from testbed.identification.nuisances.structure import Imitated, told_apart
 from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.passes import Passes
+from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.windows import Plan
@@ -74,6 +75,7 @@ class Side:
         tested: Faults whose traces are looked for.
         trends: Trends of the channels, which are beside them.
         stated: What is known of the robot's unknowns and of those that are estimated.
+        taken: Names of unknowns that a calibrated plate has taken back: doubt alone is left.
     """
 
     settings: Settings
@@ -82,6 +84,7 @@ class Side:
     tested: Unknowns
     trends: Unknowns
     stated: Facts
+    taken: frozenset[str] = frozenset()
 
     def beside(self, plan: Plan, values: Array, numbers: Array, tests: bool = True) -> Beside:
         """Columns to first order around an estimate.
@@ -125,7 +128,12 @@ class Side:
 
 
 def side(
-    layout: Layout, minimal: MinimalSet, names: Sequence[str], settings: Settings, tare: Array
+    layout: Layout,
+    minimal: MinimalSet,
+    names: Sequence[str],
+    settings: Settings,
+    tare: Array,
+    doubt: PlateDoubt | None = None,
 ) -> Side:
     """Which unknowns of the instrument stand beside a robot's, before any data.
 
@@ -135,13 +143,19 @@ def side(
         names: Of its unknowns.
         settings: Which nuisances are asked for; tests need coloured noise and filtered rows.
         tare: Static wrench of the pedestal, (6,) [N, N m].
+        doubt: About the plate by which the recording was corrected.
     """
     tree, none = layout.tree, unknowns_of(layout.tree, ())
     plate = layout.model == "reaction"
     asked = [n for n in NUISANCES if plate and n.kind in settings.nuisances]
+    calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
+    asked = [n for n in NUISANCES if n in asked or n in calibrated]
     every = unknowns_of(tree, asked)
     given = {n: v for n, v in settings.facts.items() if plate or n in names}
     stated = facts(tree, minimal, names, every.names, given)
+    taken = {part.name: part.right for n in calibrated for part in n.parts(tree)}
+    if doubt is not None and taken:
+        stated = doubt.added(stated, taken, (*names, *every.names))
     unknowns, imitated = told_apart(layout, names, asked, tare, stated) if asked else (none, ())
     _check_whole(every, imitated, settings)
     about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
@@ -155,6 +169,7 @@ def side(
         tested=unknowns_of(tree, looked_for) if tests else none,
         trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
         stated=replace(stated, rows=stated.rows[:, about]),
+        taken=frozenset(taken),
     )
 
 
@@ -213,7 +228,8 @@ def settled(source: Source, begin: Callable[[Source], Start], side: Side) -> Set
         step, sigma, share = further_values(start.fit, start.passes, beside)
         # with a whole matrix all numbers hang together, and sigma holds all the same: measured
         if not any(n.whole for n in side.unknowns.nuisances):
-            weak = tuple(n for n, s in zip(side.unknowns.names, share, strict=True) if s < OWN)
+            each = zip(side.unknowns.names, share, strict=True)
+            weak = tuple(n for n, s in each if s < OWN and n not in side.taken)
         values = values + step
         start = begin(Corrected(source, side.unknowns.by_kind(values), plan.layout.tree))
         if np.all(np.abs(step) <= SETTLED * sigma + ROUNDING * np.abs(values)):
@@ -235,7 +251,19 @@ def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[Nuisa
     return tuple(
         NuisanceEstimate(kind, name, unit, float(value), float(spread))
         for kind, name, unit, value, spread in numbers
+        if name not in side.taken
     )
+
+
+def nuisance_covariance(side: Side, found: Refined) -> Array:
+    """Covariance of the instrument's numbers, in the order of `nuisance_estimates`, (s, s).
+
+    Args:
+        side: Which they are.
+        found: What the last fit leaves of them.
+    """
+    kept = [k for k, name in enumerate(side.unknowns.names) if name not in side.taken]
+    return np.asarray(found.further_covariance[np.ix_(kept, kept)])
 
 
 def nuisance_warnings(side: Side, found: Settled) -> list[str]:

@@ -34,13 +34,13 @@ class Facts:
         names: What is known.
         rows: (k, m).
         values: (k,).
-        sigma: Their standard deviations, (k,).
+        root: R with R R' the values' covariance, (k, r).
     """
 
     names: tuple[str, ...]
     rows: Array
     values: Array
-    sigma: Array
+    root: Array
 
     def __len__(self) -> int:
         return len(self.names)
@@ -111,7 +111,7 @@ def facts(
         else:
             raise UnknownName("known fact", name, (MASS, *unknowns))
     values = np.array(list(given.values())).reshape(-1, 2)
-    return Facts(tuple(given), rows, values[:, 0], values[:, 1])
+    return Facts(tuple(given), rows, values[:, 0], np.diag(values[:, 1]))
 
 
 def _total_mass(tree: Tree, minimal: MinimalSet) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -72,6 +73,23 @@ def test_a_calibrated_plate_serves_for_another_recording(place: Path) -> None:
     assert cured < faulty / 10
 
 
+def test_doubt_about_the_plate_is_in_the_sigmas(place: Path) -> None:
+    """Of the file that calibrate wrote, and of one without correlations; not of an exact one."""
+    text = (place / "plate.toml").read_text()
+    independent = text[: text.index("correlation =")] + text[text.index("robot =") :]
+    (place / "independent.toml").write_text(independent)
+    (place / "exact.toml").write_text(re.sub(r"sigma = [^,} ]*", "sigma = 0.0", independent))
+    sigmas = [
+        np.array(json.loads(command_line(*call, cwd=place).stdout)["external"]["sigma"])
+        for call in (
+            ("identify", "other.parquet", "--model", PUMA, "--zeros", "--json", "--plate", file)
+            for file in ("exact.toml", "plate.toml", "independent.toml")
+        )
+    ]
+    assert (sigmas[1] > sigmas[0]).all()
+    assert not np.allclose(sigmas[1], sigmas[2], rtol=1e-3)
+
+
 def test_validate_report_and_view_take_the_plate(place: Path) -> None:
     result = ("identify", "right.parquet", "--model", PUMA, "--zeros", "--json")
     (place / "result.json").write_text(command_line(*result, cwd=place).stdout)
@@ -107,7 +125,20 @@ def test_what_does_not_suffice_is_one_line(place: Path, known: tuple[str, ...], 
     assert not (place / "none.toml").exists()
 
 
-@pytest.mark.parametrize("text", [None, "numbers = 1", "x", "[numbers]\nq = {value = 1.0}"])
+ALONE = '[numbers]\n"gain/Fx" = {value = 1.0, sigma = 0.1}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        None,
+        "numbers = 1",
+        "x",
+        "[numbers]\nq = {value = 1.0}",
+        f"correlation = [[0.5]]\n{ALONE}",
+        f"correlation = [[1.0], [0.5, 1.0]]\n{ALONE}",
+    ],
+)
 def test_a_file_that_is_no_plate_is_one_line(place: Path, text: str | None) -> None:
     path = place / "broken.toml"
     path.unlink(missing_ok=True)

@@ -117,6 +117,9 @@ def test_a_calibrated_plate_makes_other_recordings_right() -> None:
     np.testing.assert_allclose(whole.measured("wrench"), right.measured("wrench") + zero)
 
 
+MATRIX = tb.Settings(nuisances=("matrix", "bias"))
+
+
 def names_of_the_matrix() -> list[str]:
     return [f"gain/{a}" if a == b else f"crosstalk/{a}/{b}" for a in AXES for b in AXES]
 
@@ -152,3 +155,33 @@ def test_files_that_are_no_plates(tmp_path: Path, text: str, error: type, said: 
     path.write_text(text)
     with pytest.raises(error, match=said):
         corrected(measured(tree, duration=2.0), tree, read_plate(path, tree))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["puma", "ur5"])
+def test_doubt_about_the_plate_counts_as_sampling_says(name: str) -> None:
+    """Plates drawn from what calibration leaves open: estimates scatter as sigma grows."""
+    tree, rng = robot(name), np.random.default_rng(4)
+    matrix = mixing(2)
+    first = on_plate(measured(tree, 1, duration=20.0), matrix)
+    plate = calibrate(tree, first, known_of(tree, name, matrix), settings=MATRIX)
+    second = on_plate(measured(tree, 2, duration=20.0), matrix)
+    plain = tb.identify(tree, corrected(second, tree, plate))
+    counted = tb.identify(tree, corrected(second, tree, plate), doubt=plate.doubt)
+    np.testing.assert_allclose(counted.values, plain.values, rtol=1e-6, atol=1e-9)
+    assert (counted.sigma >= plain.sigma * (1 - 1e-6)).all()
+    assert counted.nuisances == ()
+    drawn = []
+    for _ in range(30):
+        off = plate.doubt.root @ rng.normal(size=plate.doubt.root.shape[1])
+        moved = dict(zip(plate.doubt.names, off, strict=True))
+        numbers = tuple(
+            replace(each, value=each.value + moved.get(each.name, 0.0)) for each in plate.numbers
+        )
+        other = replace(plate, numbers=numbers)
+        drawn.append(tb.identify(tree, corrected(second, tree, other)).values)
+    scatter = np.std(drawn, axis=0, ddof=1)
+    added = np.sqrt(np.maximum(counted.sigma**2 - plain.sigma**2, 0.0))
+    matters = scatter > 0.3 * plain.sigma
+    assert matters.any()
+    assert 0.7 < np.sqrt(np.mean((added[matters] / scatter[matters]) ** 2)) < 1.4
