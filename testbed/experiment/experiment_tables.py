@@ -21,7 +21,7 @@ NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
-METRICS = (
+ALWAYS_JUDGED = (
     "external_rms_relative_error",
     "external_max_relative_error",
     "external_max_z",
@@ -30,6 +30,11 @@ METRICS = (
     "internal_max_z",
     "internal_to_external",
     "friction_max_relative_error",
+)
+"""What every run with a truth is judged by."""
+
+METRICS = (
+    *ALWAYS_JUDGED,
     "torque_constant_max_error",
     "torque_constant_max_z",
     "coulomb_max_relative_error",

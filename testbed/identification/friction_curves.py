@@ -78,6 +78,17 @@ class FrictionCurve:
             values = getattr(self, name)
             object.__setattr__(self, name, readonly(values, (len(self.speed),), name))
 
+    def at(self, speed: Array) -> Array:
+        """Friction at speeds, straight between nodes and as at the last ones beyond, (M,).
+
+        Args:
+            speed: (M,) [rad/s or m/s].
+        """
+        if not len(self.speed):
+            return np.zeros_like(speed)
+        found: Array = np.interp(speed, self.speed, self.torque)
+        return found
+
 
 @lru_cache
 def node_law(number: int, direction: int) -> JointLaw:

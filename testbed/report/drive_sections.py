@@ -68,22 +68,9 @@ def _torques(
     torque = next(signal for signal in smooth.signals if signal.kind == "torque")
     for j, curve in enumerate(drives.curves):
         own = torque.measured[shown, j] / drives.estimates[j].constant
-        rubbed = along(curve, smooth.motion.qd[shown, j])
+        rubbed = curve.at(smooth.motion.qd[shown, j])
         lines = {"measured": thinned(time, own), "external": thinned(time, rubbed)}
         yield Panel(f"{curve.joint}: torque, friction in it [{curve.unit}]", lines, "time [s]")
-
-
-def along(curve: FrictionCurve, speed: Array) -> Array:
-    """Friction by a curve at speeds; between the innermost nodes of both directions a line.
-
-    Args:
-        curve: Of the joint.
-        speed: (M,) [rad/s or m/s].
-    """
-    if not len(curve.speed):
-        return np.zeros_like(speed)
-    found: Array = np.interp(speed, curve.speed, curve.torque)
-    return found
 
 
 def curve_lines(curve: FrictionCurve) -> tuple[Array, Array, Array]:

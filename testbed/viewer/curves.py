@@ -33,6 +33,12 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             columns = [signal.measured[:, c], *(each[:, c] for each in signal.predicted.values())]
             path = f"{at}/{signal.kind}/{safe(channel)}"
             series(stream, path, inner, np.column_stack(columns), labels, colours, widths)
+            if signal.kind == "torque" and scene.run.drives is not None:
+                rubbed = scene.run.drives.curves[c].at(scene.motion.qd[:, c])
+                series(
+                    stream, f"{path}/friction", inner, rubbed[:, None], ["friction"],
+                    [COLOURS["path"]],
+                )  # fmt: skip
     index = clock(scene.smooth.motion.t)
     for signal in scene.smooth.signals:
         for c, channel in enumerate(signal.channels if signal.predicted else ()):

@@ -12,7 +12,7 @@ import pytest
 import testbed as tb
 from testbed.errors import ExperimentError
 from testbed.experiment.experiment import RecordingTables
-from testbed.experiment.experiment_tables import METRICS, Bound
+from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound
 from testbed.experiment.run_folder import default_folder, write_run
 from testbed.experiment.toml_text import checked, override
 from tests.helpers.paths import ROOT
@@ -123,7 +123,7 @@ def test_a_claim_holds_or_fails() -> None:
 @pytest.mark.slow
 def test_an_outcome_knows_every_metric_and_judges_the_claims(quick: tb.Experiment) -> None:
     outcome = tb.carry_out(quick)
-    assert set(outcome.metrics) == set(METRICS)
+    assert set(outcome.metrics) == set(ALWAYS_JUDGED)
     assert set(outcome.verdicts) == set(quick.expect)
     strict = quick.model_copy(
         update={"expect": {"external_rms_relative_error": Bound(at_most=0.0)}}

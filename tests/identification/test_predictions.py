@@ -212,6 +212,9 @@ def test_own_torques_are_the_sum_of_the_terms() -> None:
         "viscous": motion.qd,
         "offset": np.ones_like(motion.qd),
         "rotor": motion.qdd,
+        "asymmetric": np.abs(motion.qd),
+        "quadratic": motion.qd * np.abs(motion.qd),
+        "square_root": np.sign(motion.qd) * np.sqrt(np.abs(motion.qd)),
     }
     for term in found.joint_terms:
         j = tree.names.index(term.joint)

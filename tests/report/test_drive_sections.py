@@ -14,7 +14,7 @@ from testbed.experiment.results import result
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.report.contents import contents
-from testbed.report.drive_sections import along, curve_lines
+from testbed.report.drive_sections import curve_lines
 from testbed.report.matrix_map import matrix_maps
 from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
 from testbed.viewer.scene import scene_of
@@ -55,7 +55,7 @@ def test_curves_have_a_gap_where_the_direction_changes(run: Run) -> None:
         assert (speed[: gap.argmax()] <= 0).all()
         np.testing.assert_array_equal(np.isnan(torque), gap)
         np.testing.assert_array_equal(np.isnan(sigma), gap)
-        np.testing.assert_allclose(along(curve, curve.speed), curve.torque, atol=1e-12)
+        np.testing.assert_allclose(curve.at(curve.speed), curve.torque, atol=1e-12)
 
 
 def test_notes_hold_every_joint(run: Run) -> None:

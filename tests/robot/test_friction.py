@@ -66,7 +66,10 @@ def test_only_the_jump_is_smoothed() -> None:
 def test_units_belong_to_the_kind_of_joint() -> None:
     tree = next(t for t in map(rubbing, range(20)) if len({j.kind for j in t.joints}) == 2)
     turning = {"coulomb": "N m", "viscous": "N m s/rad", "offset": "N m", "rotor": "kg m^2"}
+    turning |= {"asymmetric": "N m s/rad", "quadratic": "N m s^2/rad^2"}
+    turning |= {"square_root": "N m s^.5/rad^.5"}
     sliding = {"coulomb": "N", "viscous": "N s/m", "offset": "N", "rotor": "kg"}
+    sliding |= {"asymmetric": "N s/m", "quadratic": "N s^2/m^2", "square_root": "N s^.5/m^.5"}
     for term in joint_terms(tree, LAWS):
         joint = tree.joints[term.joint]
         assert term.unit(tree) == (turning if joint.revolute else sliding)[term.law.kind]
@@ -85,3 +88,8 @@ def test_laws_are_found_by_name() -> None:
     assert [joint_law(law.kind) for law in LAWS] == list(LAWS)
     with pytest.raises(UnknownName, match="did you mean 'viscous'"):
         joint_law("viscos")
+    assert joint_law("stribeck@0.08") is joint_law("stribeck@0.080")
+    assert joint_law("stribeck@0.08").column(0.08, 0.0) == pytest.approx(np.exp(-1))
+    for wrong in ("stribeck@", "stribeck@0", "stribeck@fast", "stribeck@-1", "stribeck@inf"):
+        with pytest.raises(UnknownName, match=r"stribeck@0\.1"):
+            joint_law(wrong)

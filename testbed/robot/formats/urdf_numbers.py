@@ -25,11 +25,13 @@ class _Numbers:
         count: So many numbers.
         absent: What it is where it is not given; None where it must be.
         greatest: Magnitude that none of them exceeds.
+        signed: Whether they may be negative.
     """
 
     count: int
     absent: str | None
     greatest: float = float("inf")
+    signed: bool = True
 
 
 _PLACE = {
@@ -43,7 +45,10 @@ _ATTRIBUTES = {
     "inertia": {
         key: _Numbers(1, None, HEAVIEST) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     },
-    "limit": {key: _Numbers(1, "0") for key in ("lower", "upper", "effort", "velocity")},
+    "limit": {
+        **{key: _Numbers(1, "0") for key in ("lower", "upper")},
+        **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
+    },
     "dynamics": {key: _Numbers(1, "0") for key in ("damping", "friction")},
     "mimic": {"multiplier": _Numbers(1, "1"), "offset": _Numbers(1, "0")},
     "box": {"size": _Numbers(3, None, FARTHEST)},
@@ -105,6 +110,8 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
     for value in values:
         if abs(value) > numbers.greatest:
             raise ModelError(f"{where} holds {value:g}; {numbers.greatest:g} is the limit")
+        if value < 0 and not numbers.signed:
+            raise ModelError(f"{where} holds {value:g}, which cannot be negative")
     return plain(values)
 
 
