@@ -78,6 +78,7 @@ def _of_experiment(experiment: Experiment) -> Facts:
         ),
         ("kinematics", "sensed exactly" if plate.senses_kinematics else "from encoders only"),
         ("joint friction", "as in the model file" if plant.friction else "none"),
+        ("effects in the plant", ", ".join(effect.kind for effect in plant.effect) or "none"),
         (
             "simulation",
             f"steps of {plant.step:g} s; samples are "

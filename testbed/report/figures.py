@@ -107,7 +107,8 @@ class Panel:
             for label, (x, y) in self.curves.items():
                 style: dict[str, Any] = {"color": COLOURS[label]}
                 if label in self.points:
-                    style |= {"linestyle": "none", "marker": ".", "markersize": 2}
+                    size = 7 if label in self.bars else 2
+                    style |= {"linestyle": "none", "marker": ".", "markersize": size}
                 else:
                     style |= {"linewidth": _WIDTHS.get(label, 1.1)}
                 axis.plot(x, y, **style)
