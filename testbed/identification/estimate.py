@@ -189,6 +189,7 @@ class Estimate:
         p, c = len(self.names), len(self.channels)
         shapes = {"values": (p,), "sigma": (p,), "covariance": (p, p), "gravity": (3,)}
         shapes |= {"residual": (c,), "relative_residual": (c,)}
+        shapes["nuisance_covariance"] = (len(self.nuisance_covariance),) * 2
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

@@ -137,9 +137,8 @@ def identify(
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += in_lines(wrong) + nuisance_warnings(beside, taken_back)
-    warnings += quality_warnings(estimate)
-    return replace(estimate, findings=wrong, warnings=tuple(warnings))
+    warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
+    return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

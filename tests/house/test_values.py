@@ -17,6 +17,7 @@ from testbed.excitation.limits import Limits
 from testbed.identification.combined import Combined, Disagreement
 from testbed.identification.friction_curves import FrictionCurve
 from testbed.identification.payload import PayloadEstimate
+from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.rest import Pose
 from testbed.identification.stated import Stated
 from testbed.identification.validate import Validation
@@ -69,6 +70,7 @@ EXAMPLES: dict[str, Any] = {
     "Estimate": lambda: tb.Estimate(
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
         ("N",), some(1), some(1), (5,), 1.0, NOTHING, (), (), NOTHING, None, ("a",),
+        nuisance_covariance=some(3, 3),
     ),
     "Validation": lambda: Validation(
         "external", ("Fx",), ("N",), (5,), some(1), some(1), some(1), some(1), some(1)
@@ -79,6 +81,7 @@ EXAMPLES: dict[str, Any] = {
     "FrictionCurve": lambda: FrictionCurve("a", some(3), some(3), some(3), 1.0, "N m"),
     "Combined": lambda: Combined(("a", "b"), some(2), some(2), some(3), some(3), NOTHING),
     "Disagreement": lambda: Disagreement(("a", "b"), some(2), 1.0),
+    "PlateDoubt": lambda: PlateDoubt(("a", "b"), some(2, 3)),
     "Pose": lambda: Pose(some(3), some(6), some(6), 0.5),
     "PayloadEstimate": lambda: PayloadEstimate(
         "a", (), (), (), some(10), some(10), some(10, 10), 10, 1.0
@@ -94,6 +97,7 @@ FREE = {
     ("Shape", "faces", 0),
     ("Stated", "residual", 0),
     ("Pose", "position", 0),
+    ("PlateDoubt", "root", 1),
 }
 """Axes of any length that nothing else has."""
 
