@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from testbed.identification.combined import Combined, combined
+from testbed.identification.drive_laws import choices, offered
 from testbed.identification.drive_regression import regressions, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.friction_curves import FrictionCurve, friction_curves
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
-from testbed.identification.torque_constants import DriveEstimate, picked_terms
+from testbed.identification.torque_constants import ChosenTerms, DriveEstimate
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
@@ -67,18 +68,18 @@ def identify_drives(
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
     settings, source = settings or Settings(), open_source(recording)
-    terms = picked_terms(settings, choose)
+    choose = choose or settings.open_speed  # which is chosen with the terms
     torques = torques_beside(
         tree,
         source,
         bodies,
-        terms.laws,
+        offered(settings.laws) if choose else settings.laws,
         gravity=gravity,
         settings=settings,
         threads=threads,
         progress=progress,
     )
-    chosen = terms.chosen(torques)
+    chosen = ChosenTerms(choices(torques) if choose else None)
     found = regressions(torques, bodies, chosen.pick)
     curves = friction_curves(
         tree,

@@ -169,8 +169,8 @@ def _with_enough_data(joint: int, drives: DriveSet, equations: NormalEquations) 
     place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
     for way in (-1, 1):
         kept = [number for number, each in nodes if each == way]
-        between = _between(kept)
-        for column in between.T:
+        places = np.array(NODES)
+        for column in _straight(places, places[kept]).T:
             full = np.zeros(len(drives.asked))
             full[[place[node_law(k, way)] for k in range(len(NODES))]] = column
             columns.append(full)
@@ -193,12 +193,6 @@ def _nodes_of(joint: int, drives: DriveSet, equations: NormalEquations) -> list[
         for number in range(len(NODES))
         if worth[node_law(number, way)] >= LEAST
     ]
-
-
-def _between(kept: list[int]) -> Array:
-    """How torques at some nodes make those at all, (all, k)."""
-    places = np.array(NODES)
-    return _straight(places, places[kept])
 
 
 def _straight(places: Array, nodes: Array) -> Array:

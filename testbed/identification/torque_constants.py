@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.drive_laws import Choice, choices, offered
+from testbed.identification.drive_laws import Choice
 from testbed.identification.drive_regression import JointRegression, Torques, all_terms
 from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.settings import Settings
 from testbed.parameters.joint_terms import DriveSet
 from testbed.robot.friction import JointLaw, JointTerm
 from testbed.robot.tree import Tree
@@ -61,39 +60,6 @@ class DriveEstimate:
     unit: str
     rows: int
     choice: Choice | None = None
-
-
-@dataclass(frozen=True)
-class Terms:
-    """Which terms of the joints' torque are looked for.
-
-    Attributes:
-        laws: All of which columns are needed.
-        choose: Whether each joint's are chosen of them by held-out data.
-    """
-
-    laws: tuple[JointLaw, ...]
-    choose: bool
-
-    def chosen(self, torques: Torques) -> ChosenTerms:
-        """Which each joint has.
-
-        Args:
-            torques: With columns of all laws.
-        """
-        return ChosenTerms(choices(torques) if self.choose else None)
-
-
-def picked_terms(settings: Settings, choose: bool) -> Terms:
-    """Which terms are looked for: those of the settings, or of all that can be chosen.
-
-    Args:
-        settings: Says which; a speed that it leaves open is chosen.
-        choose: Choose each joint's.
-    """
-    if choose or settings.open_speed:
-        return Terms(offered(settings.laws), True)
-    return Terms(settings.laws, False)
 
 
 @dataclass(frozen=True)
