@@ -8,14 +8,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.score import relative_errors
+from testbed.experiment.score import root_mean_square, shared_errors
 from testbed.identification.drive_findings import DriveFindings
 from testbed.identification.friction_curves import FrictionCurve
 from testbed.identification.torque_constants import DriveEstimate
 from testbed.instruments.drives import TorqueConstantError
 from testbed.kind_table import each_joint
 from testbed.parameters.barycentric import barycentric
-from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import COULOMB, ROTOR, JointLaw
 from testbed.robot.tree import Tree
@@ -115,15 +115,9 @@ def _rms(errors: Iterator[Array]) -> float:
 
 def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[str, float]:
     """The estimate of plate and torques together."""
-    zeros = experiment.identification.zeros
-    reaction, dynamic = (minimal_set(tree, m, zeros=zeros) for m in ("reaction", "dynamic"))
-    theta = barycentric(tree)
-    both = found.combined
-    shared = selection(dynamic, reaction) @ both.values
-    relative = relative_errors(shared, dynamic.values(theta), dynamic.units)
-    there = relative[np.isfinite(relative)]
-    z = (both.values - reaction.values(theta)) / np.maximum(both.sigma, 1e-300)
-    return {
-        "combined_rms_relative_error": float(np.sqrt(np.mean(there**2))),
-        "combined_max_z": float(np.abs(z).max()),
-    }
+    zeros, both = experiment.identification.zeros, found.combined
+    truth = minimal_set(tree, "reaction", zeros=zeros).values(barycentric(tree))
+    z = (both.values - truth) / np.maximum(both.sigma, 1e-300)
+    rms = root_mean_square(shared_errors(tree, both.values, zeros))
+    metrics = {} if rms is None else {"combined_rms_relative_error": rms}
+    return metrics | {"combined_max_z": float(np.abs(z).max())}

@@ -96,12 +96,14 @@ def score(
     metrics: dict[str, float | None] = {}
     if "external" in errors:
         metrics |= _inertial("external", errors, estimates)
-        shared = _shared(tree, estimates["external"], zeros)
-        metrics["external_rms_relative_error"] = _rms(shared)
+        shared = shared_errors(tree, estimates["external"].base.values, zeros)
+        metrics["external_rms_relative_error"] = root_mean_square(shared)
     if "internal" in errors:
         metrics |= _inertial("internal", errors, estimates)
         count = estimates["internal"].minimal.count
-        metrics["internal_rms_relative_error"] = _rms(errors["internal"].relative[:count])
+        metrics["internal_rms_relative_error"] = root_mean_square(
+            errors["internal"].relative[:count]
+        )
         terms = zip(
             estimates["internal"].joint_terms, errors["internal"].relative[count:], strict=True
         )
@@ -121,11 +123,17 @@ def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
     return estimate.drives.values(theta, tree if friction else tree.without_friction())
 
 
-def _shared(tree: Tree, external: Estimate, zeros: bool | Sequence[str]) -> Array:
-    """Relative errors of delta_d by the plate's estimate."""
-    dynamic = minimal_set(tree, "dynamic", zeros=zeros)
-    values = selection(dynamic, external.minimal) @ external.base.values
-    return relative_errors(values, dynamic.values(barycentric(tree)), dynamic.units)
+def shared_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Array:
+    """Relative errors of delta_d by a plate's parameters.
+
+    Args:
+        tree: The robot with its true inertias, under the recording's gravity.
+        values: delta_r, (N_r,).
+        zeros: Which zeros were taken as known.
+    """
+    reaction, dynamic = (minimal_set(tree, model, zeros=zeros) for model in ("reaction", "dynamic"))
+    told = selection(dynamic, reaction) @ values
+    return relative_errors(told, dynamic.values(barycentric(tree)), dynamic.units)
 
 
 def _inertial(
@@ -188,7 +196,12 @@ def _root_mean_square(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _rms(errors: Array) -> float | None:
+def root_mean_square(errors: Array) -> float | None:
+    """Of those errors that are numbers; None without any.
+
+    Args:
+        errors: Some of them not numbers, where there is no scale.
+    """
     there = errors[np.isfinite(errors)]
     return _root_mean_square(there) if there.size else None
 

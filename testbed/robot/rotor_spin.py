@@ -33,20 +33,16 @@ def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
         UnknownName: There is no such joint.
         ModelError: The joint slides: its rotor's momentum is none of the bodies'.
     """
-    inertias, pedestal, joints = list(tree.inertias), tree.pedestal, list(tree.joints)
     for name, spin in spins.items():
         j = tree.index(name)
-        joint = joints[j]
+        joint = tree.joints[j]
         if not joint.revolute:
             raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
-        inertias[j] = inertias[j] + _about(joint.axis, spin)
-        less = _about(joint.carried_axis, -spin)
-        if joint.parent < 0:
-            pedestal = pedestal + less
-        else:
-            inertias[joint.parent] = inertias[joint.parent] + less
-        joints[j] = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
-    return replace(tree, inertias=tuple(inertias), pedestal=pedestal, joints=tuple(joints))
+        tree = tree.with_inertia(j, _about(joint.axis, spin))
+        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
+        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
+        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
+    return tree
 
 
 def _about(axis: Array, size: float) -> Inertia:

@@ -280,6 +280,18 @@ class Tree:
             raise UnknownName("joint", name, self.names)
         return self.names.index(name)
 
+    def with_inertia(self, link: int, more: Inertia) -> Tree:
+        """The same tree with more on one link.
+
+        Args:
+            link: Index of the body, -1 for the bedplate.
+            more: What is added, about and along the body's frame.
+        """
+        if link < 0:
+            return replace(self, pedestal=self.pedestal + more)
+        bodies = [body + more if k == link else body for k, body in enumerate(self.inertias)]
+        return replace(self, inertias=tuple(bodies))
+
     def without_friction(self) -> Tree:
         """The same tree with joints that do not rub."""
         joints = tuple(replace(joint, coulomb=0.0, viscous=0.0) for joint in self.joints)

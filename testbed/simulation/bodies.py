@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar
 
 import mujoco
@@ -59,7 +59,7 @@ class Payload(Effect):
         """The robot with the payload."""
         if self.joint and self.joint not in tree.names:
             raise SettingsError(f"payload: {UnknownName('joint', self.joint, tree.names)}")
-        return _with_inertia(tree, self._link(tree), self.body)
+        return tree.with_inertia(self._link(tree), self.body)
 
     def equip(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
         """A body of MuJoCo's, welded to the link."""
@@ -102,7 +102,7 @@ class GearedRotor(Effect):
             known = tree.joints[joint]
             axis = known.carried_axis
             still = inertia / 2 * (np.eye(3) + np.outer(axis, axis))
-            tree = _with_inertia(tree, known.parent, Inertia(0.0, np.zeros(3), still))
+            tree = tree.with_inertia(known.parent, Inertia(0.0, np.zeros(3), still))
             reflected = known.rotor_inertia + ratio**2 * inertia
             tree = tree.with_joints({known.name: {"rotor_inertia": reflected}})
         return tree
@@ -163,14 +163,6 @@ class GearedRotor(Effect):
 
 def _rotor(joint: str) -> str:
     return f"testbed/rotor/{joint}"
-
-
-def _with_inertia(tree: Tree, link: int, more: Inertia) -> Tree:
-    """A robot with more on one link; -1 is the bedplate."""
-    if link < 0:
-        return replace(tree, pedestal=tree.pedestal + more)
-    inertias = [body + more if k == link else body for k, body in enumerate(tree.inertias)]
-    return replace(tree, inertias=tuple(inertias))
 
 
 def _at_zero(tree: Tree, link: int) -> tuple[Array, Array]:
