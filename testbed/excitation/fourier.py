@@ -37,12 +37,50 @@ class Fourier:
         """Time after which the motion repeats [s]."""
         return 1.0 / self.fundamental
 
+    @property
+    def harmonics(self) -> int:
+        """Number of harmonics."""
+        return int(self.sine.shape[1])
+
+    @property
+    def coefficients(self) -> Array:
+        """Offset, sines and cosines joint by joint, (n, 2 harmonics + 1) [rad or m]."""
+        return np.hstack([self.offset[:, None], self.sine, self.cosine])
+
+    @staticmethod
+    def of(fundamental: float, coefficients: Array) -> Fourier:
+        """The motion of `coefficients`, (n, 2 harmonics + 1)."""
+        last = 1 + coefficients.shape[1] // 2
+        parts = coefficients[:, 0], coefficients[:, 1:last], coefficients[:, last:]
+        return Fourier(fundamental, *parts)
+
+    def derivative(self, t: Array, order: int) -> Array:
+        """A derivative of the positions at times t, (M, n) [rad/s^order or m/s^order]."""
+        return terms(self.fundamental, self.harmonics, t, order) @ self.coefficients.T
+
     def at(self, t: Array) -> Motion:
         """The motion at times t, (M,) [s]; derivatives are exact."""
-        pulses = 2 * np.pi * self.fundamental * np.arange(1, self.sine.shape[1] + 1)  # (K,)
-        phase = np.multiply.outer(t, pulses)  # (M, K)
-        s, c = np.sin(phase), np.cos(phase)
-        q = self.offset + s @ self.sine.T + c @ self.cosine.T
-        qd = (c * pulses) @ self.sine.T - (s * pulses) @ self.cosine.T
-        qdd = -(s * pulses**2) @ self.sine.T - (c * pulses**2) @ self.cosine.T
-        return Motion(t, q, qd, qdd)
+        return Motion(t, *(self.derivative(t, order) for order in range(3)))
+
+    def scaled(self, share: float, rest: Array) -> Fourier:
+        """The same motion, smaller, about a posture, (n,): share 0 stays there."""
+        offset = rest + share * (self.offset - rest)
+        return Fourier(self.fundamental, offset, share * self.sine, share * self.cosine)
+
+
+def terms(fundamental: float, harmonics: int, t: Array, order: int = 0) -> Array:
+    """What a derivative has of each coefficient at times t, (M, 2 harmonics + 1).
+
+    Args:
+        fundamental: Frequency at which the motion repeats [Hz].
+        harmonics: Number of harmonics.
+        t: (M,) [s].
+        order: Of the derivative; 0 for positions.
+    """
+    pulses = 2 * np.pi * fundamental * np.arange(1, harmonics + 1)  # (K,)
+    phase = np.multiply.outer(t, pulses)  # (M, K)
+    sine, cosine = np.sin(phase), np.cos(phase)
+    turns = [(sine, cosine), (cosine, -sine), (-sine, -cosine), (-cosine, sine)]
+    first, second = (pulses**order * part for part in turns[order % 4])
+    constant = np.full((len(t), 1), 0.0 if order else 1.0)
+    return np.hstack([constant, first, second])

@@ -6,6 +6,8 @@ covariance that plate noise alone would give, weighed by the values of an a-prio
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from testbed.arrays import Array
@@ -25,6 +27,56 @@ _SCORE = 100  # samples of a period on which a motion is scored
 _SMALL = 0.05  # parameters below this share of the largest of their unit count as that large
 
 
+@dataclass(frozen=True, eq=False)
+class Draw:
+    """A random series as it was drawn, and how large it may be for the limits on its motion.
+
+    Attributes:
+        motion: With the swing that the limits allow, about no posture.
+        wish: Posture about which to swing if there is room, (n,) [rad or m].
+        limits: What may be asked of the robot.
+    """
+
+    motion: Fourier
+    wish: Array
+    limits: Limits
+
+    def sized(self, share: float) -> Fourier:
+        """The motion with a share of its swing, as near to its wish as the limits allow."""
+        low, high = self.limits.low, self.limits.high
+        middle, half = (low + high) / 2, (high - low) / 2
+        times = np.linspace(0, self.motion.period, _CHECK, endpoint=False)
+        swing = np.abs(self.motion.derivative(times, 0)).max(axis=0)
+        room = MARGIN * half - share * swing  # how far the offset may stray from the middle
+        offset = np.clip(self.wish, middle - room, middle + room)
+        sine, cosine = (share * part for part in (self.motion.sine, self.motion.cosine))
+        return Fourier(self.motion.fundamental, offset, sine, cosine)
+
+
+def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator) -> Draw:
+    """One random series, each joint scaled until its nearest limit.
+
+    Args:
+        limits: What may be asked of the robot.
+        fundamental: Frequency at which the motion repeats [Hz].
+        harmonics: Number of harmonics.
+        rng: Source of randomness.
+    """
+    n, decay = len(limits.low), 1 / np.arange(1, harmonics + 1)
+    sine, cosine = (rng.normal(size=(n, harmonics)) * decay for _ in range(2))
+    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
+    wish = middle + rng.uniform(-0.5, 0.5, n) * half
+    times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
+    shape = Fourier(fundamental, np.zeros(n), sine, cosine)
+    largest = (half, limits.velocity, limits.acceleration)
+    room = [
+        limit / np.abs(shape.derivative(times, order)).max(axis=0)
+        for order, limit in enumerate(largest)
+    ]
+    size = MARGIN * np.min(room, axis=0)[:, None]
+    return Draw(Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits)
+
+
 def random_motion(
     tree: Tree, limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
 ) -> Fourier:
@@ -40,26 +92,10 @@ def random_motion(
     Raises:
         InfeasibleMotion: Even slow motions exceed the efforts.
     """
-    decay = 1 / np.arange(1, harmonics + 1)
-    sine, cosine = (rng.normal(size=(tree.n, harmonics)) * decay for _ in range(2))
-    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
-    wish = middle + rng.uniform(-0.5, 0.5, tree.n) * half
+    draw = drawn(limits, fundamental, harmonics, rng)
     times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
-    shape = Fourier(fundamental, np.zeros(tree.n), sine, cosine).at(times)
-    swing = np.abs(shape.q).max(axis=0)
-    size = np.min(
-        [
-            limits.velocity / np.abs(shape.qd).max(axis=0),
-            limits.acceleration / np.abs(shape.qdd).max(axis=0),
-            half / swing,
-        ],
-        axis=0,
-    )
-    for shrink in 0.9 ** np.arange(30):
-        scale = MARGIN * shrink * size
-        room = MARGIN * half - scale * swing  # how far the offset may stray from the middle
-        offset = np.clip(wish, middle - room, middle + room)
-        motion = Fourier(fundamental, offset, scale[:, None] * sine, scale[:, None] * cosine)
+    for share in 0.9 ** np.arange(30):
+        motion = draw.sized(float(share))
         effort = usage(tree, motion.at(times), limits)["effort"]
         if (effort <= MARGIN).all():
             return motion

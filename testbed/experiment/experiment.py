@@ -15,6 +15,7 @@ from pydantic import Field, ValidationError
 
 from testbed.errors import ExperimentError
 from testbed.experiment.experiment_tables import (
+    ExcitationTable,
     Expectations,
     Finite,
     MotionTable,
@@ -65,6 +66,7 @@ class ExperimentTables(Table):
     """Weld a floating root to the bedplate."""
     robot: RobotTable = RobotTable()
     motion: MotionTable = MotionTable()
+    excitation: ExcitationTable = ExcitationTable()
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
@@ -101,10 +103,13 @@ class Experiment(ExperimentTables):
         content = read_toml(path)
         override(content, settings)
         found = checked(ExperimentTables, content, str(path))
-        if "\0" in found.model:
-            raise ExperimentError(f"{path}: model is not a file name")
-        model = str((path.parent / found.model).resolve())
-        return Experiment.model_construct(**(dict(found) | {"model": model}))
+        if "\0" in found.model + found.motion.file:
+            raise ExperimentError(f"{path}: model or motion.file is not a file name")
+        changed: dict[str, Any] = {"model": str((path.parent / found.model).resolve())}
+        if found.motion.file:
+            file = str((path.parent / found.motion.file).resolve())
+            changed["motion"] = found.motion.model_copy(update={"file": file})
+        return Experiment.model_construct(**(dict(found) | changed))
 
     def as_toml(self) -> str:
         """The experiment with every default written out."""

@@ -7,7 +7,7 @@ Two tables are the very values that act: `measurement` is `instruments.chain.Ins
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
@@ -105,8 +105,11 @@ class RobotTable(Table):
 
 
 class MotionTable(Table):
-    """Which motion: the best of a few random Fourier series within the limits."""
+    """Which motion: that of a file, or the best of a few random ones that are proven safe."""
 
+    file: str = ""
+    """Motion to run, as `testbed excite` wrote it, relative to the experiment file; then
+    `fundamental`, `harmonics` and `candidates` do not count."""
     duration: Positive = 60.0
     """Of the recording [s]."""
     fundamental: Positive = 0.1
@@ -119,6 +122,48 @@ class MotionTable(Table):
     """By joint, besides the model file's limits [rad/s or m/s]."""
     max_acceleration: dict[str, Positive] = {}
     """By joint [rad/s^2 or m/s^2]."""
+
+
+class ObstacleTable(Table):
+    """A box of the robot's cell, along the bedplate's axes."""
+
+    centre: tuple[Finite, Finite, Finite]
+    """Bedplate frame [m]."""
+    size: tuple[Positive, Positive, Positive]
+    """Lengths of its sides [m]."""
+
+
+class ExcitationTable(Table):
+    """What a motion must respect, and what `testbed excite` looks for."""
+
+    instrument: Literal["plate", "joints", "both"] = "plate"
+    """Whose estimate is to become certain: by the plate, by joint torques, by both together."""
+    criterion: Literal["a", "d", "e"] = "a"
+    """Of the covariance of relative errors: its trace, determinant or largest eigenvalue."""
+    lowest_frequency: Positive = 0.1
+    """At which a motion may repeat [Hz]."""
+    highest_frequency: Positive = 1.6
+    """Of its fastest harmonic [Hz]."""
+    harmonics: Annotated[int, Field(ge=1, le=100)] = 8
+    """Most that are used."""
+    starts: Annotated[int, Field(ge=1, le=10_000)] = 6
+    """Searches, each from another random motion; the best result is taken."""
+    seconds: Positive | None = None
+    """Time after which searches end, whatever they have reached [s]; default none."""
+    margin: Annotated[float, Field(gt=0, le=1)] = 0.95
+    """Share of every limit that a designed motion may use; random ones are proven for all of it."""
+    clearance: NotNegative | Literal["off"] = 0.02
+    """Distance kept by bodies that no joint joins, and to plate, floor and obstacles [m]."""
+    floor: Finite | Literal["off"] | None = None
+    """Height of the floor [m], bedplate frame; default the lowest point of what stands."""
+    obstacle: tuple[ObstacleTable, ...] = ()
+    """Boxes around the robot, `[[excitation.obstacle]]`."""
+    plate_range: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None
+    """Largest magnitudes of the plate's wrench, pedestal included [N, N m]; default
+    `measurement.full_scale` for designed motions, none for random ones."""
+    pressure_area: tuple[Positive, Positive] | None = None
+    """Half lengths along x and y of the area in which the centre of pressure stays [m]; default
+    none: the plate is bolted down."""
 
 
 class SimulationTable(Table):

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.identification.drive_regression import Torques
 from testbed.identification.noise.scaled import scaled_solve
-from testbed.identification.passes import one_blas_thread
 from testbed.robot.friction import (
     ASYMMETRIC,
     COULOMB,

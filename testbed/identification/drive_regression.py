@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
@@ -23,7 +24,7 @@ from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
 from testbed.identification.noise.units import counted
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout

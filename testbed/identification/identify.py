@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
@@ -40,7 +41,7 @@ from testbed.identification.instrument import (
 )
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_speed import with_speed
-from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve

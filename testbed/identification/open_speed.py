@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import one_blas_thread
 from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.weights import noise_weights
 from testbed.identification.windows import make_plan

@@ -10,13 +10,11 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
-from functools import cache, partial
+from functools import partial
 from queue import Empty, SimpleQueue
 from typing import Any, TypeVar
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from testbed.arrays import Array
 from testbed.identification.survey import Surveyor
@@ -48,17 +46,6 @@ def is_small(plan: Plan) -> bool:
     """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
     seconds = PER_SAMPLE + PER_NUMBER * plan.layout.theta.size
     return plan.source.samples * seconds < SMALL
-
-
-def one_blas_thread() -> AbstractContextManager[Any]:
-    """While it lasts, BLAS uses one thread: the order of its sums depends on their number."""
-    found: AbstractContextManager[Any] = _libraries().limit(limits=1, user_api="blas")
-    return found
-
-
-@cache
-def _libraries() -> ThreadpoolController:
-    return ThreadpoolController()
 
 
 class Passes:

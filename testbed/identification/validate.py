@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
+from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import (
     Estimate,
@@ -27,7 +28,7 @@ from testbed.identification.estimate import (
 from testbed.identification.finding import Finding, in_lines
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.passes import Passes, Progress, one_blas_thread
+from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated, as_estimated, rows_of, stated
 from testbed.identification.windows import make_plan
