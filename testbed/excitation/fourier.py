@@ -54,6 +54,17 @@ class Fourier:
         parts = coefficients[:, 0], coefficients[:, 1:last], coefficients[:, last:]
         return Fourier(fundamental, *parts)
 
+    @property
+    def duration(self) -> float:
+        """Of one period [s]."""
+        return self.period
+
+    @property
+    def fifth_derivative(self) -> Array:
+        """A bound of the magnitude of the fifth derivative, (n,) [rad/s^5 or m/s^5]."""
+        pulses = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
+        return np.asarray(np.hypot(self.sine, self.cosine) @ pulses**5)
+
     def derivative(self, t: Array, order: int) -> Array:
         """A derivative of the positions at times t, (M, n) [rad/s^order or m/s^order]."""
         return terms(self.fundamental, self.harmonics, t, order) @ self.coefficients.T

@@ -15,6 +15,7 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import Limits, usage
+from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
@@ -25,6 +26,9 @@ MARGIN = 0.95
 _CHECK = 500  # samples of a period on which limits are checked
 _SCORE = 100  # samples of a period on which a motion is scored
 _SMALL = 0.05  # parameters below this share of the largest of their unit count as that large
+
+SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)
+"""Of the swing of random motions, tried one after the other until one can be proven."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +111,7 @@ def random_motion(
 
 
 def best_motion(
-    tree: Tree,
-    limits: Limits,
+    rules: Rules,
     minimal: MinimalSet,
     noise: Array,
     fundamental: float,
@@ -116,11 +119,12 @@ def best_motion(
     candidates: int,
     rng: np.random.Generator,
 ) -> tuple[Fourier, float]:
-    """The candidate with the smallest predicted relative standard deviation.
+    """The proven candidate with the smallest predicted relative standard deviation.
+
+    Candidates that cannot be proven are left out; if none is left, all swing less and less.
 
     Args:
-        tree: The robot, its inertias an a-priori model.
-        limits: What may be asked of it.
+        rules: What a motion must respect.
         minimal: The reaction set to be identified.
         noise: Standard deviation of the plate's channels, (6,) [N, N m].
         fundamental: Frequency at which the motions repeat [Hz].
@@ -130,11 +134,30 @@ def best_motion(
 
     Returns:
         The motion, and its score (`relative_sigma`).
+
+    Raises:
+        InfeasibleMotion: None can be proven, or even slow motions exceed the efforts.
     """
+    tree, limits = rules.tree, rules.limits
     drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(candidates)]
     scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
-    best = int(np.argmin(scores))
-    return drawn[best], scores[best]
+    nearest: Proof | None = None
+    for share in SHARES:
+        for k in np.argsort(scores, kind="stable"):
+            motion = drawn[k] if share == 1 else drawn[k].scaled(share, drawn[k].offset)
+            if not seems_to_hold(motion, rules):
+                continue
+            proof = prove(motion, rules)
+            if proof.holds:
+                same = share == 1
+                return motion, scores[k] if same else relative_sigma(tree, motion, minimal, noise)
+            nearest = proof
+    said = "" if nearest is None else f" (nearest: {nearest.worst.words})"
+    raise InfeasibleMotion(
+        f"none of {candidates} random motions keeps clear of the robot itself and of what stands "
+        f"around it, however small{said}: draw more (motion.candidates), give limits of the "
+        'joints, or leave it out with excitation.clearance = "off"'
+    )
 
 
 def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:

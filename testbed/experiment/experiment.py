@@ -6,6 +6,7 @@ error that lists the known ones.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -110,6 +111,23 @@ class Experiment(ExperimentTables):
             file = str((path.parent / found.motion.file).resolve())
             changed["motion"] = found.motion.model_copy(update={"file": file})
         return Experiment.model_construct(**(dict(found) | changed))
+
+    @staticmethod
+    def of_model(path: Path, settings: Iterable[str] = ()) -> Experiment:
+        """An experiment that says only which model, and the words of --set.
+
+        Args:
+            path: The model file.
+            settings: Overrides "table.key=value".
+
+        Raises:
+            ExperimentError: A word says what is not understood.
+        """
+        name = re.sub(r"[^A-Za-z0-9_.-]", "-", path.stem)[:100].lstrip("_.-") or "robot"
+        content: dict[str, Any] = {"name": name, "model": str(path.resolve())}
+        override(content, settings)
+        found = checked(ExperimentTables, content, "--set")
+        return Experiment.model_construct(**dict(found))
 
     def as_toml(self) -> str:
         """The experiment with every default written out."""

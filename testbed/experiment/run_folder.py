@@ -1,6 +1,7 @@
 """A run folder: everything needed to repeat a run and to read its result.
 
 experiment.toml   the experiment, every default written out
+motion.toml       the motion, if the experiment runs one of a file
 model/            the model file and what it refers to: a run folder needs nothing else
 recording.parquet what was measured (and, apart, what happened)
 result.json       estimates, truth, metrics, verdicts, versions; written after the others
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 from testbed.errors import ExperimentError
@@ -23,6 +25,7 @@ from testbed.robot.load import model_format
 from testbed.robot.model_files import copy_model
 
 EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
+MOTION = "motion.toml"
 MODEL = "model"
 """Folder of the model file and what it refers to."""
 
@@ -89,7 +92,11 @@ def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -
     with replacing(folder, folder=True) as fresh:
         fresh.mkdir()
         model = copy_model(Path(experiment.model), fresh / MODEL).relative_to(fresh)
-        here = experiment.model_copy(update={"model": model.as_posix()})
+        changed: dict[str, object] = {"model": model.as_posix()}
+        if experiment.motion.file:
+            shutil.copyfile(experiment.motion.file, fresh / MOTION)
+            changed["motion"] = experiment.motion.model_copy(update={"file": MOTION})
+        here = experiment.model_copy(update=changed)
         (fresh / EXPERIMENT).write_text(here.as_toml(), encoding="utf-8")
         recording.save(fresh / RECORDING)
 
@@ -113,7 +120,10 @@ def _identity(experiment: Experiment) -> str:
         ModelError: There is no such model file.
     """
     path = Path(experiment.model)
-    content = model_format(path) + fingerprint(path) + experiment.model_dump_json(exclude={"model"})
+    said = experiment.model_dump_json(exclude={"model": True, "motion": {"file"}})
+    content = model_format(path) + fingerprint(path) + said
+    if experiment.motion.file:
+        content += fingerprint(Path(experiment.motion.file))
     return hashlib.sha256(content.encode()).hexdigest()
 
 

@@ -9,17 +9,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ExperimentError
-from testbed.excitation.fourier import Fourier
-from testbed.excitation.limits import limits_of
-from testbed.excitation.random_motion import best_motion
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.motions import motion_of
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.passes import Progress
-from testbed.instruments.chain import Instrument, measure
+from testbed.instruments.chain import measure
 from testbed.instruments.stage import stream
-from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
@@ -36,9 +33,6 @@ LEAST_PERIODS = 0.02
 
 MOST_STEPS = 10_000
 """Most simulation steps a sample: a thousand samples are held in full."""
-
-_QUIET_PLATE = np.repeat([0.5, 0.1], 3)
-"""Noise assumed for choosing a motion when the plate has none [N, N m]."""
 
 
 def simulate(
@@ -60,7 +54,7 @@ def simulate(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     instrument, simulation = experiment.measurement, experiment.simulation
     instrument.stages(tree.names)  # refuses what speaks of other joints before work is done
-    motion = _motion(experiment, tree, instrument)
+    motion = motion_of(experiment, tree)
     plant = build_plant(
         model_of(experiment),
         tree,
@@ -180,20 +174,3 @@ def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
         "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
         "warnings": saturated,
     }
-
-
-def _motion(experiment: Experiment, tree: Tree, instrument: Instrument) -> Fourier:
-    table = experiment.motion
-    noise = instrument.plate_noise
-    minimal = minimal_set(tree, "reaction", zeros=experiment.identification.zeros)
-    motion, _ = best_motion(
-        tree,
-        limits_of(tree, table.max_velocity, table.max_acceleration),
-        minimal,
-        noise if noise.all() else _QUIET_PLATE,
-        table.fundamental,
-        table.harmonics,
-        table.candidates,
-        np.random.default_rng(experiment.seed),
-    )
-    return motion

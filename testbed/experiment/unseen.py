@@ -55,7 +55,7 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
         return None
     asked = experiment.motion
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
-    motion = asked.model_copy(update={"duration": duration, "candidates": 1})
+    motion = asked.model_copy(update={"duration": duration, "candidates": 1, "file": ""})
     other = experiment.model_copy(update={"motion": motion, "seed": experiment.seed + 1})
     return simulate(other, progress, installed=experiment.seed)
 

@@ -34,13 +34,7 @@ def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
         The JSON file: of the same name, ending in .json.
     """
     content = contents(run, unseen)
-    page = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    page.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
-    text = page.from_string(
-        files("testbed.report").joinpath("page/report.html").read_text("utf-8")
-    ).render(content)
+    text = rendered("report.html", content)
     beside = path.with_suffix(".json")
     with replacing(path) as fresh, replacing(beside) as numbers:
         fresh.write_text(text, encoding="utf-8")
@@ -48,6 +42,26 @@ def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
             json.dumps(_without_drawings(content), indent=1, sort_keys=True) + "\n", "utf-8"
         )
     return beside
+
+
+def rendered(template: str, content: dict[str, Any]) -> str:
+    """A page.
+
+    Args:
+        template: One of those in page/.
+        content: What it shows.
+    """
+    pages = files("testbed.report") / "page"
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda name: (pages / name).read_text("utf-8")),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
+    style = (pages / "style.css").read_text("utf-8")
+    return environment.get_template(template).render(content, style=style)
 
 
 def typeset(text: str) -> Markup:

@@ -51,6 +51,11 @@ class Progress:
         """Show how much is done."""
         self._bar.update(self._task, completed=done, total=total)
 
+    def with_best(self, done: int, total: int, best: float) -> None:
+        """Show how much is done, and the relative sigma of the best motion so far."""
+        said = f"searching, best sigma so far {best:.3g}" if done else "searching"
+        self._bar.update(self._task, completed=done, total=total, description=said)
+
 
 def console() -> Console:
     """Standard output; 120 columns where it is no terminal and nobody says otherwise."""

@@ -1,0 +1,135 @@
+"""The command about motions: excite."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from testbed.cli.options import Json, Set, app, note
+
+if TYPE_CHECKING:
+    from testbed.arrays import Array
+    from testbed.experiment.experiment import Experiment
+
+
+@app.command()
+def excite(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL_OR_EXPERIMENT", help="Model file, experiment, or with --check a motion."
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Motion to write.")] = Path("motion.toml"),
+    settings: Set = None,
+    prior: Annotated[
+        Path | None,
+        typer.Option(help="What is known: a run folder, or what identify --json printed."),
+    ] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Design nothing: prove the motion of a file.")
+    ] = False,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(help="Samples for a controller, .csv or .parquet, from rest to rest."),
+    ] = None,
+    rate: Annotated[float, typer.Option(min=1e-3, help="Of those [Hz].")] = 1000.0,
+    page: Annotated[
+        Path | None, typer.Option(help="Picture of motion, limits and sigma (HTML).")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Design the motion that makes the parameters most certain, and prove that it may be run.
+
+    What is wanted stands in the table [excitation] (docs/excitation.md). Every limit is proven at
+    every moment: joints, motors with friction, plate, distances to the robot itself, to plate,
+    floor and boxes around it. Stopped by Ctrl-C, it goes on with the best motion so far.
+
+    Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
+    """
+    from testbed.experiment.excite import excite as excited
+    from testbed.experiment.motion_results import excitation_as_json
+    from testbed.experiment.write_motion import write_motion
+    from testbed.report import terminal
+    from testbed.report.motion_tables import print_excitation
+
+    if check:
+        _check(file, settings or [], as_json=as_json)
+    experiment = _experiment(file, settings or [])
+    known = None if prior is None else _covariance(prior, experiment)
+    with terminal.Progress("searching") as progress, _interrupt() as interrupted:
+        found = excited(experiment, progress.with_best, known, interrupted)
+    write_motion(out, found)
+    if trajectory is not None:
+        from testbed.experiment.trajectory_file import write_trajectory
+
+        write_trajectory(trajectory, found, rate)
+    if page is not None:
+        from testbed.report.motion_page import write_motion_page
+
+        write_motion_page(page, found)
+    if as_json:
+        terminal.print_json(excitation_as_json(found) | {"file": str(out)})
+    else:
+        note(found.tree.warnings)
+        print_excitation(terminal.console(), found, out)
+
+
+@contextmanager
+def _interrupt() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C was pressed; pressed again it ends the program as ever."""
+    asked: list[bool] = []
+    before = signal.getsignal(signal.SIGINT)
+
+    def note_it(number: int, frame: object) -> None:
+        asked.append(True)
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, note_it)
+    try:
+        yield lambda: bool(asked)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _experiment(file: Path, settings: list[str]) -> Experiment:
+    """An experiment file, or one that says only which model."""
+    from testbed.experiment.experiment import Experiment
+
+    if file.suffix.lower() == ".toml":
+        return Experiment.load(file, settings)
+    return Experiment.of_model(file, settings)
+
+
+def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
+    """Prove a motion of a file; exit code 1 if it exceeds a limit."""
+    from testbed.excitation.proof import prove
+    from testbed.experiment.evaluate import robot_of
+    from testbed.experiment.motion_file import read_motion
+    from testbed.experiment.motion_results import proof_as_json
+    from testbed.experiment.motions import rules_of
+    from testbed.report import terminal
+    from testbed.report.motion_tables import print_proof
+
+    motion = read_motion(file)
+    experiment = _experiment(motion.model, settings)
+    tree = robot_of(experiment)
+    proof = prove(motion.motion_for(tree), rules_of(experiment, tree, designed=True))
+    if as_json:
+        terminal.print_json(proof_as_json(proof))
+    else:
+        print_proof(terminal.console(), proof)
+    raise typer.Exit(0 if proof.holds else 1)
+
+
+def _covariance(prior: Path, experiment: Experiment) -> Array:
+    """Of the minimal parameters, from an earlier estimate."""
+    from testbed.experiment.prior import prior_covariance
+    from testbed.experiment.read_result import read_result
+
+    return prior_covariance(read_result(prior), experiment)

@@ -1,0 +1,212 @@
+"""Distances between bodies that no joint joins, with derivatives by the joints' positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+from testbed.excitation.approach import levers
+from testbed.excitation.collision_model import CollisionModel
+from testbed.excitation.limits import Limits
+from testbed.excitation.samples import Instants, Samples
+
+FAR = 0.3
+"""Distances beyond this are not told apart [m]."""
+
+NEAR = 0.1
+"""In a search, distances count only so far beyond the one to be kept [m]."""
+
+POSTURES = 200
+"""Random postures in which pairs of bodies are tried."""
+
+ALWAYS = 0.9
+"""A pair that touches in this share of them always does: its shapes say nothing."""
+
+_UNIT = 0.1  # distance that counts as a share of one [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """Distances of all watched pairs in one posture.
+
+    Attributes:
+        values: (k,) [m]; FAR for FAR and more, negative for shapes that overlap.
+        slopes: Derivatives by the joints' positions, (k, n); zero beyond FAR.
+        least: What they are at least, (k,) [m]; more than FAR where that is known.
+    """
+
+    values: Array
+    slopes: Array
+    least: Array
+
+
+class DistanceMeter:
+    """Measures distances in one posture after another."""
+
+    def __init__(self, collision: CollisionModel, far: float = FAR) -> None:
+        """Ready for any posture.
+
+        Args:
+            collision: Shapes, and pairs to be watched.
+            far: Distances beyond are not told apart [m].
+        """
+        self.collision, self._far = collision, far
+        self._data = mujoco.MjData(collision.model)
+        self._points = np.zeros(6)
+        self._jacobian = np.zeros((2, 3, collision.model.nv))
+
+    def measure(
+        self, q: Array, pairs: NDArray[np.bool_] | None = None, *, slopes: bool = False
+    ) -> Distances:
+        """Distances at positions q, (n,) [rad or m].
+
+        Args:
+            q: The posture.
+            pairs: Which pairs are asked for, (k,); default all. Others count as far.
+            slopes: Whether derivatives are wanted; else they are zero.
+        """
+        model, data, collision = self.collision.model, self._data, self.collision
+        data.qpos[collision.order] = q
+        mujoco.mj_kinematics(model, data)
+        if slopes:
+            mujoco.mj_comPos(model, data)  # which Jacobians need
+        least = self._least_of_pairs()
+        values, found = np.full(len(least), self._far), np.zeros((len(least), len(q)))
+        for k in np.flatnonzero(
+            least < self._far if pairs is None else pairs & (least < self._far)
+        ):
+            values[k], nearest = self._pair(collision.geoms[k])
+            least[k] = values[k]
+            if slopes and nearest is not None:
+                found[k] = self._slope(values[k], nearest)
+        return Distances(values, found, least)
+
+    def _pair(self, geoms: NDArray[np.int64]) -> tuple[float, NDArray[np.int64] | None]:
+        """Distance of two bodies, and the shapes that are nearest; their points are kept."""
+        best, nearest, kept = self._far, None, self._points
+        least = self._least(geoms)
+        for k in np.argsort(least):
+            if least[k] >= best:
+                break
+            points = np.zeros(6)
+            a, b = (int(each) for each in geoms[:, k])
+            found = mujoco.mj_geomDistance(self.collision.model, self._data, a, b, best, points)
+            if found < best:
+                best, nearest, kept = found, geoms[:, k], points
+        self._points = kept
+        return best, nearest
+
+    def _slope(self, distance: float, geoms: NDArray[np.int64]) -> Array:
+        """Derivative of a distance: how its two points move along the line between them."""
+        here, there = self._points[:3], self._points[3:]
+        length = float(np.linalg.norm(there - here))
+        if length < 1e-9:  # shapes just touch: the line has no direction
+            return np.zeros(len(self.collision.order))
+        model, along = self.collision.model, np.sign(distance) * (there - here) / length
+        for jacobian, point, geom in zip(self._jacobian, (here, there), geoms, strict=True):
+            mujoco.mj_jac(model, self._data, jacobian, None, point, int(model.geom_bodyid[geom]))
+        found = along @ (self._jacobian[1] - self._jacobian[0])
+        return np.asarray(found[self.collision.order])
+
+    def _least(self, geoms: NDArray[np.int64]) -> Array:
+        """Bounds of distances from below: by spheres around the shapes, (k,)."""
+        model, x = self.collision.model, self._data.geom_xpos
+        radius = model.geom_rbound
+        a, b = geoms
+        apart = np.linalg.norm(x[a] - x[b], axis=-1) - radius[a] - radius[b]
+        above = x[b, 2] - x[a, 2] - radius[b]
+        return np.asarray(np.where(self._planes[a], above, apart))
+
+    def _least_of_pairs(self) -> Array:
+        """The same for all pairs of bodies."""
+        every = self._least(self._all_geoms)
+        return np.minimum.reduceat(every, self._first) if len(every) else np.zeros(0)
+
+    @cached_property
+    def _all_geoms(self) -> NDArray[np.int64]:
+        return np.concatenate([np.zeros((2, 0), dtype=np.int64), *self.collision.geoms], axis=1)
+
+    @cached_property
+    def _first(self) -> NDArray[np.int64]:
+        return np.cumsum([0, *(geoms.shape[1] for geoms in self.collision.geoms)])[:-1]
+
+    @cached_property
+    def _planes(self) -> NDArray[np.bool_]:
+        return np.asarray(self.collision.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE))
+
+
+class ClearanceTerm:
+    """Distances that pairs of bodies must keep.
+
+    A search comes by nearly the same postures again and again: pairs that were so far apart that
+    they cannot have come near since are not measured.
+    """
+
+    def __init__(self, collision: CollisionModel, limits: Limits, least: float) -> None:
+        """Ready to be asked.
+
+        Args:
+            collision: Shapes, and pairs to be watched.
+            limits: Of the joints' positions.
+            least: Distance to be kept [m].
+        """
+        self._collision, self._least, self._far = collision, least, least + NEAR
+        self._meter = DistanceMeter(collision, self._far)
+        self._levers = levers(collision, limits)
+        self._seen: tuple[Array, Array] | None = None  # postures, and least distances there
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """What each is a limit of."""
+        return tuple(f"clearance of {name}" for name in self._collision.names)
+
+    def values(self, samples: Instants) -> Array:
+        """Missing distances as shares, (k, G)."""
+        return self._both(samples.q, slopes=False)[0]
+
+    def slopes(self, samples: Samples) -> Array:
+        """Derivatives, (k, 3 n, G)."""
+        return self._both(samples.q, slopes=True)[1]
+
+    def _both(self, postures: Array, *, slopes: bool) -> tuple[Array, Array]:
+        instants, n = postures.shape
+        least = self._least_here(postures)
+        values = np.full((least.shape[1], instants), (self._least - self._far) / _UNIT)
+        by_motion = np.zeros((least.shape[1], 3 * n, instants))
+        for g in np.flatnonzero((least < self._far).any(axis=1)):
+            found = self._meter.measure(postures[g], least[g] < self._far, slopes=slopes)
+            least[g] = np.maximum(least[g], found.least)
+            values[:, g] = (self._least - found.values) / _UNIT
+            by_motion[:, :n, g] = -found.slopes / _UNIT
+        self._seen = postures, least
+        return values, by_motion
+
+    def _least_here(self, postures: Array) -> Array:
+        """What distances are at least, from where they were last, (G, pairs) [m]."""
+        if self._seen is None or len(self._seen[0]) != len(postures):
+            return np.full((len(postures), len(self._collision.pairs)), -np.inf)
+        before, least = self._seen
+        return np.asarray(least - np.abs(postures - before) @ self._levers.T)
+
+
+def watched(
+    collision: CollisionModel, limits: Limits, rng: np.random.Generator
+) -> tuple[CollisionModel, tuple[str, ...]]:
+    """The pairs of bodies whose shapes say something, and the names of the others.
+
+    Args:
+        collision: All pairs.
+        limits: Of the joints' positions.
+        rng: Source of random postures.
+    """
+    meter = DistanceMeter(collision)
+    postures = rng.uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
+    touching = [meter.measure(q).values <= 0 for q in postures]
+    free = np.mean(touching, axis=0) < ALWAYS if collision.pairs else np.zeros(0, dtype=bool)
+    left = [name for name, wanted in zip(collision.names, free, strict=True) if not wanted]
+    return collision.only(free.tolist()), tuple(left)

@@ -1,0 +1,176 @@
+"""The robot's shapes as a MuJoCo model: who may come near whom.
+
+Shapes come from the model file, MJCF or URDF alike (`robot.visuals`); a mesh counts as its convex
+hull, which never leaves anything out. Bodies are placed by the tree's own joints. Pairs of bodies
+that a joint joins always touch and are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array, readonly
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.shapes import Shape
+
+STANDING, CELL = -1, -2
+"""Bodies that do not move: what stands on the plate, plate included; what stands around it."""
+
+_KINDS = {
+    "box": mujoco.mjtGeom.mjGEOM_BOX,
+    "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
+    "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
+    "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
+    "mesh": mujoco.mjtGeom.mjGEOM_MESH,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """A box around the robot, along the bedplate's axes.
+
+    Attributes:
+        centre: (3,) [m], bedplate frame.
+        half: Half lengths, (3,) [m].
+    """
+
+    centre: Array
+    half: Array
+
+    def __post_init__(self) -> None:
+        for name in ("centre", "half"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (3,), name))
+
+
+@dataclass(frozen=True, eq=False)
+class CollisionModel:
+    """Shapes on bodies, and the pairs of bodies that are watched.
+
+    Attributes:
+        tree: The robot.
+        model: MuJoCo's.
+        order: For each joint of the tree, its index among MuJoCo's velocities, (n,).
+        pairs: Bodies, by index; STANDING and CELL do not move.
+        geoms: Of each pair, the pairs of shapes, (2, k).
+    """
+
+    tree: Tree
+    model: mujoco.MjModel
+    order: NDArray[np.int64]
+    pairs: tuple[tuple[int, int], ...]
+    geoms: tuple[NDArray[np.int64], ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the pairs, for people."""
+        return tuple(f"'{self.tree.joints[b].body}' to {self._name(a)}" for a, b in self.pairs)
+
+    def _name(self, body: int) -> str:
+        words = {STANDING: "the pedestal or plate", CELL: "the floor or the cell"}
+        return words.get(body) or f"'{self.tree.joints[body].body}'"
+
+    def only(self, watched: Sequence[bool]) -> CollisionModel:
+        """Some of the pairs."""
+        kept = [k for k, wanted in enumerate(watched) if wanted]
+        pairs, geoms = tuple(self.pairs[k] for k in kept), tuple(self.geoms[k] for k in kept)
+        return replace(self, pairs=pairs, geoms=geoms)
+
+
+def collision_model(
+    tree: Tree,
+    shapes: Sequence[Shape],
+    obstacles: Sequence[Obstacle] = (),
+    floor: float | None = None,
+) -> CollisionModel:
+    """Put a robot's shapes on its bodies, and obstacles around it.
+
+    Args:
+        tree: The robot.
+        shapes: On its bodies and on the bedplate.
+        obstacles: Of the user's cell.
+        floor: Height of the floor [m], bedplate frame; None for none.
+    """
+    spec = mujoco.MjSpec()
+    bodies = [spec.worldbody]
+    for j, joint in enumerate(tree.joints):
+        place = {"pos": joint.offset, "quat": _quaternion(joint.rotation)}
+        body = bodies[joint.parent + 1].add_body(name=str(j), **place)
+        body.mass, body.inertia, body.explicitinertial = 1.0, np.ones(3), True
+        kind = mujoco.mjtJoint.mjJNT_HINGE if joint.revolute else mujoco.mjtJoint.mjJNT_SLIDE
+        body.add_joint(name=str(j), type=kind, axis=joint.axis)
+        bodies.append(body)
+    for number, shape in enumerate(shapes):
+        _add(spec, bodies[shape.body + 1], shape, number)
+    around = {"type": _KINDS["box"]}
+    for number, box in enumerate(obstacles):
+        name = f"{_AROUND}{number}"
+        bodies[0].add_geom(name=name, pos=box.centre, size=box.half, **around)
+    if floor is not None:
+        plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 1]}
+        bodies[0].add_geom(name=f"{_AROUND}floor", pos=[0, 0, floor], **plane)
+    model = spec.compile()
+    owners = [_owner(model, geom) for geom in range(model.ngeom)]
+    order = np.array([model.joint(str(j)).dofadr[0] for j in range(tree.n)])
+    pairs = _pairs(tree, owners)
+    return CollisionModel(tree, model, order, tuple(pairs), tuple(pairs.values()))
+
+
+_AROUND = "around "
+
+
+def _owner(model: mujoco.MjModel, geom: int) -> int:
+    """The body that a shape is on."""
+    if model.geom(geom).name.startswith(_AROUND):
+        return CELL
+    body = model.geom_bodyid[geom]
+    return int(model.body(body).name) if body else STANDING
+
+
+def _pairs(tree: Tree, owners: Sequence[int]) -> dict[tuple[int, int], NDArray[np.int64]]:
+    """Pairs of bodies that may meet, and their shapes: no joint joins them, one of them moves."""
+    joined = {(joint.parent, j) for j, joint in enumerate(tree.joints)}
+    found: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for a, b in combinations(range(len(owners)), 2):
+        (first, one), (second, two) = sorted(((owners[a], a), (owners[b], b)))
+        if first != second and second >= 0 and (first, second) not in joined:
+            found.setdefault((first, second), []).append((one, two))
+    return {pair: np.array(found[pair]).T for pair in sorted(found)}
+
+
+def _quaternion(turn: Array) -> Array:
+    found = np.zeros(4)
+    mujoco.mju_mat2Quat(found, np.ascontiguousarray(turn).ravel())
+    return found
+
+
+def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, number: int) -> None:
+    place = {"pos": shape.position, "quat": _quaternion(shape.rotation)}
+    size = np.concatenate([shape.size, np.zeros(3)])[:3]
+    if shape.kind == "mesh":
+        hull = _hull(shape.vertices)
+        if hull is None:
+            return
+        mesh = spec.add_mesh(name=f"mesh {number}")
+        mesh.uservert, mesh.userface = (part.ravel() for part in hull)
+        body.add_geom(type=_KINDS["mesh"], meshname=mesh.name, **place)
+    else:
+        body.add_geom(type=_KINDS[shape.kind], size=size, **place)
+
+
+def _hull(vertices: Array) -> tuple[Array, NDArray[np.int64]] | None:
+    """Corners and triangles of the convex hull; None of what is flat: nothing could hit it."""
+    from scipy.spatial import ConvexHull, QhullError  # half a second to import
+
+    try:
+        hull = ConvexHull(vertices)
+    except (QhullError, ValueError):
+        return None
+    number = np.zeros(len(vertices), dtype=np.int64)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    return vertices[hull.vertices], number[hull.simplices]

@@ -1,0 +1,227 @@
+"""The motion that tells most within the limits, proven; the room's front door.
+
+Several searches from random motions inside all limits, each with one of the frequencies that are
+allowed; the best result that can be proven. A proof that fails by a little between the samples of
+the search is had by a slightly smaller swing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import InfeasibleMotion
+from testbed.excitation.clearance import ClearanceTerm
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.information import Information
+from testbed.excitation.interior_point import minimise
+from testbed.excitation.limit_terms import LimitTerm
+from testbed.excitation.problem import Problem
+from testbed.excitation.proof import Proof, Rules, prove
+from testbed.excitation.random_motion import drawn
+from testbed.excitation.sampled_rows import SampledRows
+from testbed.excitation.series import Series
+from testbed.excitation.stencil import stencil
+from testbed.parameters.rules import Model
+
+DRAWS = 60
+"""Random motions tried for a start inside the limits."""
+SHARES = 0.8 ** np.arange(1, 16)
+"""Of their swing, largest first."""
+SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98, 0.96, 0.93, 0.88, 0.8)
+"""Shares of the swing for which a proof is tried."""
+ROOM = 0.005
+"""Distance kept in a search beyond the clearance that is to be proven [m]."""
+INSTANTS, DENSITY = 80, 16
+"""Samples of a period in a search: at least so many, and so many a harmonic."""
+
+Watch = Callable[[int, int, float], None]
+"""Called with searches done, searches in all, and the best criterion so far."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wish:
+    """What motion is wanted.
+
+    Attributes:
+        rules: What it must respect.
+        information: What it should tell; its prior is a share of one sample.
+        rows: Of the models that rules and information look at, by the kernel.
+        frequencies: Fundamental [Hz] and number of harmonics of the series allowed.
+        starts: Searches.
+        seconds: After which no search goes on [s]; infinite for no limit. Where it ends them,
+            the result depends on the machine.
+        seed: Of the random motions that searches start from.
+    """
+
+    rules: Rules
+    information: Information
+    rows: Mapping[Model, SampledRows]
+    frequencies: tuple[tuple[float, int], ...]
+    starts: int
+    seconds: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class SearchRecord:
+    """One search.
+
+    Attributes:
+        fundamental: [Hz].
+        harmonics: Number of harmonics.
+        start: Criterion of the random motion it began with.
+        end: Criterion reached.
+    """
+
+    fundamental: float
+    harmonics: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """A motion that may be run, and how it was found.
+
+    Attributes:
+        motion: The motion.
+        value: Its criterion for one sample: exp(value / 2) is a relative sigma.
+        proof: What it leaves of every limit.
+        searches: All that were made.
+        complete: Whether all searches that were wished for were made to their end.
+    """
+
+    motion: Fourier
+    value: float
+    proof: Proof
+    searches: tuple[SearchRecord, ...]
+    complete: bool
+
+
+def design(
+    wish: Wish,
+    watch: Watch = lambda done, total, best: None,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Design:
+    """The best motion of several searches that is proven to respect all limits.
+
+    Args:
+        wish: What is wanted.
+        watch: Called after every step of a search.
+        interrupted: Asked after every step whether to go on with what there is.
+
+    Raises:
+        InfeasibleMotion: No motion inside the limits was found; says which is in the way.
+    """
+    clock = _Clock(wish, watch, interrupted)
+    found: list[tuple[float, Fourier]] = []
+    records: list[SearchRecord] = []
+    while len(records) < wish.starts and not clock.late:
+        problem, x = _start(wish, len(records))
+        level = float(np.log(problem.series.instants))  # a criterion is one sample's
+        start = problem.inside(x).value + level
+        reached = minimise(problem, x, stop=partial(clock.step, level))
+        value, series = reached.value + level, problem.series
+        found.append((value, series.motion(reached.x)))
+        records.append(SearchRecord(series.fundamental, series.harmonics, start, value))
+        clock.finish(value)
+    motion, proof = _proven(wish, [each for _, each in sorted(found, key=lambda pair: pair[0])])
+    return Design(motion, criterion(wish, motion), proof, tuple(records), not clock.late)
+
+
+def criterion(wish: Wish, motion: Fourier) -> float:
+    """The criterion of any motion for one sample, as `Design.value`."""
+    problem = _problem(wish, motion.fundamental, motion.harmonics)
+    value = problem.inside(problem.series.unknowns(motion)).value
+    return value + float(np.log(problem.series.instants))
+
+
+class _Clock:
+    """When to stop, and what to tell meanwhile."""
+
+    def __init__(self, wish: Wish, watch: Watch, interrupted: Callable[[], bool]) -> None:
+        self._end, self._starts, self._watch = time.monotonic() + wish.seconds, wish.starts, watch
+        self._interrupted = interrupted
+        self._best, self._done = np.inf, 0
+        self.late = False
+
+    def step(self, level: float, value: float) -> bool:
+        """Whether a search that has reached a value, above a level, must stop."""
+        self._watch(self._done, self._starts, min(self._best, level + value))
+        self.late = self._interrupted() or time.monotonic() > self._end
+        return self.late
+
+    def finish(self, value: float) -> None:
+        """A search has ended with a value."""
+        self._best, self._done = min(self._best, value), self._done + 1
+        self._watch(self._done, self._starts, self._best)
+
+
+def _problem(wish: Wish, fundamental: float, harmonics: int) -> Problem:
+    """The search with these frequencies."""
+    rules = wish.rules
+    terms: list[LimitTerm] = list(rules.terms)
+    if rules.collision is not None and rules.collision.pairs:
+        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + ROOM))
+    instants = max(INSTANTS, DENSITY * harmonics)
+    asked = wish.information
+    return Problem(
+        series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),
+        information=replace(asked, prior=asked.prior * instants),
+        terms=terms,
+        rows=wish.rows,
+        stencil=stencil(rules.tree),
+        names=rules.tree.names,
+    )
+
+
+def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
+    """A search, and a random motion strictly inside its limits.
+
+    Raises:
+        InfeasibleMotion: None was found; says what the nearest one exceeds.
+    """
+    problem = _problem(wish, *wish.frequencies[number % len(wish.frequencies)])
+    series, rng = problem.series, np.random.default_rng([wish.seed, number])
+    nearest: tuple[str, float, float] | None = None
+    for _ in range(DRAWS):
+        draw = drawn(wish.rules.limits, series.fundamental, series.harmonics, rng)
+        for share in SHARES:
+            x = series.unknowns(draw.sized(float(share)))
+            if problem.inside(x).holds:
+                return problem, x
+        worst = problem.worst(x)
+        if nearest is None or worst[2] < nearest[2]:
+            nearest = worst
+    assert nearest is not None
+    label, instant, over = nearest
+    raise InfeasibleMotion(
+        f"no motion inside all limits was found in {DRAWS} random postures: even one that hardly "
+        f"moves exceeds the limit on {label} by {over:.2g} of it at t = {instant:.3g} s; correct "
+        "the limits or the model, or allow more"
+    )
+
+
+def _proven(wish: Wish, motions: Sequence[Fourier]) -> tuple[Fourier, Proof]:
+    """The first motion that can be proven, if need be a little smaller.
+
+    Raises:
+        InfeasibleMotion: None can be.
+    """
+    proof: Proof | None = None
+    for motion in motions:
+        for share in SMALLER:
+            smaller = motion.scaled(share, motion.offset)
+            proof = prove(smaller, wish.rules)
+            if proof.holds:
+                return smaller, proof
+    assert proof is not None
+    raise InfeasibleMotion(
+        f"a motion was found, but not proven between its samples: {proof.worst.words}"
+    )

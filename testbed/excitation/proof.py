@@ -1,0 +1,272 @@
+"""Proof that a periodic motion respects its limits at every moment, not only at samples.
+
+    positions, velocities, accelerations    trigonometric polynomials: [EZ64], see `series`
+    efforts, wrench, centre of pressure     between samples h apart, f is at most the larger end
+                                            and h^2/8 sup|f''|; that bound comes from jets
+    clearance                               conservative advancement: at a distance d, bodies that
+                                            approach at no more than L cannot meet before d/L
+
+Source    conservative advancement: [Mirtich96]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.motion import Motion
+from testbed.excitation.approach import levers
+from testbed.excitation.clearance import FAR, DistanceMeter
+from testbed.excitation.collision_model import CollisionModel
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.jets import force_bounds
+from testbed.excitation.limit_terms import SmoothTerm
+from testbed.excitation.limits import Limits
+from testbed.excitation.samples import Computed
+from testbed.robot.tree import Tree
+
+RATE = 1000.0
+"""Samples a second at which forces are looked at first [Hz]."""
+DOUBT = 2e-3
+"""What may be lost between samples, as a share of a limit; else twice as many are taken."""
+MOST = 100_000
+"""Samples at most."""
+DENSE = 200
+"""Samples a harmonic for positions, velocities, accelerations: sup / largest is 1.0001."""
+SPANS = 50
+"""Spans of a period in which bounds are found apart."""
+GLANCE = 60
+"""Instants of a period that are looked at before a proof is tried."""
+SHORTEST = 1e-5
+"""Advancement by less than this part of a period is none."""
+STILL = 1e-9
+"""Bodies that do not approach each other are taken to do so with this speed [m/s]."""
+TOUCH = 1e-9
+"""What a distance lacks that could not be shown to be kept [m]."""
+
+
+class Path(Protocol):
+    """A motion over a time, with bounded derivatives."""
+
+    @property
+    def duration(self) -> float:
+        """From its beginning, t = 0, to its end [s]."""
+
+    @property
+    def fifth_derivative(self) -> Array:
+        """A bound of the magnitude of the fifth derivative, (n,)."""
+
+    def derivative(self, t: Array, order: int) -> Array:
+        """A derivative of the positions, of order 0 to 4, at times t, (M, n)."""
+
+    def at(self, t: Array) -> Motion:
+        """The motion at times t, (M,) [s]."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """What a motion leaves of one limit.
+
+    Attributes:
+        label: What is limited.
+        left: What is proven to be left of what may be used, a share, or for clearance in metres;
+            negative where it is exceeded, or where that could not be excluded.
+        instant: When it is nearest to its limit [s].
+        unit: "" for a share, "m" for a distance.
+    """
+
+    label: str
+    left: float
+    instant: float
+    unit: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the limit is respected at every moment."""
+        return self.left >= 0
+
+    @property
+    def words(self) -> str:
+        """For people: how much is left, or by how much it is exceeded, and when."""
+        size = f"{abs(self.left) * 1000:.3g} mm" if self.unit else f"{abs(self.left):.2%}"
+        state = f"{size} left" if self.holds else f"exceeded by {size}, or not shown to be kept"
+        return f"{self.label}: {state} at t = {self.instant:.3f} s"
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Margins of all limits.
+
+    Attributes:
+        margins: One a limit.
+        instants: Samples at which forces were computed.
+        postures: Postures at which distances were measured.
+    """
+
+    margins: tuple[Margin, ...]
+    instants: int
+    postures: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether the motion respects all limits at every moment."""
+        return all(margin.holds for margin in self.margins)
+
+    @property
+    def worst(self) -> Margin:
+        """The limit with the least left."""
+        return min(self.margins, key=lambda margin: margin.left)
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What a motion must respect.
+
+    Attributes:
+        tree: The robot, its inertias and friction an a-priori model.
+        limits: Of its joints.
+        margin: Share of them that may be used.
+        terms: Limits of efforts and plate.
+        collision: Shapes and the pairs that are watched; None if nothing is.
+        clearance: Distance that pairs keep [m].
+    """
+
+    tree: Tree
+    limits: Limits
+    margin: float
+    terms: Sequence[SmoothTerm]
+    collision: CollisionModel | None
+    clearance: float
+
+
+def prove(motion: Fourier, rules: Rules) -> Proof:
+    """What a motion is proven to leave of every limit.
+
+    Args:
+        motion: The motion.
+        rules: What it must respect.
+    """
+    forces, instants = force_margins(motion, rules)
+    distances, postures = _distances(motion, rules)
+    return Proof((*_linear(motion, rules), *forces, *distances), instants, postures)
+
+
+def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool:
+    """Whether forces and distances are allowed at some instants: no proof, but quick."""
+    times = np.arange(instants) * motion.period / instants
+    here = Computed(rules.tree, motion.at(times))
+    if any((term.values(here) > 0).any() for term in rules.terms):
+        return False
+    if rules.collision is None:
+        return True
+    meter = DistanceMeter(rules.collision, rules.clearance + 1e-6)
+    return all((meter.measure(q).values > rules.clearance).all() for q in here.q)
+
+
+def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
+    """Positions, velocities, accelerations."""
+    limits = rules.limits
+    count = max(spans_of(motion.period), DENSE * motion.harmonics)
+    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
+    slack = np.cos(np.pi * motion.harmonics / count)
+    times = np.arange(count) * motion.period / count
+    kinds = ("position", "velocity", "acceleration")
+    centres = (middle, np.zeros_like(middle), np.zeros_like(middle))
+    found = []
+    for order, largest in enumerate((half, limits.velocity, limits.acceleration)):
+        share = np.abs(motion.derivative(times, order) - centres[order]) / largest
+        for name, used in zip(rules.tree.names, share.T, strict=True):
+            worst = int(used.argmax())
+            left = rules.margin - float(used[worst] / slack)
+            found.append(Margin(f"{kinds[order]} of '{name}'", left, float(times[worst])))
+    return found
+
+
+def force_margins(path: Path, rules: Rules) -> tuple[list[Margin], int]:
+    """What a path leaves of efforts, wrench and centre of pressure, and samples taken.
+
+    Args:
+        path: A motion with bounded derivatives.
+        rules: What it must respect.
+    """
+    count = spans_of(path.duration)
+    while True:
+        bounds = force_bounds(rules.tree, suprema(path, count))
+        lost = [(path.duration / count) ** 2 / 8 * t.curvatures(bounds) for t in rules.terms]
+        if max((part.max(initial=0) for part in lost), default=0) <= DOUBT or 2 * count > MOST:
+            break
+        count *= 2
+    times = np.arange(count + 1) * path.duration / count
+    samples, found = Computed(rules.tree, path.at(times)), []
+    for term, excess in zip(rules.terms, lost, strict=True):
+        for label, values, more in zip(term.labels, term.values(samples), excess, strict=True):
+            ends = np.maximum(values[:-1], values[1:]) + np.repeat(more, count // SPANS)
+            worst = int(ends.argmax())
+            found.append(Margin(label, float(-ends[worst]), float(times[worst])))
+    return found, count
+
+
+def spans_of(duration: float) -> int:
+    """Samples of a path, a multiple of its spans."""
+    return SPANS * int(np.ceil(RATE * duration / SPANS))
+
+
+def suprema(path: Path, count: int) -> Array:
+    """Bounds of |q| and its next four derivatives in spans of a path, (5, n, SPANS).
+
+    Between samples h apart a function is at most h/2 sup|its derivative| more than at them.
+
+    Args:
+        path: A motion with bounded derivatives.
+        count: Samples, a multiple of SPANS.
+    """
+    half = path.duration / count / 2
+    times = np.arange(count + 1) * path.duration / count
+    sizes = [np.abs(path.derivative(times, order)) for order in range(5)]
+    everywhere = [path.fifth_derivative]
+    for size in reversed(sizes):
+        everywhere.append(size.max(axis=0) + half * everywhere[-1])
+    found = []
+    for size, further in zip(sizes, everywhere[-2::-1], strict=True):
+        starts = np.arange(0, count, count // SPANS)
+        largest = np.maximum.reduceat(size[:-1], starts, axis=0)
+        largest = np.maximum(largest, size[count // SPANS :: count // SPANS])
+        found.append((largest + half * further).T)
+    return np.stack(found)
+
+
+def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
+    """Least distances of pairs, by conservative advancement."""
+    if rules.collision is None or not rules.collision.pairs:
+        return [], 0
+    collision, meter = rules.collision, DistanceMeter(rules.collision)
+    speeds = (
+        levers(collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
+    )  # (k, SPANS)
+    speeds = np.maximum(speeds, STILL)
+    least, when = np.full(len(collision.pairs), FAR), np.zeros(len(collision.pairs))
+    time, postures, meets = 0.0, 0, False
+    for number, speed in enumerate(speeds.T, start=1):  # each holds in its span alone
+        end = number * motion.period / SPANS
+        while time < end and not meets:
+            distance = meter.measure(motion.derivative(np.array([time]), 0)[0]).values
+            postures += 1
+            nearer = distance < least
+            least[nearer], when[nearer] = distance[nearer], time
+            left = distance - rules.clearance
+            ahead = float(np.min(left / speed))
+            meets = ahead < SHORTEST * motion.period
+            if meets:
+                worst = int(np.argmin(left / speed))
+                least[worst], when[worst] = min(distance[worst], rules.clearance - TOUCH), time
+            time = min(time + ahead, end)
+    margins = [
+        Margin(f"clearance of {name}", float(d - rules.clearance), float(t), "m")
+        for name, d, t in zip(collision.names, least, when, strict=True)
+        if d < FAR
+    ]
+    return margins, postures

@@ -1,0 +1,145 @@
+"""A periodic motion from rest to rest: it sets out slowly along its own path.
+
+Time runs along the path at a rate that rises smoothly from zero to one, and falls again at the
+end. The path is the proven one, so that positions and distances need no further proof, and
+velocities are no larger; accelerations and forces are others, and are proven here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.motion import Motion
+from testbed.errors import InfeasibleMotion
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.proof import Margin, Rules, force_margins, spans_of
+
+_RATE = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])  # from 0 to 1, flat at both ends
+_STEEPEST = (1.0, 1.875, 5.7736, 60.0, 360.0)  # of it and its derivatives, in the unit interval
+
+SHORTEST, LONGEST = 0.5, 64.0
+"""Times that a start may take [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The way from rest into a periodic motion, which it joins at the motion's t = 0.
+
+    Attributes:
+        motion: The periodic motion.
+        duration: Of the start [s].
+    """
+
+    motion: Fourier
+    duration: float
+
+    def at(self, t: Array) -> Motion:
+        """The motion at times t, (M,) [s], counted from rest."""
+        return Motion(t, *(self.derivative(t, order) for order in range(3)))
+
+    def derivative(self, t: Array, order: int) -> Array:
+        """A derivative of the positions, of order 0 to 4, at times t, (M, n)."""
+        rates = [self._rate(t, k)[:, None] for k in range(order)]
+        place = self._place(t)
+        parts = [self.motion.derivative(place, k) for k in range(order + 1)]
+        return _chain(parts, rates, order)
+
+    @property
+    def fifth_derivative(self) -> Array:
+        """A bound of the magnitude of the fifth derivative, (n,)."""
+        rates = [np.array(steep / self.duration**k) for k, steep in enumerate(_STEEPEST)]
+        return _chain(list(self._largest), rates, 5)
+
+    @property
+    def backwards(self) -> Start:
+        """Into the motion run backwards: run backwards itself, it leads out of the motion."""
+        motion = self.motion
+        back = Fourier(motion.fundamental, motion.offset, -motion.sine, motion.cosine)
+        return Start(back, self.duration)
+
+    @cached_property
+    def _largest(self) -> Array:
+        """Bounds of the motion's own derivatives of order 0 to 5, (6, n)."""
+        motion = self.motion
+        pulses = 2 * np.pi * motion.fundamental * np.arange(1, motion.harmonics + 1)
+        size = np.hypot(motion.sine, motion.cosine)
+        found = [size @ pulses**order for order in range(6)]
+        found[0] += np.abs(motion.offset)
+        return np.stack(found)
+
+    def _place(self, t: Array) -> Array:
+        """Where on the path, as a time of the motion [s]."""
+        return np.asarray(self.duration * (_RATE.integ()(t / self.duration) - 0.5))
+
+    def _rate(self, t: Array, order: int) -> Array:
+        """The rate at which the path is run, or a derivative of it [1/s^order]."""
+        return np.asarray(_RATE.deriv(order)(t / self.duration) / self.duration**order)
+
+
+def start_of(motion: Fourier, rules: Rules) -> tuple[Start, list[Margin]]:
+    """The shortest start, by doubling, that is proven, and what it leaves of the limits.
+
+    Its mirror image in time leads to rest: it needs the same accelerations and, but for viscous
+    friction and the sign of velocities, the same forces; it is proven beside it.
+
+    Args:
+        motion: A proven periodic motion.
+        rules: What it respects.
+
+    Raises:
+        InfeasibleMotion: None is proven: the robot cannot rest where the motion begins.
+    """
+    duration = SHORTEST
+    while True:
+        start = Start(motion, duration)
+        margins = [
+            margin
+            for way in (start, start.backwards)
+            for margin in (*_accelerations(way, rules), *force_margins(way, rules)[0])
+        ]
+        if all(margin.holds for margin in margins):
+            return start, margins
+        duration *= 2
+        if duration > LONGEST:
+            worst = min(margins, key=lambda margin: margin.left)
+            raise InfeasibleMotion(f"the motion cannot begin from rest: {worst.words} of the start")
+
+
+def _accelerations(start: Start, rules: Rules) -> list[Margin]:
+    count = spans_of(start.duration)
+    times = np.arange(count + 1) * start.duration / count
+    third, fourth = (np.abs(start.derivative(times, order)).max(axis=0) for order in (3, 4))
+    half = start.duration / count / 2
+    between = half * (third + half * (fourth + half * start.fifth_derivative))
+    share = (np.abs(start.derivative(times, 2)) + between) / rules.limits.acceleration
+    left, worst = rules.margin - share.max(axis=0), times[share.argmax(axis=0)]
+    return [
+        Margin(f"acceleration of '{name}'", float(left[j]), float(worst[j]))
+        for j, name in enumerate(rules.tree.names)
+    ]
+
+
+def _chain(parts: list[Array], rates: list[Array], order: int) -> Array:
+    """The chain rule: a derivative of F(place), of F's derivatives and of the rates of place."""
+    f = parts
+    if order == 0:
+        return f[0]
+    s = rates
+    if order == 1:
+        return f[1] * s[0]
+    if order == 2:
+        return f[2] * s[0] ** 2 + f[1] * s[1]
+    if order == 3:
+        return f[3] * s[0] ** 3 + 3 * f[2] * s[0] * s[1] + f[1] * s[2]
+    if order == 4:
+        curved = 3 * s[1] ** 2 + 4 * s[0] * s[2]
+        return f[4] * s[0] ** 4 + 6 * f[3] * s[0] ** 2 * s[1] + f[2] * curved + f[1] * s[3]
+    third = 15 * s[0] * s[1] ** 2 + 10 * s[0] ** 2 * s[2]
+    second = 10 * s[1] * s[2] + 5 * s[0] * s[3]
+    return (
+        f[5] * s[0] ** 5 + 10 * f[4] * s[0] ** 3 * s[1] + f[3] * third + f[2] * second + f[1] * s[4]
+    )

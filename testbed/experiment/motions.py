@@ -1,0 +1,115 @@
+"""Which motion an experiment runs, and what any motion of its robot must respect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.errors import InfeasibleMotion
+from testbed.excitation.clearance import watched
+from testbed.excitation.collision_model import CollisionModel, Obstacle, collision_model
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
+from testbed.excitation.limits import Limits, limits_of
+from testbed.excitation.proof import Rules, prove
+from testbed.excitation.random_motion import best_motion
+from testbed.experiment.evaluate import model_of
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.motion_file import read_motion
+from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.appearance import bounds, load_appearance
+from testbed.robot.visuals.shapes import Shape
+
+QUIET_PLATE = np.repeat([0.5, 0.1], 3)
+"""Noise assumed for choosing a motion when the plate has none [N, N m]."""
+
+
+def motion_of(experiment: Experiment, tree: Tree) -> Fourier:
+    """The motion that an experiment runs, proven to respect its limits.
+
+    Args:
+        experiment: Names a motion file, or how random motions are drawn.
+        tree: Its robot.
+
+    Raises:
+        InfeasibleMotion: The file's motion exceeds a limit, or no random one respects all.
+        ExperimentError: The file is none, or of another robot.
+    """
+    table = experiment.motion
+    if table.file:
+        return _of_file(experiment, tree)
+    rules = rules_of(experiment, tree, designed=False)
+    zeros = experiment.identification.zeros
+    motion, _ = best_motion(
+        rules,
+        minimal_set(tree, "reaction", zeros=zeros),
+        plate_noise_of(experiment),
+        table.fundamental,
+        table.harmonics,
+        table.candidates,
+        np.random.default_rng(experiment.seed),
+    )
+    return motion
+
+
+def plate_noise_of(experiment: Experiment) -> Array:
+    """Standard deviation of the plate's channels, (6,) [N, N m]; of a quiet one if it has none."""
+    noise = experiment.measurement.plate_noise
+    return noise if noise.all() else QUIET_PLATE
+
+
+def _of_file(experiment: Experiment, tree: Tree) -> Fourier:
+    """A file's motion, proven again: robot and limits may be others than it was made for."""
+    path = Path(experiment.motion.file)
+    motion = read_motion(path).motion_for(tree)
+    proof = prove(motion, rules_of(experiment, tree, designed=True))
+    if not proof.holds:
+        raise InfeasibleMotion(f"{path} does not suit this experiment: {proof.worst.words}")
+    return motion
+
+
+def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
+    """What a motion of an experiment's robot must respect.
+
+    Args:
+        experiment: Says so in `motion` and `excitation`.
+        tree: Its robot.
+        designed: Whether the motion is made for this plate; a random one may use all of the
+            limits, and the plate's ranges only where they are said.
+    """
+    table, motion = experiment.excitation, experiment.motion
+    limits = limits_of(tree, motion.max_velocity, motion.max_acceleration)
+    margin = table.margin if designed else 1.0
+    terms: list[SmoothTerm] = []
+    reach = table.plate_range or (experiment.measurement.full_scale if designed else None)
+    if reach is not None or table.pressure_area is not None:
+        wrench = np.full(6, np.inf) if reach is None else np.array(reach)
+        area = None if table.pressure_area is None else np.array(table.pressure_area)
+        terms.append(PlateTerm(PlateRange(wrench, area), pedestal_wrench(tree), margin))
+    if np.isfinite(limits.effort).any():
+        terms.append(EffortTerm(tree, limits, margin))
+    if isinstance(table.clearance, str):
+        return Rules(tree, limits, margin, tuple(terms), None, 0.0)
+    collision = _surroundings(experiment, tree, limits)
+    return Rules(tree, limits, margin, tuple(terms), collision, table.clearance)
+
+
+def _surroundings(experiment: Experiment, tree: Tree, limits: Limits) -> CollisionModel:
+    """The robot's shapes and what stands around them, pairs that always touch aside."""
+    table = experiment.excitation
+    shapes = load_appearance(tree, model_of(experiment)).shapes
+    boxes = [Obstacle(np.array(o.centre), np.array(o.size) / 2) for o in table.obstacle]
+    floor = None if isinstance(table.floor, str) else table.floor
+    if table.floor is None:
+        floor = _lowest(shapes)
+    every = collision_model(tree, shapes, boxes, floor)
+    return watched(every, limits, np.random.default_rng(0))[0]
+
+
+def _lowest(shapes: tuple[Shape, ...]) -> float:
+    """The lowest point of what stands on the plate, plate included [m]."""
+    return min(float(bounds(shape)[0][2]) for shape in shapes if shape.body < 0)

@@ -1,0 +1,98 @@
+"""A designed motion and its proof on the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from testbed.experiment.motion_results import binding
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from testbed.excitation.proof import Margin, Proof
+    from testbed.experiment.excite import Excitation
+
+SHOWN = 12
+"""Margins printed, the smallest first."""
+
+
+def print_excitation(console: Console, found: Excitation, out: Path) -> None:
+    """What was designed, what it promises, what it leaves of the limits.
+
+    Args:
+        console: Where to.
+        found: The design.
+        out: Where the motion was written.
+    """
+    console.print(_sigma_table(found))
+    motion, design = found.design.motion, found.design
+    console.print(
+        f"{motion.harmonics} harmonics of {motion.fundamental:g} Hz, the best of "
+        f"{len(design.searches)} searches"
+        + ("" if design.complete else " (stopped before they ended)")
+    )
+    console.print(_promise(found))
+    print_proof(console, design.proof)
+    console.print(f"written to {out}", soft_wrap=True)
+
+
+def _promise(found: Excitation) -> str:
+    text = f"predicted: rms relative sigma {found.predicted.rms:.3g}"
+    if found.random_predicted is not None and found.gain is not None:
+        candidates = found.experiment.motion.candidates
+        text += (
+            f", {found.gain:.2f} times smaller than the best of {candidates} random motions "
+            f"({found.random_predicted.rms:.3g})"
+        )
+    return f"{text}; condition number {found.predicted.condition:.3g}"
+
+
+def _sigma_table(found: Excitation) -> Table:
+    table = Table(box=SIMPLE_HEAD, header_style="bold")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("predicted sigma", justify="right", no_wrap=True)
+    table.add_column("of its value", justify="right", no_wrap=True)
+    if found.random_predicted is not None:
+        table.add_column("random motion", justify="right", no_wrap=True)
+    for k, name in enumerate(found.predicted.names):
+        row = [name, f"{found.predicted.sigma[k]:.2g}", f"{found.predicted.relative[k]:.2%}"]
+        if found.random_predicted is not None:
+            row.append(f"{found.random_predicted.relative[k]:.2%}")
+        table.add_row(*row)
+    return table
+
+
+def print_proof(console: Console, proof: Proof) -> None:
+    """What a motion leaves of its limits.
+
+    Args:
+        console: Where to.
+        proof: The proof.
+    """
+    nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
+    table = Table(box=SIMPLE_HEAD, header_style="bold")
+    table.add_column("limit on")
+    table.add_column("left", justify="right", no_wrap=True)
+    table.add_column("at t [s]", justify="right", no_wrap=True)
+    for margin in nearest[:SHOWN]:
+        table.add_row(margin.label, _left(margin), f"{margin.instant:.3f}")
+    console.print(table)
+    if len(nearest) > SHOWN:
+        console.print(f"and {len(nearest) - SHOWN} more limits with more left")
+    if not proof.holds:
+        failed = sum(not margin.holds for margin in proof.margins)
+        console.print(f"NOT proven: {failed} of {len(proof.margins)} limits; {proof.worst.words}")
+        return
+    held = binding(proof)
+    console.print(
+        f"proven at every moment: {len(proof.margins)} limits"
+        + (f"; it comes up to {len(held)} of them" if held else "")
+    )
+
+
+def _left(margin: Margin) -> str:
+    return f"{margin.left * 1000:.1f} mm" if margin.unit else f"{margin.left:.2%}"
