@@ -54,21 +54,22 @@ def excite(
     """
     from testbed.experiment.excite import excite as excited
     from testbed.experiment.motion_results import excitation_as_json
+    from testbed.experiment.trajectory_file import check_ending, write_trajectory
     from testbed.experiment.write_motion import write_motion
     from testbed.report import terminal
     from testbed.report.motion_tables import print_excitation
 
+    if trajectory is not None:
+        check_ending(trajectory)
     if check:
         _check(file, settings or [], as_json=as_json)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
     with terminal.Progress("searching") as progress, _interrupt() as interrupted:
         found = excited(experiment, progress.with_best, known, interrupted)
-    write_motion(out, found)
     if trajectory is not None:
-        from testbed.experiment.trajectory_file import write_trajectory
-
         write_trajectory(trajectory, found, rate)
+    write_motion(out, found)
     if page is not None:
         from testbed.report.motion_page import write_motion_page
 
@@ -76,7 +77,7 @@ def excite(
     if as_json:
         terminal.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
-        note(found.tree.warnings)
+        note([*found.tree.warnings, *found.rules.notes])
         print_excitation(terminal.console(), found, out)
 
 
@@ -119,10 +120,12 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
     motion = read_motion(file)
     experiment = _experiment(motion.model, settings)
     tree = robot_of(experiment)
-    proof = prove(motion.motion_for(tree), rules_of(experiment, tree, designed=True))
+    rules = rules_of(experiment, tree, designed=True)
+    proof = prove(motion.motion_for(tree), rules)
     if as_json:
         terminal.print_json(proof_as_json(proof))
     else:
+        note([*tree.warnings, *rules.notes])
         print_proof(terminal.console(), proof)
     raise typer.Exit(0 if proof.holds else 1)
 

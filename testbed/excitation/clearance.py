@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.excitation.approach import levers
-from testbed.excitation.collision_model import CollisionModel
+from testbed.excitation.collision_model import CELL, CollisionModel
 from testbed.excitation.limits import Limits
 from testbed.excitation.samples import Instants, Samples
 
@@ -199,14 +199,19 @@ def watched(
 ) -> tuple[CollisionModel, tuple[str, ...]]:
     """The pairs of bodies whose shapes say something, and the names of the others.
 
+    What stands around the robot is watched in any case.
+
     Args:
         collision: All pairs.
         limits: Of the joints' positions.
         rng: Source of random postures.
     """
+    if not collision.pairs:
+        return collision, ()
     meter = DistanceMeter(collision)
     postures = rng.uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
     touching = [meter.measure(q).values <= 0 for q in postures]
-    free = np.mean(touching, axis=0) < ALWAYS if collision.pairs else np.zeros(0, dtype=bool)
+    around = np.array([a == CELL for a, _ in collision.pairs], dtype=bool)
+    free = around | (np.mean(touching, axis=0) < ALWAYS)
     left = [name for name, wanted in zip(collision.names, free, strict=True) if not wanted]
     return collision.only(free.tolist()), tuple(left)

@@ -160,7 +160,9 @@ def _add(spec: mujoco.MjSpec, body: mujoco.MjsBody, shape: Shape, number: int) -
         mesh.uservert, mesh.userface = (part.ravel() for part in hull)
         body.add_geom(type=_KINDS["mesh"], meshname=mesh.name, **place)
     else:
-        body.add_geom(type=_KINDS[shape.kind], size=size, **place)
+        ball = shape.kind == "ellipsoid" and np.ptp(size) == 0
+        kind = mujoco.mjtGeom.mjGEOM_SPHERE if ball else _KINDS[shape.kind]
+        body.add_geom(type=kind, size=size, **place)
 
 
 def _hull(vertices: Array) -> tuple[Array, NDArray[np.int64]] | None:

@@ -192,13 +192,14 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
     nearest: tuple[str, float, float] | None = None
     for _ in range(DRAWS):
         draw = drawn(wish.rules.limits, series.fundamental, series.harmonics, rng)
-        for share in SHARES:
-            x = series.unknowns(draw.sized(float(share)))
-            if problem.inside(x).holds:
-                return problem, x
-        worst = problem.worst(x)
-        if nearest is None or worst[2] < nearest[2]:
-            nearest = worst
+        slow = series.unknowns(draw.sized(float(SHARES[-1])))
+        if not problem.inside(slow).holds:
+            worst = problem.worst(slow)
+            if nearest is None or worst[2] < nearest[2]:
+                nearest = worst
+            continue
+        larger = (series.unknowns(draw.sized(float(share))) for share in SHARES)
+        return problem, next((x for x in larger if problem.inside(x).holds), slow)
     assert nearest is not None
     label, instant, over = nearest
     raise InfeasibleMotion(

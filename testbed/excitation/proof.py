@@ -133,6 +133,7 @@ class Rules:
         terms: Limits of efforts and plate.
         collision: Shapes and the pairs that are watched; None if nothing is.
         clearance: Distance that pairs keep [m].
+        notes: What could not be watched, a line each.
     """
 
     tree: Tree
@@ -141,6 +142,7 @@ class Rules:
     terms: Sequence[SmoothTerm]
     collision: CollisionModel | None
     clearance: float
+    notes: tuple[str, ...] = ()
 
 
 def prove(motion: Fourier, rules: Rules) -> Proof:
@@ -243,12 +245,13 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     """Least distances of pairs, by conservative advancement."""
     if rules.collision is None or not rules.collision.pairs:
         return [], 0
-    collision, meter = rules.collision, DistanceMeter(rules.collision)
+    collision, far = rules.collision, rules.clearance + FAR
+    meter = DistanceMeter(collision, far)
     speeds = (
         levers(collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
     )  # (k, SPANS)
     speeds = np.maximum(speeds, STILL)
-    least, when = np.full(len(collision.pairs), FAR), np.zeros(len(collision.pairs))
+    least, when = np.full(len(collision.pairs), far), np.zeros(len(collision.pairs))
     time, postures, meets = 0.0, 0, False
     for number, speed in enumerate(speeds.T, start=1):  # each holds in its span alone
         end = number * motion.period / SPANS
@@ -267,6 +270,6 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     margins = [
         Margin(f"clearance of {name}", float(d - rules.clearance), float(t), "m")
         for name, d, t in zip(collision.names, least, when, strict=True)
-        if d < FAR
+        if d < far
     ]
     return margins, postures

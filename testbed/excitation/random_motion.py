@@ -7,6 +7,7 @@ covariance that plate noise alone would give, weighed by the values of an a-prio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -81,6 +82,10 @@ def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Gen
     return Draw(Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits)
 
 
+MORE, BATCHES = 20, 5
+"""Random motions drawn once more, and how often, if none can be proven."""
+
+
 def random_motion(
     tree: Tree, limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
 ) -> Fourier:
@@ -139,11 +144,12 @@ def best_motion(
         InfeasibleMotion: None can be proven, or even slow motions exceed the efforts.
     """
     tree, limits = rules.tree, rules.limits
-    drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(candidates)]
-    scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
     nearest: Proof | None = None
-    for share in SHARES:
-        for k in np.argsort(scores, kind="stable"):
+    for count in (candidates, *((MORE,) * BATCHES)):
+        drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(count)]
+        scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
+        order = np.argsort(scores, kind="stable")
+        for share, k in product(SHARES, order):
             motion = drawn[k] if share == 1 else drawn[k].scaled(share, drawn[k].offset)
             if not seems_to_hold(motion, rules):
                 continue
@@ -152,11 +158,11 @@ def best_motion(
                 same = share == 1
                 return motion, scores[k] if same else relative_sigma(tree, motion, minimal, noise)
             nearest = proof
-    said = "" if nearest is None else f" (nearest: {nearest.worst.words})"
+    said = "" if nearest is None else f" (the last one: {nearest.worst.words})"
     raise InfeasibleMotion(
-        f"none of {candidates} random motions keeps clear of the robot itself and of what stands "
-        f"around it, however small{said}: draw more (motion.candidates), give limits of the "
-        'joints, or leave it out with excitation.clearance = "off"'
+        f"none of {candidates + MORE * BATCHES} random motions keeps clear of the robot itself and "
+        f"of what stands around it, however small{said}: give limits of the joints, or leave it "
+        'out with excitation.clearance = "off"'
     )
 
 

@@ -112,9 +112,9 @@ def start_of(motion: Fourier, rules: Rules) -> tuple[Start, list[Margin]]:
 def _accelerations(start: Start, rules: Rules) -> list[Margin]:
     count = spans_of(start.duration)
     times = np.arange(count + 1) * start.duration / count
-    third, fourth = (np.abs(start.derivative(times, order)).max(axis=0) for order in (3, 4))
-    half = start.duration / count / 2
-    between = half * (third + half * (fourth + half * start.fifth_derivative))
+    step = start.duration / count
+    fourth = np.abs(start.derivative(times, 4)).max(axis=0) + step / 2 * start.fifth_derivative
+    between = step**2 / 8 * fourth  # more than at the samples
     share = (np.abs(start.derivative(times, 2)) + between) / rules.limits.acceleration
     left, worst = rules.margin - share.max(axis=0), times[share.argmax(axis=0)]
     return [

@@ -21,7 +21,8 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.motion_file import read_motion
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.appearance import bounds, load_appearance
+from testbed.robot.visuals.appearance import bounds, with_plate
+from testbed.robot.visuals.load_shapes import load_shapes
 from testbed.robot.visuals.shapes import Shape
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
@@ -94,20 +95,27 @@ def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
         terms.append(EffortTerm(tree, limits, margin))
     if isinstance(table.clearance, str):
         return Rules(tree, limits, margin, tuple(terms), None, 0.0)
-    collision = _surroundings(experiment, tree, limits)
-    return Rules(tree, limits, margin, tuple(terms), collision, table.clearance)
+    collision, notes = _surroundings(experiment, tree, limits)
+    return Rules(tree, limits, margin, tuple(terms), collision, table.clearance, notes)
 
 
-def _surroundings(experiment: Experiment, tree: Tree, limits: Limits) -> CollisionModel:
-    """The robot's shapes and what stands around them, pairs that always touch aside."""
-    table = experiment.excitation
-    shapes = load_appearance(tree, model_of(experiment)).shapes
+def _surroundings(
+    experiment: Experiment, tree: Tree, limits: Limits
+) -> tuple[CollisionModel | None, tuple[str, ...]]:
+    """The robot's shapes and what stands around them; what cannot be watched, a line each."""
+    table, model = experiment.excitation, model_of(experiment)
+    drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    if not any(shape.body >= 0 for shape in drawn.shapes):
+        return None, ("the model file has no shapes: nothing is known of collisions",)
+    shapes = with_plate(tree, drawn.shapes)
     boxes = [Obstacle(np.array(o.centre), np.array(o.size) / 2) for o in table.obstacle]
     floor = None if isinstance(table.floor, str) else table.floor
     if table.floor is None:
         floor = _lowest(shapes)
     every = collision_model(tree, shapes, boxes, floor)
-    return watched(every, limits, np.random.default_rng(0))[0]
+    kept, left = watched(every, limits, np.random.default_rng(0))
+    notes = [f"{name}: their shapes touch in nearly every posture; not watched" for name in left]
+    return kept, (*drawn.warnings, *notes)
 
 
 def _lowest(shapes: tuple[Shape, ...]) -> float:

@@ -42,9 +42,7 @@ def write_trajectory(path: Path, found: Excitation, rate: float) -> Start:
         ExperimentError: Neither of the two formats, or too many samples.
         InfeasibleMotion: The motion cannot begin from rest.
     """
-    kind = path.suffix.lower()
-    if kind not in (".csv", ".parquet"):
-        raise ExperimentError(f"'{path}': samples are written as .csv or .parquet")
+    check_ending(path)
     motion, tree = found.design.motion, found.tree
     start, _ = start_of(motion, found.rules)
     periods = max(1, round(found.experiment.motion.duration / motion.period))
@@ -62,12 +60,25 @@ def write_trajectory(path: Path, found: Excitation, rate: float) -> Start:
     }
     columns = _columns(samples, tree)
     with replacing(path) as fresh:
-        if kind == ".csv":
+        if path.suffix.lower() == ".csv":
             _write_csv(fresh, columns)
         else:
             facts = {"robot": tree.name, "period": motion.period, "versions": versions()}
             write_table(fresh, units, facts, [columns])
     return start
+
+
+def check_ending(path: Path) -> None:
+    """Whether samples can be written to a file.
+
+    Args:
+        path: The file.
+
+    Raises:
+        ExperimentError: Its ending is of neither format.
+    """
+    if path.suffix.lower() not in (".csv", ".parquet"):
+        raise ExperimentError(f"'{path}': samples are written as .csv or .parquet")
 
 
 def rest_to_rest(start: Start, periods: int, rate: float) -> Motion:

@@ -11,6 +11,7 @@ import testbed as tb
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of, usage
+from testbed.excitation.proof import Rules
 from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from tests.helpers.robots import random_robot
 
@@ -93,7 +94,8 @@ def test_amplitudes_fall_with_the_harmonic_and_offsets_stray() -> None:
 def test_the_best_of_a_few_is_the_best_of_them(puma: tb.Tree) -> None:
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
     limits = limits_of(puma)
-    motion, score = best_motion(puma, limits, minimal, PLATE, 0.1, 5, 8, np.random.default_rng(7))
+    free = Rules(puma, limits, 1.0, (), None, 0.0)
+    motion, score = best_motion(free, minimal, PLATE, 0.1, 5, 8, np.random.default_rng(7))
     rng = np.random.default_rng(7)
     again = [random_motion(puma, limits, 0.1, 5, rng) for _ in range(8)]
     scores = [relative_sigma(puma, m, minimal, PLATE) for m in again]

@@ -51,8 +51,13 @@ ANYWHERE = {"__init__", "__main__", "cli"}
 
 # Packages that only some modules may import.
 GUESTS = {
-    "mujoco": ("robot/formats/mjcf", "robot/visuals/mjcf_shapes.py", "simulation/",
-        "excitation/collision_model.py", "excitation/clearance.py"),
+    "mujoco": (
+        "robot/formats/mjcf",
+        "robot/visuals/mjcf_shapes.py",
+        "simulation/",
+        "excitation/collision_model.py",
+        "excitation/clearance.py",
+    ),
     "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
     "coal": ("robot/visuals/urdf_shapes.py",),
     "rerun": ("viewer/",),

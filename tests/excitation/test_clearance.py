@@ -1,0 +1,129 @@
+"""Distances are those of geometry, their derivatives those of differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.excitation.approach import levers
+from testbed.excitation.clearance import ClearanceTerm, DistanceMeter, watched
+from testbed.excitation.collision_model import CELL, STANDING, Obstacle, collision_model
+from testbed.excitation.limits import limits_of
+from testbed.excitation.samples import Samples
+from testbed.robot.rotations import about
+from testbed.robot.visuals.shapes import Shape
+from tests.helpers.robots import random_robot
+
+GREY = np.array([0.5, 0.5, 0.5, 1.0])
+
+
+def ball(body: int, radius: float, place: np.ndarray) -> Shape:
+    return Shape(body, "ellipsoid", np.full(3, radius), place, np.eye(3), GREY)
+
+
+def places(tree: tb.Tree, q: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rotation and origin of every body in the bedplate frame, by the tree's own definition."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for j, joint in enumerate(tree.joints):
+        turn, origin = (np.eye(3), np.zeros(3)) if joint.parent < 0 else found[joint.parent]
+        own, slid = np.eye(3), np.zeros(3)
+        if joint.revolute:
+            own = about(joint.axis, q[j])
+        else:
+            slid = q[j] * joint.axis
+        found.append(
+            (turn @ joint.rotation @ own, origin + turn @ (joint.offset + joint.rotation @ slid))
+        )
+    return found
+
+
+def balls_on(tree: tb.Tree, seed: int) -> list[Shape]:
+    rng = np.random.default_rng(seed)
+    return [ball(j, rng.uniform(0.02, 0.05), 0.1 * rng.normal(size=3)) for j in range(-1, tree.n)]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_distances_of_balls_are_those_of_their_centres(seed: int) -> None:
+    """MuJoCo's kinematics and distances against the tree's definition."""
+    tree = random_robot(np.random.default_rng(seed), 5).tree()
+    shapes = balls_on(tree, seed)
+    collision = collision_model(tree, shapes)
+    joined = {(joint.parent, j) for j, joint in enumerate(tree.joints)}
+    wanted = {(a, b) for b in range(tree.n) for a in range(-1, b)} - joined
+    assert set(collision.pairs) == wanted
+    meter = DistanceMeter(collision, far=50.0)
+    for q in np.random.default_rng(seed).normal(size=(5, tree.n)):
+        at = [(np.eye(3), np.zeros(3)), *places(tree, q)]
+        centre = [turn @ s.position + origin for s, (turn, origin) in zip(shapes, at, strict=True)]
+        for (a, b), found in zip(collision.pairs, meter.measure(q).values, strict=True):
+            apart = np.linalg.norm(centre[a + 1] - centre[b + 1])
+            assert found == pytest.approx(apart - shapes[a + 1].size[0] - shapes[b + 1].size[0])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_slopes_are_those_of_differences(seed: int) -> None:
+    tree = random_robot(np.random.default_rng(seed), 5).tree()
+    meter = DistanceMeter(collision_model(tree, balls_on(tree, seed)), far=50.0)
+    for q in np.random.default_rng(seed).normal(size=(3, tree.n)):
+        found = meter.measure(q, slopes=True).slopes
+        for j, step in enumerate(1e-6 * np.eye(tree.n)):
+            near = meter.measure(q + step).values - meter.measure(q - step).values
+            np.testing.assert_allclose(found[:, j], near / 2e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_no_distance_changes_faster_than_its_lever(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 6).tree()
+    collision = collision_model(tree, balls_on(tree, seed))
+    limits, meter = limits_of(tree), DistanceMeter(collision, far=50.0)
+    bound = levers(collision, limits)
+    used = 0.0
+    for _ in range(40):
+        q = rng.uniform(limits.low, limits.high)
+        slopes = np.abs(meter.measure(q, slopes=True).slopes)
+        assert (slopes <= bound + 1e-9).all()
+        used = max(used, float((slopes / np.maximum(bound, 1e-12)).max()))
+    assert used > 0.3  # a bound, and no idle one
+
+
+def test_what_stands_around_the_robot_is_watched_from_the_first_link_on(puma: tb.Tree) -> None:
+    """The first link touches the pedestal, and has to keep clear of the cell."""
+    shapes = [ball(j, 0.05, np.zeros(3)) for j in range(-1, 3)]
+    box = Obstacle(np.array([1.0, 0, 0]), np.array([0.1, 0.2, 0.3]))
+    collision = collision_model(puma, shapes, [box], floor=-2.0)
+    assert (STANDING, 0) not in collision.pairs
+    assert {(CELL, 0), (CELL, 1), (CELL, 2), (STANDING, 1), (STANDING, 2), (0, 2)} == set(
+        collision.pairs
+    )
+    found = DistanceMeter(collision, far=9.0).measure(np.zeros(3)).values
+    at = dict(zip(collision.pairs, found, strict=True))
+    height = puma.joints[0].offset[2]
+    beside = np.array([0.9, 0.0, max(height - 0.3, 0.0)])
+    assert at[CELL, 0] == pytest.approx(min(height + 2, np.linalg.norm(beside)) - 0.05)
+
+
+def test_pairs_that_always_touch_are_left_out_and_named(puma: tb.Tree) -> None:
+    shapes = [ball(0, 0.6, np.zeros(3)), ball(2, 0.9, np.zeros(3)), ball(1, 0.01, np.zeros(3))]
+    collision = collision_model(puma, shapes)
+    kept, left = watched(collision, limits_of(puma), np.random.default_rng(0))
+    assert (0, 2) in collision.pairs
+    assert (0, 2) not in kept.pairs
+    assert left == ("'link3' to 'link1'",)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_not_measured_again_would_not_have_mattered(seed: int) -> None:
+    """A term that has seen other postures says the same as a fresh one."""
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 5).tree()
+    collision, limits = collision_model(tree, balls_on(tree, seed)), limits_of(tree)
+    old = ClearanceTerm(collision, limits, 0.05)
+    q = rng.normal(size=(6, tree.n))
+    for step in (0.0, 1e-3, 1e-2, 0.1, 1.0, 0.01):
+        q = q + step * rng.normal(size=q.shape)
+        here = Samples(q, q, q, {}, None)
+        fresh = ClearanceTerm(collision, limits, 0.05)
+        np.testing.assert_array_equal(old.values(here), fresh.values(here))
+        np.testing.assert_array_equal(old.slopes(here), fresh.slopes(here))
