@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,7 +62,7 @@ class Prediction:
 
 def predict(
     information: Information,
-    rows: dict[Model, SampledRows],
+    rows: Mapping[Model, SampledRows],
     motion: Fourier,
     pipeline: Pipeline,
     names: tuple[str, ...],

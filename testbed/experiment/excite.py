@@ -81,9 +81,7 @@ def excite(
         ExperimentError: The band holds no motion.
     """
     tree = robot_of(experiment)
-    rules = rules_of(experiment, tree, designed=True)
-    rows = _rows(experiment, tree, rules)
-    wish = _wish(experiment, tree, rules, rows, prior)
+    wish = wish_of(experiment, tree, prior)
     pipeline = pipeline_of(experiment)
     one_sample = np.sqrt(pipeline.rate * pipeline.span)
 
@@ -92,12 +90,12 @@ def excite(
 
     with one_blas_thread():
         found = design(wish, relative, interrupted)
-        forecast = _forecaster(experiment, wish, rows)
+        forecast = _forecaster(experiment, wish)
         random = _random(experiment, tree)
         return Excitation(
             experiment=experiment,
             tree=tree,
-            rules=rules,
+            rules=wish.rules,
             design=found,
             predicted=forecast(found.motion),
             random=random,
@@ -147,23 +145,19 @@ def frequencies_of(experiment: Experiment) -> tuple[tuple[float, int], ...]:
     return tuple(found)
 
 
-def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, SampledRows]:
-    wanted = {*models_of(experiment.excitation.instrument)}
-    wanted |= {"reaction"}  # the plate's ranges
-    if np.isfinite(rules.limits.effort).any():
-        wanted.add("dynamic")
-    zeros = experiment.identification.zeros
-    order: tuple[Model, ...] = ("reaction", "dynamic")
-    return {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in order if m in wanted}
+def wish_of(experiment: Experiment, tree: Tree, prior: Array | None = None) -> Wish:
+    """What an experiment asks of a design.
 
+    Args:
+        experiment: Says so in `excitation` and other tables.
+        tree: Its robot.
+        prior: Covariance of the minimal parameters from an earlier estimate, (N, N).
 
-def _wish(
-    experiment: Experiment,
-    tree: Tree,
-    rules: Rules,
-    rows: dict[Model, SampledRows],
-    prior: Array | None,
-) -> Wish:
+    Raises:
+        ExperimentError: The band holds no motion.
+    """
+    rules = rules_of(experiment, tree, designed=True)
+    rows = _rows(experiment, tree, rules)
     table, pipeline = experiment.excitation, pipeline_of(experiment)
     torque = experiment.measurement.torque_noise or QUIET_TORQUE
     information = information_of(
@@ -182,15 +176,23 @@ def _wish(
     return Wish(rules, information, rows, frequencies, table.starts, seconds, experiment.seed)
 
 
-def _forecaster(
-    experiment: Experiment, wish: Wish, rows: dict[Model, SampledRows]
-) -> Callable[[Fourier], Prediction]:
+def _rows(experiment: Experiment, tree: Tree, rules: Rules) -> dict[Model, SampledRows]:
+    """Rows that the criterion and the limits look at."""
+    wanted: set[Model] = {"reaction", *models_of(experiment.excitation.instrument)}
+    if np.isfinite(rules.limits.effort).any():
+        wanted.add("dynamic")
+    zeros = experiment.identification.zeros
+    order: tuple[Model, ...] = ("reaction", "dynamic")
+    return {m: SampledRows(tree, minimal_set(tree, m, zeros=zeros)) for m in order if m in wanted}
+
+
+def _forecaster(experiment: Experiment, wish: Wish) -> Callable[[Fourier], Prediction]:
     joints = experiment.excitation.instrument == "joints"
-    names = rows["dynamic" if joints else "reaction"].minimal.names
+    names = wish.rows["dynamic" if joints else "reaction"].minimal.names
     pipeline = pipeline_of(experiment)
 
     def forecast(motion: Fourier) -> Prediction:
-        return predict(wish.information, rows, motion, pipeline, names)
+        return predict(wish.information, wish.rows, motion, pipeline, names)
 
     return forecast
 

@@ -43,7 +43,10 @@ PLAN = {
         "simulation", "identification",
     },
     "report": BASE
-    | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
+    | {
+        "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
+        "experiment",
+    },
     "viewer": BASE
     | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
 }  # fmt: skip

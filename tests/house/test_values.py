@@ -12,8 +12,11 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier
+from testbed.excitation.limit_terms import PlateRange
 from testbed.excitation.limits import Limits
+from testbed.excitation.stencil import Stencil
 from testbed.identification.combined import Combined, Disagreement
 from testbed.identification.friction_curves import FrictionCurve
 from testbed.identification.payload import PayloadEstimate
@@ -61,6 +64,9 @@ EXAMPLES: dict[str, Any] = {
     "Motion": lambda: tb.Motion(some(4), some(4, 2), some(4, 2), some(4, 2)),
     "Fourier": lambda: Fourier(0.1, some(2), some(2, 3), some(2, 3)),
     "Limits": lambda: Limits(*some(5, 2)),
+    "Obstacle": lambda: Obstacle(some(3), some(3)),
+    "PlateRange": lambda: PlateRange(np.ones(6), np.ones(2)),
+    "Stencil": lambda: Stencil(some(4, 3, 2), some(6, 4)),
     "Inertia": lambda: tb.Inertia(1.0, some(3), some(3, 3)),
     "Joint": lambda: tb.Joint("a", "b", "revolute", -1, some(3), some(3), some(3, 3), some(2)),
     "Tree": lambda: tb.Tree("none", (), (), gravity=some(3)),
