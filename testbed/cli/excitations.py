@@ -132,7 +132,7 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
 
 def _covariance(prior: Path, experiment: Experiment) -> Array:
     """Of the minimal parameters, from an earlier estimate."""
-    from testbed.experiment.prior import prior_covariance
+    from testbed.experiment.earlier_estimate import prior_covariance
     from testbed.experiment.read_result import read_result
 
     return prior_covariance(read_result(prior), experiment)

@@ -147,15 +147,16 @@ class ClearanceTerm:
     they cannot have come near since are not measured.
     """
 
-    def __init__(self, collision: CollisionModel, limits: Limits, least: float) -> None:
+    def __init__(self, collision: CollisionModel, limits: Limits, least: Array) -> None:
         """Ready to be asked.
 
         Args:
             collision: Shapes, and pairs to be watched.
             limits: Of the joints' positions.
-            least: Distance to be kept [m].
+            least: Distance that each keeps, (k,) [m].
         """
-        self._collision, self._least, self._far = collision, least, least + NEAR
+        self._collision, self._least = collision, least
+        self._far = float(least.max(initial=0.0)) + NEAR
         self._meter = DistanceMeter(collision, self._far)
         self._levers = levers(collision, limits)
         self._seen: tuple[Array, Array] | None = None  # postures, and least distances there
@@ -176,7 +177,8 @@ class ClearanceTerm:
     def _both(self, postures: Array, *, slopes: bool) -> tuple[Array, Array]:
         instants, n = postures.shape
         least = self._least_here(postures)
-        values = np.full((least.shape[1], instants), (self._least - self._far) / _UNIT)
+        far = (self._least - self._far) / _UNIT
+        values = np.tile(far[:, None], instants)
         by_motion = np.zeros((least.shape[1], 3 * n, instants))
         for g in np.flatnonzero((least < self._far).any(axis=1)):
             found = self._meter.measure(postures[g], least[g] < self._far, slopes=slopes)
@@ -194,24 +196,53 @@ class ClearanceTerm:
         return np.asarray(least - np.abs(postures - before) @ self._levers.T)
 
 
-def watched(
-    collision: CollisionModel, limits: Limits, rng: np.random.Generator
-) -> tuple[CollisionModel, tuple[str, ...]]:
-    """The pairs of bodies whose shapes say something, and the names of the others.
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """Pairs of bodies whose shapes say something.
 
-    What stands around the robot is watched in any case.
+    Attributes:
+        collision: The pairs.
+        clearance: Distance that each has to keep, (k,) [m].
+        notes: What is not watched, or kept less, a line each.
+    """
+
+    collision: CollisionModel
+    clearance: Array
+    notes: tuple[str, ...]
+
+
+def watched(
+    collision: CollisionModel, limits: Limits, clearance: float, rng: np.random.Generator
+) -> Watched:
+    """What a motion can be asked to keep clear.
+
+    Pairs that touch in nearly every posture are left out: their shapes are too coarse. Pairs that
+    are nearer to each other than the clearance in the posture of zeros, or in nearly every one,
+    keep half of what they have there. Obstacles are watched in any case.
 
     Args:
         collision: All pairs.
         limits: Of the joints' positions.
+        clearance: Distance to be kept [m].
         rng: Source of random postures.
     """
-    if not collision.pairs:
-        return collision, ()
-    meter = DistanceMeter(collision)
+    meter, wanted = DistanceMeter(collision, clearance + FAR), len(collision.pairs)
     postures = rng.uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    touching = [meter.measure(q).values <= 0 for q in postures]
+    found = np.array([meter.measure(q).values for q in postures]).reshape(POSTURES, wanted)
+    home = meter.measure(limits.home).values
     around = np.array([a == CELL for a, _ in collision.pairs], dtype=bool)
-    free = around | (np.mean(touching, axis=0) < ALWAYS)
-    left = [name for name, wanted in zip(collision.names, free, strict=True) if not wanted]
-    return collision.only(free.tolist()), tuple(left)
+    free = around | ((found <= 0).mean(axis=0) < ALWAYS)
+    built = np.where((found < clearance).mean(axis=0) >= ALWAYS, np.median(found, axis=0), np.inf)
+    usual = np.minimum(built, np.where(home > 0, home, np.inf))
+    kept = np.where(~around & (usual < clearance), usual / 2, clearance)
+    notes = [
+        f"{name}: their shapes touch in nearly every posture; not watched"
+        for name, watch in zip(collision.names, free, strict=True)
+        if not watch
+    ]
+    nearer = [k for k in np.flatnonzero(free) if kept[k] < clearance]
+    if nearer:
+        first = collision.names[nearer[0]]
+        more = f" and {len(nearer) - 1} more pairs" if len(nearer) > 1 else ""
+        notes.append(f"{first}{more}: built nearer than the clearance; half of that is kept")
+    return Watched(collision.only(free.tolist()), kept[free], tuple(notes))

@@ -19,8 +19,8 @@ from testbed.arrays import Array, readonly
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import Shape
 
-STANDING, CELL = -1, -2
-"""Bodies that do not move: what stands on the plate, plate included; what stands around it."""
+STANDING, FLOOR, CELL = -1, -2, -3
+"""What does not move: what stands on the plate, plate included; the floor; boxes around."""
 
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -56,7 +56,7 @@ class CollisionModel:
         tree: The robot.
         model: MuJoCo's.
         order: For each joint of the tree, its index among MuJoCo's velocities, (n,).
-        pairs: Bodies, by index; STANDING and CELL do not move.
+        pairs: Bodies, by index; those below zero do not move.
         geoms: Of each pair, the pairs of shapes, (2, k).
     """
 
@@ -72,7 +72,7 @@ class CollisionModel:
         return tuple(f"'{self.tree.joints[b].body}' to {self._name(a)}" for a, b in self.pairs)
 
     def _name(self, body: int) -> str:
-        words = {STANDING: "the pedestal or plate", CELL: "the floor or the cell"}
+        words = {STANDING: "the pedestal or plate", FLOOR: "the floor", CELL: "an obstacle"}
         return words.get(body) or f"'{self.tree.joints[body].body}'"
 
     def only(self, watched: Sequence[bool]) -> CollisionModel:
@@ -113,7 +113,7 @@ def collision_model(
         bodies[0].add_geom(name=name, pos=box.centre, size=box.half, **around)
     if floor is not None:
         plane = {"type": mujoco.mjtGeom.mjGEOM_PLANE, "size": [0, 0, 1]}
-        bodies[0].add_geom(name=f"{_AROUND}floor", pos=[0, 0, floor], **plane)
+        bodies[0].add_geom(name=_GROUND, pos=[0, 0, floor], **plane)
     model = spec.compile()
     owners = [_owner(model, geom) for geom in range(model.ngeom)]
     order = np.array([model.joint(str(j)).dofadr[0] for j in range(tree.n)])
@@ -121,13 +121,14 @@ def collision_model(
     return CollisionModel(tree, model, order, tuple(pairs), tuple(pairs.values()))
 
 
-_AROUND = "around "
+_AROUND, _GROUND = "around ", "floor"
 
 
 def _owner(model: mujoco.MjModel, geom: int) -> int:
     """The body that a shape is on."""
-    if model.geom(geom).name.startswith(_AROUND):
-        return CELL
+    name = model.geom(geom).name
+    if name == _GROUND or name.startswith(_AROUND):
+        return FLOOR if name == _GROUND else CELL
     body = model.geom_bodyid[geom]
     return int(model.body(body).name) if body else STANDING
 
@@ -135,6 +136,7 @@ def _owner(model: mujoco.MjModel, geom: int) -> int:
 def _pairs(tree: Tree, owners: Sequence[int]) -> dict[tuple[int, int], NDArray[np.int64]]:
     """Pairs of bodies that may meet, and their shapes: no joint joins them, one of them moves."""
     joined = {(joint.parent, j) for j, joint in enumerate(tree.joints)}
+    joined |= {(FLOOR, j) for parent, j in joined if parent < 0}  # it stands there
     found: dict[tuple[int, int], list[tuple[int, int]]] = {}
     for a, b in combinations(range(len(owners)), 2):
         (first, one), (second, two) = sorted(((owners[a], a), (owners[b], b)))

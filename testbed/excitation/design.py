@@ -16,10 +16,10 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
+from testbed.excitation.barrier_search import minimise
 from testbed.excitation.clearance import ClearanceTerm
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Information
-from testbed.excitation.interior_point import minimise
 from testbed.excitation.limit_terms import LimitTerm
 from testbed.excitation.problem import Problem
 from testbed.excitation.proof import Proof, Rules, prove
@@ -35,8 +35,8 @@ SHARES = 0.8 ** np.arange(1, 16)
 """Of their swing, largest first."""
 SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98, 0.96, 0.93, 0.88, 0.8)
 """Shares of the swing for which a proof is tried."""
-ROOM = 0.005
-"""Distance kept in a search beyond the clearance that is to be proven [m]."""
+ROOM, LEAST_ROOM = 0.25, 2e-4
+"""What a search keeps beyond the clearance that is to be proven: a share of it, at least [m]."""
 INSTANTS, DENSITY = 80, 16
 """Samples of a period in a search: at least so many, and so many a harmonic."""
 
@@ -168,7 +168,8 @@ def _problem(wish: Wish, fundamental: float, harmonics: int) -> Problem:
     rules = wish.rules
     terms: list[LimitTerm] = list(rules.terms)
     if rules.collision is not None and rules.collision.pairs:
-        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + ROOM))
+        room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
+        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + room))
     instants = max(INSTANTS, DENSITY * harmonics)
     asked = wish.information
     return Problem(
@@ -190,15 +191,22 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
     problem = _problem(wish, *wish.frequencies[number % len(wish.frequencies)])
     series, rng = problem.series, np.random.default_rng([wish.seed, number])
     nearest: tuple[str, float, float] | None = None
-    for _ in range(DRAWS):
-        draw = drawn(wish.rules.limits, series.fundamental, series.harmonics, rng)
-        slow = series.unknowns(draw.sized(float(SHARES[-1])))
+    limits = wish.rules.limits
+    for draws in range(DRAWS):
+        draw = drawn(limits, series.fundamental, series.harmonics, rng)
+        at_home = 2 * draws >= DRAWS
+        motions = [draw.sized(float(share)) for share in SHARES]
+        if at_home:  # few postures are free: begin about that of zeros
+            motions = [
+                m.scaled(float(s), limits.home) for m, s in zip(motions, SHARES, strict=True)
+            ]
+        slow = series.unknowns(motions[-1])
         if not problem.inside(slow).holds:
             worst = problem.worst(slow)
             if nearest is None or worst[2] < nearest[2]:
                 nearest = worst
             continue
-        larger = (series.unknowns(draw.sized(float(share))) for share in SHARES)
+        larger = (series.unknowns(motion) for motion in motions)
         return problem, next((x for x in larger if problem.inside(x).holds), slow)
     assert nearest is not None
     label, instant, over = nearest

@@ -41,6 +41,11 @@ class Limits:
         for name in ("low", "high", "velocity", "acceleration", "effort"):
             object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
 
+    @property
+    def home(self) -> Array:
+        """The posture of zeros, or what is nearest to it within the limits, (n,) [rad or m]."""
+        return np.clip(np.zeros(len(self.low)), self.low, self.high)
+
 
 def limits_of(
     tree: Tree,

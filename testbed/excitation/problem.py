@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.excitation.barrier_search import Inside, Point
 from testbed.excitation.information import Information
-from testbed.excitation.interior_point import Inside, Point
 from testbed.excitation.limit_terms import LimitTerm
 from testbed.excitation.sampled_rows import SampledRows
 from testbed.excitation.samples import Samples

@@ -132,7 +132,7 @@ class Rules:
         margin: Share of them that may be used.
         terms: Limits of efforts and plate.
         collision: Shapes and the pairs that are watched; None if nothing is.
-        clearance: Distance that pairs keep [m].
+        clearance: Distance that each pair keeps, (k,) [m].
         notes: What could not be watched, a line each.
     """
 
@@ -141,7 +141,7 @@ class Rules:
     margin: float
     terms: Sequence[SmoothTerm]
     collision: CollisionModel | None
-    clearance: float
+    clearance: Array
     notes: tuple[str, ...] = ()
 
 
@@ -165,7 +165,7 @@ def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool
         return False
     if rules.collision is None:
         return True
-    meter = DistanceMeter(rules.collision, rules.clearance + 1e-6)
+    meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) + TOUCH)
     return all((meter.measure(q).values > rules.clearance).all() for q in here.q)
 
 
@@ -245,7 +245,7 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
     """Least distances of pairs, by conservative advancement."""
     if rules.collision is None or not rules.collision.pairs:
         return [], 0
-    collision, far = rules.collision, rules.clearance + FAR
+    collision, far = rules.collision, float(rules.clearance.max()) + FAR
     meter = DistanceMeter(collision, far)
     speeds = (
         levers(collision, rules.limits) @ suprema(motion, spans_of(motion.period))[1]
@@ -265,11 +265,14 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
             meets = ahead < SHORTEST * motion.period
             if meets:
                 worst = int(np.argmin(left / speed))
-                least[worst], when[worst] = min(distance[worst], rules.clearance - TOUCH), time
+                least[worst], when[worst] = (
+                    min(distance[worst], rules.clearance[worst] - TOUCH),
+                    time,
+                )
             time = min(time + ahead, end)
     margins = [
-        Margin(f"clearance of {name}", float(d - rules.clearance), float(t), "m")
-        for name, d, t in zip(collision.names, least, when, strict=True)
+        Margin(f"clearance of {name}", float(d - kept), float(t), "m")
+        for name, d, kept, t in zip(collision.names, least, rules.clearance, when, strict=True)
         if d < far
     ]
     return margins, postures

@@ -28,7 +28,7 @@ _CHECK = 500  # samples of a period on which limits are checked
 _SCORE = 100  # samples of a period on which a motion is scored
 _SMALL = 0.05  # parameters below this share of the largest of their unit count as that large
 
-SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)
+SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
 """Of the swing of random motions, tried one after the other until one can be proven."""
 
 
@@ -82,7 +82,7 @@ def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Gen
     return Draw(Fourier(fundamental, np.zeros(n), size * sine, size * cosine), wish, limits)
 
 
-MORE, BATCHES = 20, 5
+MORE, BATCHES = 20, 2
 """Random motions drawn once more, and how often, if none can be proven."""
 
 
@@ -126,7 +126,8 @@ def best_motion(
 ) -> tuple[Fourier, float]:
     """The proven candidate with the smallest predicted relative standard deviation.
 
-    Candidates that cannot be proven are left out; if none is left, all swing less and less.
+    Candidates that cannot be proven are left out; if none is left, all swing less and less, and
+    ever nearer to the posture of zeros.
 
     Args:
         rules: What a motion must respect.
@@ -150,7 +151,7 @@ def best_motion(
         scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
         order = np.argsort(scores, kind="stable")
         for share, k in product(SHARES, order):
-            motion = drawn[k] if share == 1 else drawn[k].scaled(share, drawn[k].offset)
+            motion = drawn[k] if share == 1 else drawn[k].scaled(share, limits.home)
             if not seems_to_hold(motion, rules):
                 continue
             proof = prove(motion, rules)

@@ -155,7 +155,8 @@ class ExcitationTable(Table):
     clearance: NotNegative | Literal["off"] = 0.02
     """Distance kept by bodies that no joint joins, and to plate, floor and obstacles [m]."""
     floor: Finite | Literal["off"] | None = None
-    """Height of the floor [m], bedplate frame; default the lowest point of what stands."""
+    """Height of the floor [m], bedplate frame; default the lowest point of what the file draws on
+    the bedplate."""
     obstacle: tuple[ObstacleTable, ...] = ()
     """Boxes around the robot, `[[excitation.obstacle]]`."""
     plate_range: tuple[Positive, Positive, Positive, Positive, Positive, Positive] | None = None

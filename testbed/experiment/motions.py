@@ -9,8 +9,8 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import InfeasibleMotion
-from testbed.excitation.clearance import watched
-from testbed.excitation.collision_model import CollisionModel, Obstacle, collision_model
+from testbed.excitation.clearance import Watched, watched
+from testbed.excitation.collision_model import Obstacle, collision_model
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import Limits, limits_of
@@ -21,12 +21,16 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.motion_file import read_motion
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.appearance import bounds, with_plate
+from testbed.robot.visuals.appearance import bounds
 from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.shapes import Shape, poses_at_zero
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
+
+
+HANGS = 0.1
+"""Part of a robot's reach by which its joints may lie below its floor."""
 
 
 def motion_of(experiment: Experiment, tree: Tree) -> Fourier:
@@ -94,30 +98,40 @@ def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, margin))
     if isinstance(table.clearance, str):
-        return Rules(tree, limits, margin, tuple(terms), None, 0.0)
-    collision, notes = _surroundings(experiment, tree, limits)
-    return Rules(tree, limits, margin, tuple(terms), collision, table.clearance, notes)
+        return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0))
+    seen, notes = _surroundings(experiment, tree, limits, table.clearance)
+    if seen is None:
+        return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0), notes)
+    return Rules(tree, limits, margin, tuple(terms), seen.collision, seen.clearance, notes)
 
 
 def _surroundings(
-    experiment: Experiment, tree: Tree, limits: Limits
-) -> tuple[CollisionModel | None, tuple[str, ...]]:
+    experiment: Experiment, tree: Tree, limits: Limits, clearance: float
+) -> tuple[Watched | None, tuple[str, ...]]:
     """The robot's shapes and what stands around them; what cannot be watched, a line each."""
     table, model = experiment.excitation, model_of(experiment)
     drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
     if not any(shape.body >= 0 for shape in drawn.shapes):
         return None, ("the model file has no shapes: nothing is known of collisions",)
-    shapes = with_plate(tree, drawn.shapes)
     boxes = [Obstacle(np.array(o.centre), np.array(o.size) / 2) for o in table.obstacle]
     floor = None if isinstance(table.floor, str) else table.floor
+    notes: tuple[str, ...] = drawn.warnings
     if table.floor is None:
-        floor = _lowest(shapes)
-    every = collision_model(tree, shapes, boxes, floor)
-    kept, left = watched(every, limits, np.random.default_rng(0))
-    notes = [f"{name}: their shapes touch in nearly every posture; not watched" for name in left]
-    return kept, (*drawn.warnings, *notes)
+        floor = _floor(tree, drawn.shapes)
+        if floor is None:
+            notes += ("the robot reaches below what stands on the bedplate: no floor is assumed",)
+    every = collision_model(tree, drawn.shapes, boxes, floor)
+    found = watched(every, limits, clearance, np.random.default_rng(0))
+    return found, (*notes, *found.notes)
 
 
-def _lowest(shapes: tuple[Shape, ...]) -> float:
-    """The lowest point of what stands on the plate, plate included [m]."""
-    return min(float(bounds(shape)[0][2]) for shape in shapes if shape.body < 0)
+def _floor(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
+    """The lowest point of what stands on the plate, or the plate's plane [m].
+
+    None for a robot that hangs below it in the posture of zeros: that plane is no floor.
+    """
+    standing = (float(bounds(shape)[0][2]) for shape in shapes if shape.body < 0)
+    floor = min(standing, default=0.0)
+    origins = np.array([place for _, place in poses_at_zero(tree)])
+    reach = float(np.linalg.norm(origins, axis=1).max())
+    return None if origins[:, 2].min() < floor - HANGS * reach else floor

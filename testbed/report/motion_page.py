@@ -149,14 +149,22 @@ def _limit_figure(found: Excitation) -> dict[str, Any]:
         "The table holds what is proven, between the instants too.",
         "legend": {"external": "left"},
         "panels": panels,
-        "caption": f"{rules.margin:.0%} of each limit may be used; distances are of shapes that no "
-        f"joint joins, {1000 * rules.clearance:g} mm have to be kept.",
+        "caption": _allowed(found),
         "heads": ["limit on", "left", "at t [s]"],
         "rows": [
             [m.label, f"{1000 * m.left:.1f} mm" if m.unit else f"{m.left:.2%}", f"{m.instant:.3f}"]
             for m in sorted(found.design.proof.margins, key=lambda margin: margin.left)
         ],
     }
+
+
+def _allowed(found: Excitation) -> str:
+    rules = found.rules
+    said = f"{rules.margin:.0%} of each limit may be used."
+    if rules.collision is not None and rules.collision.pairs:
+        least = 1000 * float(rules.clearance.max())
+        said += f" Distances are of shapes that no joint joins; {least:g} mm have to be kept."
+    return " ".join([said, *rules.notes])
 
 
 def _left(title: str, times: Array, left: Array) -> Panel:

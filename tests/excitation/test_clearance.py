@@ -8,7 +8,7 @@ import pytest
 import testbed as tb
 from testbed.excitation.approach import levers
 from testbed.excitation.clearance import ClearanceTerm, DistanceMeter, watched
-from testbed.excitation.collision_model import CELL, STANDING, Obstacle, collision_model
+from testbed.excitation.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model
 from testbed.excitation.limits import limits_of
 from testbed.excitation.samples import Samples
 from testbed.robot.rotations import about
@@ -89,28 +89,47 @@ def test_no_distance_changes_faster_than_its_lever(seed: int) -> None:
 
 
 def test_what_stands_around_the_robot_is_watched_from_the_first_link_on(puma: tb.Tree) -> None:
-    """The first link touches the pedestal, and has to keep clear of the cell."""
+    """The first link touches the pedestal, stands on the floor, and has to keep clear of a box."""
     shapes = [ball(j, 0.05, np.zeros(3)) for j in range(-1, 3)]
     box = Obstacle(np.array([1.0, 0, 0]), np.array([0.1, 0.2, 0.3]))
     collision = collision_model(puma, shapes, [box], floor=-2.0)
-    assert (STANDING, 0) not in collision.pairs
-    assert {(CELL, 0), (CELL, 1), (CELL, 2), (STANDING, 1), (STANDING, 2), (0, 2)} == set(
-        collision.pairs
-    )
+    around = {(CELL, 0), (CELL, 1), (CELL, 2), (FLOOR, 1), (FLOOR, 2)}
+    assert {(STANDING, 1), (STANDING, 2), (0, 2), *around} == set(collision.pairs)
     found = DistanceMeter(collision, far=9.0).measure(np.zeros(3)).values
     at = dict(zip(collision.pairs, found, strict=True))
     height = puma.joints[0].offset[2]
     beside = np.array([0.9, 0.0, max(height - 0.3, 0.0)])
-    assert at[CELL, 0] == pytest.approx(min(height + 2, np.linalg.norm(beside)) - 0.05)
+    assert at[CELL, 0] == pytest.approx(np.linalg.norm(beside) - 0.05)
+    lowest = puma.joints[0].offset[2] + (puma.joints[0].rotation @ puma.joints[1].offset)[2]
+    assert at[FLOOR, 1] == pytest.approx(lowest + 2 - 0.05)
 
 
 def test_pairs_that_always_touch_are_left_out_and_named(puma: tb.Tree) -> None:
     shapes = [ball(0, 0.6, np.zeros(3)), ball(2, 0.9, np.zeros(3)), ball(1, 0.01, np.zeros(3))]
     collision = collision_model(puma, shapes)
-    kept, left = watched(collision, limits_of(puma), np.random.default_rng(0))
+    found = watched(collision, limits_of(puma), 0.02, np.random.default_rng(0))
     assert (0, 2) in collision.pairs
-    assert (0, 2) not in kept.pairs
-    assert left == ("'link3' to 'link1'",)
+    assert (0, 2) not in found.collision.pairs
+    assert found.notes == (
+        "'link3' to 'link1': their shapes touch in nearly every posture; not watched",
+    )
+
+
+def test_pairs_built_near_to_each_other_keep_half_of_what_they_have(puma: tb.Tree) -> None:
+    """Balls on the axes of two parallel joints: 12 mm apart in every posture."""
+    length = float(np.linalg.norm(puma.joints[2].offset))
+    shapes = [ball(2, 0.1, np.zeros(3)), ball(0, 0.0, np.zeros(3))]
+    apart = float(np.linalg.norm(puma.joints[1].offset + puma.joints[2].offset))
+    assert length > 0
+    shapes[1] = ball(0, 0.05, puma.joints[1].rotation.T @ puma.joints[1].offset)
+    collision = collision_model(puma, shapes)
+    far = DistanceMeter(collision, far=9.0).measure(np.zeros(3)).values[0]
+    clearance = 1.01 * far
+    found = watched(collision, limits_of(puma), clearance, np.random.default_rng(0))
+    usual = DistanceMeter(found.collision, far=9.0).measure(np.zeros(3)).values
+    np.testing.assert_allclose(found.clearance, usual / 2, rtol=0.2)
+    assert "half of that is kept" in found.notes[0]
+    assert apart > 0
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -119,11 +138,11 @@ def test_what_is_not_measured_again_would_not_have_mattered(seed: int) -> None:
     rng = np.random.default_rng(seed)
     tree = random_robot(rng, 5).tree()
     collision, limits = collision_model(tree, balls_on(tree, seed)), limits_of(tree)
-    old = ClearanceTerm(collision, limits, 0.05)
+    old = ClearanceTerm(collision, limits, np.full(len(collision.pairs), 0.05))
     q = rng.normal(size=(6, tree.n))
     for step in (0.0, 1e-3, 1e-2, 0.1, 1.0, 0.01):
         q = q + step * rng.normal(size=q.shape)
         here = Samples(q, q, q, {}, None)
-        fresh = ClearanceTerm(collision, limits, 0.05)
+        fresh = ClearanceTerm(collision, limits, np.full(len(collision.pairs), 0.05))
         np.testing.assert_array_equal(old.values(here), fresh.values(here))
         np.testing.assert_array_equal(old.slopes(here), fresh.slopes(here))

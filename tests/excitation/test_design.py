@@ -11,12 +11,12 @@ from scipy.optimize import minimize
 
 import testbed as tb
 from testbed.errors import InfeasibleMotion
+from testbed.excitation.barrier_search import minimise
 from testbed.excitation.clearance import watched
 from testbed.excitation.collision_model import collision_model
 from testbed.excitation.criteria import CRITERIA
 from testbed.excitation.design import Wish, _problem, _start, criterion, design
 from testbed.excitation.information import Instrument, information_of, relative_scale
-from testbed.excitation.interior_point import minimise
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
 from testbed.excitation.prediction import Pipeline, predict
@@ -53,11 +53,12 @@ def wish(
     terms: list[SmoothTerm] = [PlateTerm(plate, tb.pedestal_wrench(tree), 0.95)]
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, 0.95))
-    collision = None
+    collision, clearance = None, np.zeros(0)
     if clear:
         every = collision_model(tree, load_appearance(tree).shapes)
-        collision = watched(every, limits, np.random.default_rng(0))[0]
-    rules = Rules(tree, limits, 0.95, tuple(terms), collision, 0.02)
+        seen = watched(every, limits, 0.02, np.random.default_rng(0))
+        collision, clearance = seen.collision, seen.clearance
+    rules = Rules(tree, limits, 0.95, tuple(terms), collision, clearance)
     noise = np.full(tree.n, 0.5)
     information = information_of(tree, rows_of(name), instrument, PLATE, noise)
     return Wish(rules, information, rows_of(name), ((0.2, 4),), starts, np.inf, seed)
@@ -225,6 +226,6 @@ def test_bodies_keep_clear_in_a_design() -> None:
     found = design(asked)
     margins = [m for m in found.proof.margins if m.unit == "m"]
     assert all(m.holds for m in margins)
-    again = prove(found.motion, replace(asked.rules, clearance=1.0))
+    again = prove(found.motion, replace(asked.rules, clearance=asked.rules.clearance + 1))
     assert not again.holds
     assert _problem(asked, 0.2, 4).terms[-1].labels[0].startswith("clearance")

@@ -32,7 +32,7 @@ def wide(n: int) -> Limits:
 
 
 def rules(tree: tb.Tree, limits: Limits, margin: float = 1.0, **more: object) -> Rules:
-    plain = Rules(tree, limits, margin, (), None, 0.0)
+    plain = Rules(tree, limits, margin, (), None, np.zeros(0))
     return replace(plain, **more)  # type: ignore[arg-type]
 
 
@@ -132,7 +132,7 @@ def test_bodies_that_meet_between_samples_are_found() -> None:
         post = ball(-1, 0.05, away * np.array([np.cos(angle), np.sin(angle), 0]))
         tip = ball(1, 0.05, np.zeros(3))
         collision = collision_model(two, [post, tip])
-        found = prove(motion, rules(two, wide(2), collision=collision, clearance=0.01))
+        found = prove(motion, rules(two, wide(2), collision=collision, clearance=np.full(1, 0.01)))
         distances = [m for m in found.margins if m.unit == "m"]
         assert [m.holds for m in distances] == [holds]
         assert found.postures < 5000

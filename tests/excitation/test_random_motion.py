@@ -94,7 +94,7 @@ def test_amplitudes_fall_with_the_harmonic_and_offsets_stray() -> None:
 def test_the_best_of_a_few_is_the_best_of_them(puma: tb.Tree) -> None:
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
     limits = limits_of(puma)
-    free = Rules(puma, limits, 1.0, (), None, 0.0)
+    free = Rules(puma, limits, 1.0, (), None, np.zeros(0))
     motion, score = best_motion(free, minimal, PLATE, 0.1, 5, 8, np.random.default_rng(7))
     rng = np.random.default_rng(7)
     again = [random_motion(puma, limits, 0.1, 5, rng) for _ in range(8)]

@@ -13,11 +13,11 @@ from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.design import Design
 from testbed.excitation.proof import prove
 from testbed.excitation.rest_to_rest import Start
+from testbed.experiment.earlier_estimate import prior_covariance
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.motion_file import read_motion
 from testbed.experiment.motions import motion_of, rules_of
-from testbed.experiment.prior import prior_covariance
 from testbed.experiment.read_result import KeptResult
 from testbed.experiment.trajectory_file import rest_to_rest, write_trajectory
 from testbed.experiment.write_motion import write_motion

@@ -102,16 +102,11 @@ def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     if model is not None:
         drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
     shapes = drawn.shapes or tuple(sticks(tree))
-    return Appearance(tree, with_plate(tree, shapes), drawn.warnings)
+    return Appearance(tree, _with_plate(tree, shapes), drawn.warnings)
 
 
-def with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
-    """The shapes, and a plate under the robot where the model file draws none that wide.
-
-    Args:
-        tree: The robot.
-        shapes: On its bodies and on the bedplate.
-    """
+def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:
+    """The shapes, and a plate under the robot where the model file draws none that wide."""
     span = sum(float(np.linalg.norm(joint.offset)) for joint in tree.joints)
     half = max(0.3 * span / max(1, len(tree.children(-1))), 0.1)
     for shape in shapes:

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from testbed.arrays import Array
-from testbed.excitation.interior_point import Inside, Point, minimise
+from testbed.excitation.barrier_search import Inside, Point, minimise
 
 
 @dataclass
