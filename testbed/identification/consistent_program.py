@@ -1,0 +1,226 @@
+"""The program of physically consistent bodies: made, started inside, solved.
+
+Unknowns are scaled: a body's J is U Y U' with U a root of the prior's, so that Y is one at the
+prior for grams and for tonnes; a joint's term is counted in parts of a usual size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag, null_space
+
+from testbed.arrays import Array
+from testbed.errors import SettingsError
+from testbed.identification.conditions import Conditions
+from testbed.identification.conic import Cone, minimise
+from testbed.identification.evidence import Evidence
+from testbed.identification.log_det import Program, nearest
+from testbed.identification.wishes import Metric
+from testbed.parameters.joint_terms import JointTerm
+from testbed.parameters.prior import Prior
+from testbed.parameters.pseudo_inertia import (
+    coordinates,
+    matrices,
+    standard_of_coordinates,
+    upper_root,
+)
+from testbed.robot.friction import ROTOR
+from testbed.robot.tree import Tree
+
+ZERO = 1e-4
+"""Sigma of what was taken to be zero, in parts of the prior's bodies."""
+
+FINEST = 1e-7
+"""Sigmas below this part of a body are rounding."""
+
+ROOM = 1e-9
+"""Part of the prior by which some bodies must be able to obey all conditions."""
+
+EDGE = 1e-6
+"""Least eigenvalue of Y by the Frobenius metric."""
+
+PRICED = 1e-6
+"""Part of the highest price of a condition that counts, where no bodies obey all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scaled:
+    """Everything in scaled unknowns z: x = lead z.
+
+    Attributes:
+        prior: What the bodies are compared with.
+        lead: Of x, standard parameters and terms, (10 n + t, m).
+        data: The evidence's rows on z, (k, m), noise of sigma one.
+        right: What they are, (k,).
+        facts: Rows of what is known besides, noise of sigma one, (f, m).
+        fact_values: What they are, (f,).
+        own: Whether the file states each term, (t,): it is then drawn to it.
+        conditions: As they are on z, each of norm one.
+    """
+
+    prior: Prior
+    lead: Array
+    data: Array
+    right: Array
+    facts: Array
+    fact_values: Array
+    own: Array
+    conditions: Conditions
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies with matter."""
+        return len(self.prior.massive)
+
+    def program(self, weight: float) -> Program:
+        """What is to be minimised.
+
+        Args:
+            weight: Of the distance to the prior.
+        """
+        exact, bounds = self.conditions.exact, self.conditions.bounds
+        free = null_space(exact.rows) if exact.names else np.eye(self.lead.shape[1])
+        return Program(
+            self.bodies,
+            np.vstack([self.data, self.facts]),
+            np.concatenate([self.right, self.fact_values]),
+            weight,
+            weight * self.own,
+            free,
+            bounds.rows,
+            bounds.values,
+        )
+
+
+def scaled(
+    tree: Tree,
+    prior: Prior,
+    told: Sequence[Evidence],
+    asked: Conditions,
+    terms: tuple[JointTerm, ...],
+) -> Scaled:
+    """The problem in numbers near one.
+
+    Args:
+        tree: The robot.
+        prior: Its bodies before the data.
+        told: What estimates say.
+        asked: Conditions on x.
+        terms: Of the joints' torque, in the order of x.
+    """
+    count, known = len(prior.massive), np.zeros(len(terms))
+    bodies = prior.standard[list(prior.massive)]
+    roots = np.array([upper_root(each) for each in matrices(bodies)]).reshape(count, 4, 4)
+    sizes = np.zeros(len(terms))
+    for k, term in enumerate(terms):
+        known[k] = prior.rotors[term.joint] if term.law == ROTOR else 0.0
+        column = np.concatenate([each.white @ each.rows[:, 10 * tree.n + k] for each in told])
+        steep = float(np.linalg.norm(column))
+        sizes[k] = known[k] or _usual(tree, prior, term) or (1 / steep if steep else 1.0)
+    lead = np.zeros((10 * tree.n + len(terms), 10 * count + len(terms)))
+    for k, (body, own) in enumerate(zip(prior.massive, standard_of_coordinates(roots), strict=True)):
+        lead[10 * body : 10 * body + 10, 10 * k : 10 * k + 10] = own
+    lead[10 * tree.n :, 10 * count :] = np.diag(sizes)
+    on_z = np.vstack([each.white @ each.rows @ lead for each in told])
+    data, right = _blunted(on_z, np.concatenate([e.white @ e.estimate.values for e in told]))
+    doubtful = asked.doubtful
+    facts = [doubtful.rows @ lead / doubtful.sigma[:, None]]
+    facts += [_unit(each.zero @ lead)[0] / ZERO for each in told]
+    values = np.concatenate([doubtful.values / doubtful.sigma, np.zeros(sum(map(len, facts[1:])))])
+    rows, size = _unit(asked.rows @ lead)
+    on = Conditions(asked.names, rows, asked.values / size, asked.sigma / size, asked.least)
+    return Scaled(prior, lead, data, right, np.vstack(facts), values, 1.0 * (known > 0), on)
+
+
+def solve(problem: Scaled, metric: Metric, weight: float) -> Array:
+    """The unknowns z.
+
+    Args:
+        problem: In numbers near one.
+        metric: Of the distance to the prior.
+        weight: Of that distance.
+
+    Raises:
+        SettingsError: No bodies obey all conditions; names those that contradict each other.
+    """
+    program = problem.program(weight)
+    start = _inside(problem)
+    return nearest(program, start) if metric == "log-det" else _by_frobenius(problem, program)
+
+
+def _usual(tree: Tree, prior: Prior, term: JointTerm) -> float:
+    """Size of a rotor of which the file says nothing: of the body's own inertia."""
+    if term.law != ROTOR or term.joint not in prior.massive:
+        return 0.0
+    axis, body = tree.joints[term.joint].axis, matrices(prior.standard[term.joint])
+    second = body[:3, :3]
+    turning = float(np.trace(second) - axis @ second @ axis)
+    return turning if tree.joints[term.joint].revolute else float(body[3, 3])
+
+
+def _unit(rows: Array) -> tuple[Array, Array]:
+    """Rows of norm one, and their norms, (k,)."""
+    size = np.linalg.norm(rows, axis=1)
+    size = np.where(size > 0, size, 1.0)
+    return rows / size[:, None], size
+
+
+def _blunted(rows: Array, right: Array) -> tuple[Array, Array]:
+    """The same rows in independent directions, none finer than FINEST."""
+    left, size, across = np.linalg.svd(rows, full_matrices=False)
+    kept = np.minimum(size, 1 / FINEST)
+    part = np.divide(kept, size, out=np.zeros_like(size), where=size > 0)
+    return kept[:, None] * across, part * (left.T @ right)
+
+
+def _inside(problem: Scaled) -> Array:
+    """Unknowns that obey all conditions with room, (m,): the prior, or else others."""
+    asked, m = problem.conditions, problem.lead.shape[1]
+    one = np.ones(m)
+    one[: 10 * problem.bodies] = np.tile(coordinates(np.eye(4)), problem.bodies)
+    exact, bounds = asked.exact, asked.bounds
+    kept = not exact.names or np.abs(exact.rows @ one - exact.values).max() <= ROOM
+    if kept and (bounds.rows @ one - bounds.values > ROOM).all():
+        return one
+    # unknowns: z and the room that all conditions leave
+    room = np.zeros((10 * problem.bodies, 1))
+    room[:, 0] = one[: 10 * problem.bodies]
+    bodies = np.eye(10 * problem.bodies, m)
+    cones = [
+        Cone("zero", np.pad(exact.rows, ((0, 0), (0, 1))), exact.values),
+        Cone("positive", np.hstack([-bounds.rows, np.ones((len(bounds.names), 1))]), -bounds.values),
+        Cone("matrices", np.hstack([-bodies, room]), np.zeros(len(bodies))),
+        Cone("positive", np.eye(1, m + 1, m), np.array([0.5])),
+    ]
+    found = minimise(-np.eye(1, m + 1, m)[0], cones)
+    if not found.solved or found.x[-1] <= ROOM:
+        prices = np.abs(np.concatenate(found.prices[:2]))
+        names = np.array([*exact.names, *bounds.names])[prices > PRICED * prices.max(initial=0.0)]
+        raise SettingsError(f"no bodies obey all that is asked: {'; '.join(dict.fromkeys(names))}")
+    z = found.x[:-1]
+    return z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
+
+
+def _by_frobenius(problem: Scaled, program: Program) -> Array:
+    """The unknowns whose Y are nearest to one in the sum of squares."""
+    bodies = 10 * problem.bodies
+    exact, bounds = problem.conditions.exact, problem.conditions.bounds
+    one = np.tile(coordinates(np.eye(4)), problem.bodies)
+    prior = np.concatenate([np.full(bodies, program.weight), program.pull])
+    at = np.concatenate([one, np.ones(len(program.pull))])
+    size = max(1.0, float(np.abs(program.square).max()))
+    cones = [
+        Cone("zero", exact.rows, exact.values),
+        Cone("positive", -bounds.rows, -bounds.values),
+        Cone("matrices", -np.eye(bodies, len(at)), -EDGE * one),
+    ]
+    costs = -(program.rows.T @ program.right + prior * at)
+    found = minimise(costs / size, cones, (program.square + np.diag(prior)) / size)
+    if not found.solved:
+        raise SettingsError(
+            "the program by the Frobenius metric found no end; log-det has no such trouble"
+        )
+    return found.x

@@ -1,0 +1,79 @@
+"""Where data contradict what any bodies, friction and rotors can be."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.estimate import Estimate
+from testbed.identification.finding import few
+from testbed.identification.rigid_bodies import possibility
+from testbed.robot.friction import LAWS, ROTOR
+from testbed.robot.tree import Tree
+
+SURE = 3.0
+"""Sigmas beyond which data and physics contradict each other."""
+
+
+class _Bent(Protocol):
+    @property
+    def distance(self) -> float: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def sigmas(self) -> Array: ...
+
+
+def warnings_of(
+    tree: Tree, estimates: Sequence[Estimate], bent: Iterable[_Bent]
+) -> Iterator[str]:
+    """What a careful reader of consistent bodies should know, a line each.
+
+    Args:
+        tree: The robot.
+        estimates: That they were made of.
+        bent: How far each had to give way.
+    """
+    for estimate, moved in zip(estimates, bent, strict=True):
+        yield from _against_physics(estimate, moved)
+        yield from _negative(estimate)
+    yield from _without_place(tree, estimates)
+
+
+def _against_physics(estimate: Estimate, moved: _Bent) -> Iterator[str]:
+    """An estimate that no bodies come near; where consistent ones do, none is asked for."""
+    if moved.distance < SURE:
+        return
+    found = possibility(estimate, SURE, 0.0)
+    if not found.impossible:
+        return
+    worst = np.argsort(-np.abs(moved.sigmas))[:3]
+    names = ", ".join(f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst)
+    yield (
+        f"the {estimate.method} estimate contradicts physics: any bodies are at least "
+        f"{found.distance:.3g} of its sigmas away (noise reaches {found.limit:.3g}); moved most "
+        f"are {names}: a wrong sign, frame or unit of a channel, or an effect that no term holds"
+    )
+
+
+def _negative(estimate: Estimate) -> Iterator[str]:
+    """Friction and rotors that are surely below zero."""
+    for term in estimate.joint_terms:
+        known = term.law.resists or term.law == ROTOR
+        if known and term.value < -SURE * term.sigma:
+            yield (
+                f"the {estimate.method} estimate contradicts physics: {term.name} is "
+                f"{term.value:.4g} +- {term.sigma:.2g} {term.unit}, which cannot be negative: a "
+                "wrong sign of the joint's torque or encoder is likely"
+            )
+
+
+def _without_place(tree: Tree, estimates: Sequence[Estimate]) -> Iterator[str]:
+    """Terms that model files have no place for."""
+    terms = [t for each in estimates for t in each.joint_terms]
+    lost = [t.name for t in terms if t.law not in LAWS or t.law.parameter is None]
+    if lost:
+        yield f"model files have no place for {few(lost)}: a written file predicts without them"

@@ -1,0 +1,97 @@
+"""What estimates say of standard parameters: rows of which noise has a sigma of one.
+
+Minimal parameters are linear in the standard ones and in the joints' own terms. What was taken
+to be zero for an estimate is a statement as well, as far as the measured forces tell it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import null_space
+
+from testbed.arrays import Array
+from testbed.identification.estimate import Estimate
+from testbed.identification.noise.scaled import inverse_root
+from testbed.parameters.barycentric import on_standard
+from testbed.parameters.joint_terms import JointTerm, with_joint_terms
+from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What one estimate says of x: standard parameters body by body, then the joints' terms.
+
+    Attributes:
+        estimate: The estimate.
+        rows: Its parameters as forms of x, (p, m).
+        white: What makes errors of its parameters numbers of sigma one, (p, p).
+        zero: Forms of x that were taken to be zero, (k, m).
+    """
+
+    estimate: Estimate
+    rows: Array
+    white: Array
+    zero: Array
+
+    def left(self, x: Array) -> Array:
+        """How far the estimate is from what x says, in independent sigmas, (p,)."""
+        return np.asarray(self.white @ (self.rows @ x - self.estimate.values))
+
+
+def terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:
+    """Terms of the joints' torque that estimates know of.
+
+    Args:
+        estimates: Of one robot.
+    """
+    asked = (t for e in estimates if e.drives is not None for t in e.drives.asked)
+    return tuple(dict.fromkeys(asked))
+
+
+def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Evidence:
+    """What an estimate says.
+
+    Args:
+        tree: The robot; its inertias do not matter.
+        estimate: Of either method.
+        terms: Those that x holds.
+    """
+    own, zero = _on_barycentric(tree, estimate)
+    drives = estimate.drives
+    asked = () if drives is None else drives.asked
+    place = [10 * tree.n + terms.index(term) for term in asked]
+
+    def on_x(rows: Array) -> Array:
+        found = np.zeros((len(rows), 10 * tree.n + len(terms)))
+        found[:, : 10 * tree.n] = on_standard(tree, rows[:, : 10 * tree.n])
+        found[:, place] = rows[:, 10 * tree.n :]
+        return found
+
+    return Evidence(estimate, on_x(own), inverse_root(estimate.covariance).T, on_x(zero))
+
+
+def _on_barycentric(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
+    """An estimate's parameters, and what it takes to be zero, on barycentric ones and terms.
+
+    With known zeros, minimal parameters stand for fewer barycentric ones than forces tell. What
+    forces tell without them is a multiple of those, and across that nothing.
+    """
+    minimal, drives = estimate.minimal, estimate.drives
+    own = minimal.matrix if drives is None else drives.matrix
+    if not minimal.known_zero.any():
+        return own, np.zeros((0, own.shape[1]))
+    whole = minimal_set(tree, minimal.model, minimal.gravity, tared=minimal.tared)
+    told = whole.matrix
+    if drives is not None:
+        laws = tuple(dict.fromkeys(term.law for term in drives.asked))
+        told = with_joint_terms(tree, whole, laws).matrix
+    size = np.linalg.norm(told, axis=1, keepdims=True)
+    told = told / size
+    kept = np.array(told)
+    kept[:, : minimal.known_zero.size][:, minimal.known_zero.ravel()] = 0.0
+    link = kept @ np.linalg.pinv(own)
+    return np.linalg.pinv(link) @ told, null_space(link.T).T @ told

@@ -1,0 +1,154 @@
+"""Newton's method for bodies that are near a prior's by the log-determinant divergence.
+
+    |B z - b|^2 / 2 + w sum over bodies (tr Y - log det Y) + penalties of the joints' terms
+
+over y with z = z0 + N y, Y the matrices whose coordinates z holds. Smooth and convex, and the
+divergence is its own barrier: Y stays positive definite. Bounds rows z >= least have a
+logarithmic barrier besides, which fades.
+
+Source    [LWP20] for the divergence; Newton with line search as in S. Boyd and L. Vandenberghe,
+          Convex optimization (2004), sections 9.5 and 11.3
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import linalg
+
+from testbed.arrays import Array
+from testbed.parameters.pseudo_inertia import OF_COORDINATES, coordinates, of_coordinates
+
+DONE = 1e-12
+"""Newton's decrement, squared, of the last step."""
+
+STEPS = 200
+"""Most steps; self-concordance needs a few dozen."""
+
+FADED = 1e-9
+"""The last weight of the bounds' barrier."""
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What is to be minimised, in coordinates near one.
+
+    Attributes:
+        bodies: z begins with ten coordinates of so many Y.
+        rows: B, (k, m).
+        right: b, (k,).
+        weight: w, of each body's divergence.
+        pull: Weight of (z - 1)^2 / 2, of the joints' terms, (m - 10 bodies,).
+        free: N, (m, k): what exact conditions leave free.
+        bound_rows: (c, m).
+        bounds: (c,).
+    """
+
+    bodies: int
+    rows: Array
+    right: Array
+    weight: float
+    pull: Array
+    free: Array
+    bound_rows: Array
+    bounds: Array
+
+    @cached_property
+    def square(self) -> Array:
+        """B' B, (m, m)."""
+        return np.asarray(self.rows.T @ self.rows)
+
+    def matrices(self, z: Array) -> Array:
+        """Y, (bodies, 4, 4)."""
+        return of_coordinates(z[: 10 * self.bodies].reshape(-1, 10))
+
+    def prior_hessian(self, z: Array) -> Array:
+        """Of divergence and penalties at z, (m, m)."""
+        found = np.zeros((len(z), len(z)))
+        inverse = np.linalg.inv(self.matrices(z))
+        turned = np.einsum("nab,kbc,ncd->nkad", inverse, OF_COORDINATES, inverse)
+        for body, block in enumerate(self.weight * coordinates(turned)):
+            at = slice(10 * body, 10 * body + 10)
+            found[at, at] = block
+        rest = np.arange(10 * self.bodies, len(z))
+        found[rest, rest] = self.pull
+        return found
+
+    def _prior_slope(self, z: Array) -> Array:
+        rest = 10 * self.bodies
+        slope = np.empty_like(z)
+        gap = np.eye(4) - np.linalg.inv(self.matrices(z))
+        slope[:rest] = self.weight * coordinates(gap).ravel()
+        slope[rest:] = self.pull * (z[rest:] - 1)
+        return slope
+
+    def _value(self, z: Array, barrier: float) -> float:
+        """Infinite where z is not inside."""
+        slack = self.bound_rows @ z - self.bounds
+        if (slack <= 0).any():
+            return np.inf
+        try:
+            roots = np.linalg.cholesky(self.matrices(z))
+        except np.linalg.LinAlgError:
+            return np.inf
+        rest = 10 * self.bodies
+        spread = (roots**2).sum() - 2 * np.log(np.einsum("nkk->nk", roots)).sum()
+        terms = (self.pull * (z[rest:] - 1) ** 2).sum() / 2
+        fit = ((self.rows @ z - self.right) ** 2).sum() / 2
+        return float(fit + self.weight * spread + terms - barrier * np.log(slack).sum())
+
+    def step(self, z: Array, barrier: float) -> tuple[Array, float]:
+        """Newton's step, (m,), and its decrement squared."""
+        slack = self.bound_rows @ z - self.bounds
+        scaled = self.bound_rows / slack[:, None]
+        slope = self.rows.T @ (self.rows @ z - self.right) + self._prior_slope(z)
+        slope -= barrier * scaled.sum(axis=0)
+        hessian = self.square + self.prior_hessian(z) + barrier * scaled.T @ scaled
+        inner = self.free.T @ hessian @ self.free
+        across = self.free.T @ slope
+        size = 1 / np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+        factor = linalg.cho_factor(inner * np.outer(size, size) + 1e-15 * np.eye(len(size)))
+        move = -size * linalg.cho_solve(factor, size * across)
+        return self.free @ move, float(-across @ move)
+
+    def along(self, z: Array, move: Array, gain: float, barrier: float) -> Array | None:
+        """The point a line search finds; None where no step gains any more."""
+        here, length = self._value(z, barrier), 1.0
+        while length > 1e-10:
+            there = z + length * move
+            if self._value(there, barrier) <= here - 0.01 * length * gain:
+                return there
+            length /= 2
+        return None
+
+
+def nearest(program: Program, start: Array) -> Array:
+    """Where the program is least, (m,).
+
+    Args:
+        program: What is to be minimised.
+        start: Inside: all Y positive definite, bounds and exact conditions obeyed, (m,).
+    """
+    z = start
+    for barrier in _barriers(len(program.bounds)):
+        for _ in range(STEPS):
+            move, gain = program.step(z, barrier)
+            if gain <= DONE:
+                break
+            there = program.along(z, move, gain, barrier)
+            if there is None:  # rounding is all that is left
+                break
+            z = there
+    return z
+
+
+def _barriers(count: int) -> Iterator[float]:
+    """Weights of the bounds' barrier, one after the other."""
+    weight = 1.0
+    while count and weight > FADED:
+        yield weight
+        weight /= 20
+    yield FADED
