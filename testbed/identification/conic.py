@@ -43,6 +43,7 @@ class Solution:
     Attributes:
         solved: Whether there is one.
         x: Where, (m,).
+        value: There.
         bound: A value that no other point goes below: of the dual program.
         prices: How much the value gains when a row's right side does, or, where there is no
             solution, the combination of rows that proves it, cone by cone.
@@ -50,6 +51,7 @@ class Solution:
 
     solved: bool
     x: Array
+    value: float
     bound: float
     prices: tuple[Array, ...]
 
@@ -77,7 +79,7 @@ def minimise(costs: Array, cones: Sequence[Cone], quadratic: Array | None = None
     ends = np.cumsum([len(cone.right) for cone in cones])[:-1]
     solved = str(found.status) in ("Solved", "AlmostSolved")
     prices = tuple(np.split(np.array(found.z), ends))
-    return Solution(solved, np.array(found.x), float(found.obj_val_dual), prices)
+    return Solution(solved, np.array(found.x), float(found.obj_val), float(found.obj_val_dual), prices)
 
 
 def _parts(cone: Cone) -> list[object]:

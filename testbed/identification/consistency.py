@@ -99,6 +99,7 @@ class Consistent:
             its own, (n, 4); zero for bodies without matter.
         margin: Least eigenvalue of every J beside the prior's, (n,): 1 for the prior itself.
         binding: Conditions at their limits, in words.
+        unsettled: Sigmas that the program could still gain: far below one where it has ended.
         prior_error: That was used, in parts of the prior's bodies.
         tried: By prior error, rms of what was foretold wrongly of held-out data, in sigmas of
             its noise; {} where it was given.
@@ -118,6 +119,7 @@ class Consistent:
     eigenvalues: Array
     margin: Array
     binding: tuple[str, ...]
+    unsettled: float
     prior_error: float
     tried: Mapping[float, float]
     warnings: tuple[str, ...]
@@ -163,7 +165,7 @@ def consistent(
     asked = conditions(tree, prior, wishes, terms)
     problem = scaled(blind, prior, told, asked, terms)
     weight = 1 / error**2
-    z = solve(problem, wishes.metric, weight)
+    z, left = solve(problem, wishes.metric, weight)
     x = problem.lead @ z
     bodies = x[: 10 * tree.n].reshape(-1, 10)
     spread, shares = _doubt(problem, z, weight)
@@ -185,9 +187,10 @@ def consistent(
         eigenvalues=eigenvalues,
         margin=margin,
         binding=(*(f"'{name}' a possible body" for name in edge), *_at_limits(problem, z)),
+        unsettled=left,
         prior_error=error,
         tried=tried or {},
-        warnings=(*prior.warnings, *warnings_of(tree, estimates, bent)),
+        warnings=(*prior.warnings, *warnings_of(estimates, bent, left)),
     )
 
 

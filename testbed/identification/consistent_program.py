@@ -135,8 +135,8 @@ def scaled(
     return Scaled(prior, lead, data, right, np.vstack(facts), values, 1.0 * (known > 0), on)
 
 
-def solve(problem: Scaled, metric: Metric, weight: float) -> Array:
-    """The unknowns z.
+def solve(problem: Scaled, metric: Metric, weight: float) -> tuple[Array, float]:
+    """The unknowns z, (m,), and how many sigmas are left to be gained there.
 
     Args:
         problem: In numbers near one.
@@ -204,7 +204,7 @@ def _inside(problem: Scaled) -> Array:
     return z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
 
 
-def _by_frobenius(problem: Scaled, program: Program) -> Array:
+def _by_frobenius(problem: Scaled, program: Program) -> tuple[Array, float]:
     """The unknowns whose Y are nearest to one in the sum of squares."""
     bodies = 10 * problem.bodies
     exact, bounds = problem.conditions.exact, problem.conditions.bounds
@@ -223,4 +223,4 @@ def _by_frobenius(problem: Scaled, program: Program) -> Array:
         raise SettingsError(
             "the program by the Frobenius metric found no end; log-det has no such trouble"
         )
-    return found.x
+    return found.x, float(np.sqrt(max(2 * size * (found.value - found.bound), 0.0)))

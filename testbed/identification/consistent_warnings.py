@@ -12,10 +12,13 @@ from testbed.identification.estimate import Estimate
 from testbed.identification.finding import few
 from testbed.identification.rigid_bodies import possibility
 from testbed.robot.friction import LAWS, ROTOR
-from testbed.robot.tree import Tree
 
 SURE = 3.0
 """Sigmas beyond which data and physics contradict each other."""
+
+
+SETTLED = 0.1
+"""Sigmas that a program may leave open."""
 
 
 class _Bent(Protocol):
@@ -28,19 +31,21 @@ class _Bent(Protocol):
 
 
 def warnings_of(
-    tree: Tree, estimates: Sequence[Estimate], bent: Iterable[_Bent]
+    estimates: Sequence[Estimate], bent: Iterable[_Bent], unsettled: float
 ) -> Iterator[str]:
     """What a careful reader of consistent bodies should know, a line each.
 
     Args:
-        tree: The robot.
         estimates: That they were made of.
         bent: How far each had to give way.
+        unsettled: Sigmas that the program could still gain.
     """
+    if not unsettled < SETTLED:
+        yield f"the program of consistent bodies has not ended: {unsettled:.2g} sigma are open"
     for estimate, moved in zip(estimates, bent, strict=True):
         yield from _against_physics(estimate, moved)
         yield from _negative(estimate)
-    yield from _without_place(tree, estimates)
+    yield from _without_place(estimates)
 
 
 def _against_physics(estimate: Estimate, moved: _Bent) -> Iterator[str]:
@@ -71,7 +76,7 @@ def _negative(estimate: Estimate) -> Iterator[str]:
             )
 
 
-def _without_place(tree: Tree, estimates: Sequence[Estimate]) -> Iterator[str]:
+def _without_place(estimates: Sequence[Estimate]) -> Iterator[str]:
     """Terms that model files have no place for."""
     terms = [t for each in estimates for t in each.joint_terms]
     lost = [t.name for t in terms if t.law not in LAWS or t.law.parameter is None]

@@ -13,7 +13,7 @@ Source    [LWP20] for the divergence; Newton with line search as in S. Boyd and 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -25,8 +25,14 @@ from testbed.parameters.pseudo_inertia import OF_COORDINATES, coordinates, of_co
 DONE = 1e-12
 """Newton's decrement, squared, of the last step."""
 
-STEPS = 200
-"""Most steps; self-concordance needs a few dozen."""
+ROUGH = 0.05
+"""The same of steps on the way, in parts of the weight."""
+
+STEPS = 100
+"""Most steps with one weight; a dozen is much."""
+
+FALL = 10.0
+"""By which weights fall."""
 
 FADED = 1e-9
 """The last weight of the bounds' barrier."""
@@ -125,30 +131,40 @@ class Program:
         return None
 
 
-def nearest(program: Program, start: Array) -> Array:
-    """Where the program is least, (m,).
+def nearest(program: Program, start: Array) -> tuple[Array, float]:
+    """Where the program is least, (m,), and how many sigmas are left to be gained there.
+
+    Data alone would throw the bodies at once to the edge of what can be, along which Newton's
+    steps are short. So the prior has a large weight first, which then falls to its own.
 
     Args:
         program: What is to be minimised.
         start: Inside: all Y positive definite, bounds and exact conditions obeyed, (m,).
     """
-    z = start
-    for barrier in _barriers(len(program.bounds)):
+    z, gain = start, np.inf
+    for weight, barrier in _stages(program, start):
+        stage = replace(program, weight=weight, pull=program.pull * weight / program.weight)
+        last = weight == program.weight and barrier == FADED
+        enough = DONE if last else ROUGH * max(barrier, FADED)
         for _ in range(STEPS):
-            move, gain = program.step(z, barrier)
-            if gain <= DONE:
+            move, gain = stage.step(z, barrier)
+            if gain <= enough:
                 break
-            there = program.along(z, move, gain, barrier)
+            there = stage.along(z, move, gain, barrier)
             if there is None:  # rounding is all that is left
                 break
             z = there
-    return z
+    return z, float(np.sqrt(max(gain, 0.0)))
 
 
-def _barriers(count: int) -> Iterator[float]:
-    """Weights of the bounds' barrier, one after the other."""
-    weight = 1.0
-    while count and weight > FADED:
-        yield weight
-        weight /= 20
-    yield FADED
+def _stages(program: Program, start: Array) -> Iterator[tuple[float, float]]:
+    """Weights of the prior and of the bounds' barrier, one pair after the other."""
+    weight = max(program.weight, program.step(start, program.weight)[1] / 10)
+    while weight > program.weight:
+        yield weight, weight
+        weight = max(weight / FALL, program.weight)
+    barrier = program.weight
+    while len(program.bounds) and barrier > FADED:
+        yield program.weight, barrier
+        barrier /= FALL
+    yield program.weight, FADED
