@@ -35,7 +35,7 @@ class Wishes:
     """How far bodies are from the model file's: "log-det" keeps them away from what no body can
     be, "frobenius" lets them come as near as the data push them."""
 
-    prior_error: float | Literal["chosen"] = 0.3
+    prior_error: float | Literal["chosen"] = 0.5
     """How wrong the model file's bodies are taken to be, in parts of themselves; "chosen" takes
     what foretells best the half of the recording that was held out."""
 

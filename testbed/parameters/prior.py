@@ -17,7 +17,7 @@ from testbed.parameters.barycentric import standard
 from testbed.parameters.pseudo_inertia import matrices, nearest_definite, parameters
 from testbed.robot.tree import Tree
 
-THINNEST = 1e-3
+THINNEST = 1e-2
 """Share of a body's greatest principal second moment that its others have at least."""
 
 ROUNDING = 1e-9

@@ -1,0 +1,152 @@
+"""Links of a model file in the bodies of a tree, and what each gets of a body's matter.
+
+A tree's body is all that moves together: a link, what is fixed to it, and what hangs on joints
+that are held. Its matter goes to the link that carries the others, or to all in proportion; links
+on held joints keep their proportion, because in the file they move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.robot.inertia import NOTHING, Inertia
+
+Fixed = Literal["lump", "share"]
+
+THIN = 1e-9
+"""Least part of a body's matter in any direction that can be shared out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link of a model file.
+
+    Attributes:
+        name: In the file.
+        body: Index of the tree's body that it is part of, -1 for the pedestal.
+        moves: Whether a joint carries it that the file lets move, held or not.
+        rotation: From the link's frame to the body's, (3, 3).
+        position: Of the link's origin in the body's frame, (3,) [m].
+        inertia: As the file has it, about and along the link's frame.
+    """
+
+    name: str
+    body: int
+    moves: bool
+    rotation: Array
+    position: Array
+    inertia: Inertia
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
+        object.__setattr__(self, "position", readonly(self.position, (3,), "position"))
+
+    @property
+    def in_body(self) -> Inertia:
+        """Its inertia about and along the body's frame."""
+        return self.inertia.moved(self.rotation, self.position)
+
+    def seen_from(self, inertia: Inertia) -> Inertia:
+        """An inertia about the body's frame, about and along the link's.
+
+        Args:
+            inertia: Of anything.
+        """
+        return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
+
+
+def shared_out(
+    links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
+) -> tuple[dict[str, Inertia], tuple[str, ...]]:
+    """What each link gets.
+
+    Args:
+        links: All, carriers before what they carry.
+        bodies: New inertias of some of the tree's bodies, by index.
+        fixed: "lump" gives all of what is fixed together to the link that carries the rest;
+            "share" gives to every link in proportion to what it had.
+
+    Returns:
+        Inertias by link, about and along its frame; and a line for what could not be shared.
+    """
+    found: dict[str, Inertia] = {}
+    notes: list[str] = []
+    for body, whole in bodies.items():
+        own = [link for link in links if link.body == body]
+        groups = [own] if fixed == "share" else _rigid(own)
+        if len(own) > 1 and (fixed == "share" or len(groups) > 1):
+            parts = _in_proportion(own, whole)
+            if parts is None:
+                notes.append(
+                    f"all of '{own[0].name}' and what is held with it is given to that link: the "
+                    "file's bodies are no measure"
+                )
+                groups = [own]
+        else:
+            parts = None
+        for group in groups:
+            if parts is not None and fixed == "share":
+                found |= {link.name: link.seen_from(parts[link.name]) for link in group}
+                continue
+            lump = whole if parts is None else _sum(parts[link.name] for link in group)
+            found |= {link.name: NOTHING for link in group}
+            found[group[0].name] = group[0].seen_from(lump)
+    return found, tuple(notes)
+
+
+def _rigid(own: Sequence[Link]) -> list[list[Link]]:
+    """Links that are fixed to each other in the file, the carrying one first."""
+    groups: list[list[Link]] = []
+    for link in own:
+        if link.moves or not groups:
+            groups.append([])
+        groups[-1].append(link)
+    return groups
+
+
+def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
+    """Parts that make up a body, by link, about the body's frame; None where there is no measure.
+
+    One affine map and one factor take the file's matter to the new one: all parts go along, and
+    each stays such as a body can have.
+    """
+    before = _matter(_sum(link.in_body for link in own))
+    scale = np.sqrt(np.abs(np.diagonal(before)))
+    if not (scale > 0).all():
+        return None
+    if np.linalg.eigvalsh(before / np.outer(scale, scale))[0] < THIN:
+        return None
+    change = _root(_matter(whole)) @ np.linalg.inv(_root(before))
+    parts = {link.name: change @ _matter(link.in_body) @ change.T for link in own}
+    return {name: _inertia(part) for name, part in parts.items()}
+
+
+def _root(matter: Array) -> Array:
+    """U with U U' the matrix, upper triangular: an affine map, and a root of the mass."""
+    return np.asarray(np.linalg.cholesky(matter[::-1, ::-1])[::-1, ::-1])
+
+
+def _matter(inertia: Inertia) -> Array:
+    """Second moments, first moments and mass as one matrix, (4, 4)."""
+    found = np.empty((4, 4))
+    found[:3, :3] = np.trace(inertia.tensor) / 2 * np.eye(3) - inertia.tensor
+    found[:3, 3] = found[3, :3] = inertia.first_moment
+    found[3, 3] = inertia.mass
+    return found
+
+
+def _inertia(matter: Array) -> Inertia:
+    second = matter[:3, :3]
+    return Inertia(matter[3, 3], matter[:3, 3], np.trace(second) * np.eye(3) - second)
+
+
+def _sum(parts: Iterable[Inertia]) -> Inertia:
+    total = NOTHING
+    for part in parts:
+        total = total + part
+    return total
