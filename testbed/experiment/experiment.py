@@ -25,6 +25,7 @@ from testbed.experiment.experiment_tables import (
 )
 from testbed.experiment.toml_text import checked, complaints, override, read_toml
 from testbed.identification.settings import Settings
+from testbed.identification.wishes import Wishes
 from testbed.instruments.chain import Instrument
 
 
@@ -35,6 +36,8 @@ class RecordingTables(Table):
     """How the model file is read."""
     identification: Settings = Settings()
     """How the estimates are made."""
+    consistent: Wishes = Wishes()
+    """What is asked of physically consistent bodies."""
 
     @staticmethod
     def of(settings: Iterable[str]) -> RecordingTables:

@@ -6,14 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.wishes import MASS, Wishes
 from testbed.parameters.barycentric import STANDARD
-from testbed.parameters.joint_terms import JointTerm
 from testbed.parameters.prior import Prior
-from testbed.robot.friction import ROTOR
+from testbed.robot.friction import ROTOR, JointTerm
 from testbed.robot.tree import Tree
 
 SIDES = ("least", "greatest")
@@ -37,7 +37,7 @@ class Conditions:
     sigma: Array
     least: Array
 
-    def where(self, kind: Array) -> Conditions:
+    def where(self, kind: NDArray[np.bool_]) -> Conditions:
         """Some of them.
 
         Args:

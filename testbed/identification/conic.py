@@ -79,7 +79,9 @@ def minimise(costs: Array, cones: Sequence[Cone], quadratic: Array | None = None
     ends = np.cumsum([len(cone.right) for cone in cones])[:-1]
     solved = str(found.status) in ("Solved", "AlmostSolved")
     prices = tuple(np.split(np.array(found.z), ends))
-    return Solution(solved, np.array(found.x), float(found.obj_val), float(found.obj_val_dual), prices)
+    return Solution(
+        solved, np.array(found.x), float(found.obj_val), float(found.obj_val_dual), prices
+    )
 
 
 def _parts(cone: Cone) -> list[object]:

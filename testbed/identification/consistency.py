@@ -23,14 +23,16 @@ from testbed.identification.evidence import Evidence, evidence, terms_of
 from testbed.identification.stated import Stated
 from testbed.identification.wishes import Wishes
 from testbed.parameters.barycentric import with_standard
-from testbed.parameters.joint_terms import JointTerm
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import matrices
-from testbed.robot.friction import LAWS
+from testbed.robot.friction import LAWS, JointTerm
 from testbed.robot.tree import Tree
 
 CLOSE = 1e-6
 """A condition that is obeyed with less than this part of the prior's size binds."""
+
+FAINT = 1e-12
+"""Weight of terms that no file states, so that their variance before the data has a number."""
 
 THIN = 1e-2
 """Parts of the prior's body below which a body is at the edge of what can be."""
@@ -138,7 +140,7 @@ def consistent(
     estimates: Sequence[Estimate],
     prior: Prior,
     wishes: Wishes | None = None,
-    prior_error: float | None = None,
+    *,
     tried: Mapping[float, float] | None = None,
 ) -> Consistent:
     """Bodies that could exist, fit what was measured, and are near the model file's otherwise.
@@ -147,19 +149,18 @@ def consistent(
         tree: The robot; its inertias do not matter.
         estimates: Of one recording, one a method; what each says of x counts by itself.
         prior: The bodies before the data.
-        wishes: What is asked besides; default `Wishes()`.
-        prior_error: In place of `wishes.prior_error`, where that is "chosen".
-        tried: How `prior_error` was chosen.
+        wishes: What is asked besides, the prior error a number; default `Wishes()`.
+        tried: How it was chosen, if it was (`prior_choice`).
 
     Raises:
-        SettingsError: No bodies obey all that is asked; or there is no estimate, or no prior
-            error.
+        SettingsError: No bodies obey all that is asked; or there is no estimate, or the prior
+            error is yet to be chosen.
         UnknownName: A wish is about a link that is not there.
     """
     wishes, blind = wishes or Wishes(), tree.without_inertias()
-    error = wishes.prior_error if prior_error is None else prior_error
+    error = wishes.prior_error
     if not estimates or isinstance(error, str):
-        raise SettingsError("consistent bodies need an estimate, and a prior error that is chosen")
+        raise SettingsError("consistent bodies need an estimate, and a prior error as a number")
     terms = terms_of(estimates)
     told = [evidence(blind, each, terms) for each in estimates]
     asked = conditions(tree, prior, wishes, terms)
@@ -241,12 +242,9 @@ def _doubt(problem: Scaled, z: Array, weight: float) -> tuple[Array, Array]:
         return np.asarray(lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T)
 
     prior, found = np.diagonal(covariance(before)), covariance(after)
-    share = 1 - np.divide(np.diagonal(found), prior, out=np.ones_like(prior), where=prior > 0)
-    return found, np.clip(share, 0.0, 1.0)
-
-
-FAINT = 1e-12
-"""Weight of terms that no file states, so that their variance before the data has a number."""
+    open_before = prior > FAINT * (problem.lead**2).sum(axis=1)  # else what is known settles it
+    share = 1 - np.divide(np.diagonal(found), prior, out=np.ones_like(prior), where=open_before)
+    return found * np.outer(open_before, open_before), np.clip(share, 0.0, 1.0)
 
 
 def _bent(told: Evidence, x: Array, spread: Array) -> Bent:

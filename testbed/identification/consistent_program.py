@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag, null_space
+from scipy.linalg import null_space
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError
@@ -19,15 +19,14 @@ from testbed.identification.conic import Cone, minimise
 from testbed.identification.evidence import Evidence
 from testbed.identification.log_det import Program, nearest
 from testbed.identification.wishes import Metric
-from testbed.parameters.joint_terms import JointTerm
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import (
     coordinates,
     matrices,
     standard_of_coordinates,
-    upper_root,
 )
-from testbed.robot.friction import ROTOR
+from testbed.robot.friction import ROTOR, JointTerm
+from testbed.robot.inertia import upper_root
 from testbed.robot.tree import Tree
 
 ZERO = 1e-4
@@ -121,7 +120,9 @@ def scaled(
         steep = float(np.linalg.norm(column))
         sizes[k] = known[k] or _usual(tree, prior, term) or (1 / steep if steep else 1.0)
     lead = np.zeros((10 * tree.n + len(terms), 10 * count + len(terms)))
-    for k, (body, own) in enumerate(zip(prior.massive, standard_of_coordinates(roots), strict=True)):
+    for k, (body, own) in enumerate(
+        zip(prior.massive, standard_of_coordinates(roots), strict=True)
+    ):
         lead[10 * body : 10 * body + 10, 10 * k : 10 * k + 10] = own
     lead[10 * tree.n :, 10 * count :] = np.diag(sizes)
     on_z = np.vstack([each.white @ each.rows @ lead for each in told])
@@ -132,7 +133,9 @@ def scaled(
     values = np.concatenate([doubtful.values / doubtful.sigma, np.zeros(sum(map(len, facts[1:])))])
     rows, size = _unit(asked.rows @ lead)
     on = Conditions(asked.names, rows, asked.values / size, asked.sigma / size, asked.least)
-    return Scaled(prior, lead, data, right, np.vstack(facts), values, 1.0 * (known > 0), on)
+    return Scaled(
+        prior, lead, data, right, np.vstack(facts), values, np.where(known > 0, 1.0, 0.0), on
+    )
 
 
 def solve(problem: Scaled, metric: Metric, weight: float) -> tuple[Array, float]:
@@ -191,7 +194,9 @@ def _inside(problem: Scaled) -> Array:
     bodies = np.eye(10 * problem.bodies, m)
     cones = [
         Cone("zero", np.pad(exact.rows, ((0, 0), (0, 1))), exact.values),
-        Cone("positive", np.hstack([-bounds.rows, np.ones((len(bounds.names), 1))]), -bounds.values),
+        Cone(
+            "positive", np.hstack([-bounds.rows, np.ones((len(bounds.names), 1))]), -bounds.values
+        ),
         Cone("matrices", np.hstack([-bodies, room]), np.zeros(len(bodies))),
         Cone("positive", np.eye(1, m + 1, m), np.array([0.5])),
     ]
@@ -201,7 +206,9 @@ def _inside(problem: Scaled) -> Array:
         names = np.array([*exact.names, *bounds.names])[prices > PRICED * prices.max(initial=0.0)]
         raise SettingsError(f"no bodies obey all that is asked: {'; '.join(dict.fromkeys(names))}")
     z = found.x[:-1]
-    return z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
+    return (
+        z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
+    )
 
 
 def _by_frobenius(problem: Scaled, program: Program) -> tuple[Array, float]:

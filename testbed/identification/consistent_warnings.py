@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Protocol
 
 import numpy as np
+from scipy import special
 
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
@@ -43,25 +44,33 @@ def warnings_of(
     if not unsettled < SETTLED:
         yield f"the program of consistent bodies has not ended: {unsettled:.2g} sigma are open"
     for estimate, moved in zip(estimates, bent, strict=True):
-        yield from _against_physics(estimate, moved)
+        yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     yield from _without_place(estimates)
 
 
-def _against_physics(estimate: Estimate, moved: _Bent) -> Iterator[str]:
-    """An estimate that no bodies come near; where consistent ones do, none is asked for."""
-    if moved.distance < SURE:
-        return
-    found = possibility(estimate, SURE, 0.0)
-    if not found.impossible:
+def _moved_far(estimate: Estimate, moved: _Bent) -> Iterator[str]:
+    """An estimate that no bodies come near, or none of those that were asked for."""
+    limit = float(np.sqrt(special.chdtri(len(moved.names), 2 * special.ndtr(-SURE))))
+    if moved.distance <= limit:
         return
     worst = np.argsort(-np.abs(moved.sigmas))[:3]
     names = ", ".join(f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst)
-    yield (
-        f"the {estimate.method} estimate contradicts physics: any bodies are at least "
-        f"{found.distance:.3g} of its sigmas away (noise reaches {found.limit:.3g}); moved most "
-        f"are {names}: a wrong sign, frame or unit of a channel, or an effect that no term holds"
-    )
+    found = possibility(estimate, SURE, 0.0)
+    if found.impossible:
+        yield (
+            f"the {estimate.method} estimate contradicts physics: any bodies are at least "
+            f"{found.distance:.3g} of its sigmas away (noise reaches {found.limit:.3g}); moved "
+            f"most are {names}: a wrong sign, frame or unit of a channel, or an effect that no "
+            "term holds"
+        )
+    else:
+        yield (
+            f"the {estimate.method} estimate is {moved.distance:.3g} sigma from the consistent "
+            f"bodies (noise reaches {limit:.3g}); moved most are {names}: what is asked of the "
+            "bodies, another estimate, or a model file that is worse than prior_error says keeps "
+            "them apart"
+        )
 
 
 def _negative(estimate: Estimate) -> Iterator[str]:

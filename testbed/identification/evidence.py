@@ -16,8 +16,9 @@ from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import inverse_root
 from testbed.parameters.barycentric import on_standard
-from testbed.parameters.joint_terms import JointTerm, with_joint_terms
+from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.friction import JointTerm
 from testbed.robot.tree import Tree
 
 

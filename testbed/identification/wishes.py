@@ -68,7 +68,7 @@ class Wishes:
     def masses(self) -> dict[str, tuple[float, float]]:
         """Mass and sigma by name [kg]."""
         pairs = self.known.items()
-        return {k: v if isinstance(v, tuple) else (float(v), 0.0) for k, v in pairs}  # type: ignore[misc, arg-type]
+        return {k: v if isinstance(v, tuple) else (float(v), 0.0) for k, v in pairs}  # type: ignore[arg-type]
 
     def _check_total(self) -> None:
         """Whether the total leaves room for the masses that are known."""

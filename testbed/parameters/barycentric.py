@@ -66,7 +66,8 @@ def with_standard(tree: Tree, standard: Array) -> Tree:
     """
     tensors = standard[:, _TO_STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(6, 9)
     bodies = [
-        Inertia(own[0], own[1:4], tensor.reshape(3, 3)) for own, tensor in zip(standard, tensors, strict=True)
+        Inertia(own[0], own[1:4], tensor.reshape(3, 3))
+        for own, tensor in zip(standard, tensors, strict=True)
     ]
     return replace(tree, inertias=tuple(bodies))
 

@@ -66,7 +66,7 @@ def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
     """
     found = np.array(standard(tree))
     warnings: list[str] = []
-    reach = max(max(float(np.linalg.norm(joint.offset)) for joint in tree.joints), SMALL)
+    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in tree.joints))
     if not (found[:, 0] > 0).any():
         found[:] = 0.0
         found[:, 0] = 1.0

@@ -95,18 +95,6 @@ def standard_of_coordinates(roots: Array) -> Array:
     return np.asarray(np.swapaxes(parameters(bodies), -1, -2))
 
 
-def upper_root(matrix: Array) -> Array:
-    """U with U U' = J, upper triangular, (4, 4): an affine map of space, and a root of the mass.
-
-    Args:
-        matrix: J, (4, 4), positive definite.
-
-    Raises:
-        LinAlgError: It is not.
-    """
-    return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
-
-
 def nearest_definite(matrix: Array, least: float) -> Array:
     """J with principal second moments about its centre raised to a least share, (4, 4).
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.inertia import NOTHING, Inertia, upper_root
 
 Fixed = Literal["lump", "share"]
 
@@ -115,34 +115,15 @@ def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | 
     One affine map and one factor take the file's matter to the new one: all parts go along, and
     each stays such as a body can have.
     """
-    before = _matter(_sum(link.in_body for link in own))
+    before = _sum(link.in_body for link in own).pseudo
     scale = np.sqrt(np.abs(np.diagonal(before)))
     if not (scale > 0).all():
         return None
     if np.linalg.eigvalsh(before / np.outer(scale, scale))[0] < THIN:
         return None
-    change = _root(_matter(whole)) @ np.linalg.inv(_root(before))
-    parts = {link.name: change @ _matter(link.in_body) @ change.T for link in own}
-    return {name: _inertia(part) for name, part in parts.items()}
-
-
-def _root(matter: Array) -> Array:
-    """U with U U' the matrix, upper triangular: an affine map, and a root of the mass."""
-    return np.asarray(np.linalg.cholesky(matter[::-1, ::-1])[::-1, ::-1])
-
-
-def _matter(inertia: Inertia) -> Array:
-    """Second moments, first moments and mass as one matrix, (4, 4)."""
-    found = np.empty((4, 4))
-    found[:3, :3] = np.trace(inertia.tensor) / 2 * np.eye(3) - inertia.tensor
-    found[:3, 3] = found[3, :3] = inertia.first_moment
-    found[3, 3] = inertia.mass
-    return found
-
-
-def _inertia(matter: Array) -> Inertia:
-    second = matter[:3, :3]
-    return Inertia(matter[3, 3], matter[:3, 3], np.trace(second) * np.eye(3) - second)
+    change = upper_root(whole.pseudo) @ np.linalg.inv(upper_root(before))
+    parts = {link.name: change @ link.in_body.pseudo @ change.T for link in own}
+    return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
 def _sum(parts: Iterable[Inertia]) -> Inertia:

@@ -18,6 +18,7 @@ from testbed.robot.links import Fixed, Link, shared_out
 from testbed.robot.load import load_tree, model_format
 from testbed.robot.model_file import ModelFile
 from testbed.robot.model_files import copy_model, held_files
+from testbed.robot.model_xml import read_xml
 from testbed.robot.tree import Joint, Tree
 
 EXACT = 1e-9
@@ -53,10 +54,11 @@ def write_model(
         ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
             ending of its format.
     """
-    kind, file = model_format(model.path), load_tree(
-        model.path, weld_root=model.weld_root, accept_inertia=True, lock=model.lock
+    kind, file = (
+        model_format(model.path),
+        load_tree(model.path, weld_root=model.weld_root, accept_inertia=True, lock=model.lock),
     )
-    _check_place(model.path, path, ENDINGS[kind], over_source)
+    check_place(model.path, path, over_source=over_source)
     bodies, joints = _changes(file, tree)
     links, notes = shared_out(_links(model, kind), bodies, fixed)
     data, warnings = _edited(model.path, kind, links, joints, [*note])
@@ -66,8 +68,18 @@ def write_model(
     return (*notes, *warnings, *_lost_files(model.path, path))
 
 
-def _check_place(source: Path, path: Path, ending: str, over_source: bool) -> None:
-    """Whether a file may be written there."""
+def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
+    """Whether a file may be written there.
+
+    Args:
+        source: The model file.
+        path: Where to.
+        over_source: Whether that may be the model file itself.
+
+    Raises:
+        ModelError: It may not.
+    """
+    ending = ENDINGS[model_format(source)]
     if path.suffix.lower() != ending:
         raise ModelError(
             f"'{path}': the model file '{source.name}' is copied with other numbers, so its name "
@@ -79,9 +91,7 @@ def _check_place(source: Path, path: Path, ending: str, over_source: bool) -> No
         )
 
 
-def _changes(
-    file: Tree, tree: Tree
-) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:
+def _changes(file: Tree, tree: Tree) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:
     """Bodies and joints that are not as in the file."""
     bodies = {}
     for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
@@ -138,6 +148,9 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> None:
 def _lost_files(source: Path, path: Path) -> tuple[str, ...]:
     """A warning where what the file refers to is not found from its new place."""
     if path.resolve().parent == source.resolve().parent or not held_files(source):
+        return ()
+    names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
+    if names and all("://" in name for name in names):  # addresses of packages, whatever the place
         return ()
     return (
         f"the file refers to others by their places beside '{source}', which are not found from "

@@ -50,10 +50,16 @@ ANYWHERE = {"__init__", "__main__", "cli"}
 
 # Packages that only some modules may import.
 GUESTS = {
-    "mujoco": ("robot/formats/mjcf", "robot/visuals/mjcf_shapes.py", "simulation/"),
+    "mujoco": (
+        "robot/formats/mjcf",
+        "robot/formats/write_mjcf.py",
+        "robot/visuals/mjcf_shapes.py",
+        "simulation/",
+    ),
     "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
     "coal": ("robot/visuals/urdf_shapes.py",),
     "rerun": ("viewer/",),
+    "clarabel": ("identification/conic.py",),
     "numba": ("kernel/",),
     "llvmlite": ("kernel/compiler.py",),
     "threadpoolctl": ("identification/passes.py",),

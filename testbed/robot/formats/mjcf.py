@@ -66,7 +66,9 @@ def read_mjcf(
     return _tree_of(model, stated, (*flaws, *notes, *_unmodelled(model)))
 
 
-def read_links(path: Path, *, weld_root: bool = False, lock: Lock | None = None) -> tuple[Link, ...]:
+def read_links(
+    path: Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> tuple[Link, ...]:
     """The bodies of an MJCF file in those of its tree, carriers before what they carry.
 
     Args:

@@ -53,7 +53,9 @@ def read_urdf(
     return _tree_of(_built(root, path), root.get("name", path.stem), (*flaws, *warnings))
 
 
-def read_links(path: Path, *, weld_root: bool = False, lock: Lock | None = None) -> tuple[Link, ...]:
+def read_links(
+    path: Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> tuple[Link, ...]:
     """The links of a URDF file in the bodies of its tree, carriers before what they carry.
 
     Args:

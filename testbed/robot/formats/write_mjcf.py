@@ -11,6 +11,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from testbed.errors import ModelError
 from testbed.robot.formats.mjcf_spec import parsed
@@ -55,13 +56,12 @@ def edited_mjcf(
         )
     document = XmlBytes(path.read_bytes(), str(path))
     document.insert(document.root, comment(note))
-    world = [part for part in document.root.named("worldbody")]
+    world = document.root.named("worldbody")
     places = dict(_bodies(spec.worldbody, world, path))
     for name, inertia in links.items():
         _set_inertial(document, places[name][0], inertia)
-    for body, there in places.values():
-        del body
-        for joint, element in there:
+    for _, own in places.values():
+        for joint, element in own:
             if joint in joints:
                 _set_losses(document, element, *joints[joint])
     return document.edited(), tuple(_changed_by_compiler(spec, links))
@@ -130,7 +130,8 @@ def _set_losses(document: XmlBytes, element: Element, before: Joint, after: Join
 def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:
     """Settings of the file's compiler that make other bodies of those that are written."""
     compiler = spec.compiler
-    for setting, least in (("boundmass", compiler.boundmass), ("boundinertia", compiler.boundinertia)):
+    bounds = {"boundmass": compiler.boundmass, "boundinertia": compiler.boundinertia}
+    for setting, least in bounds.items():
         light = [name for name, own in links.items() if _least(setting, own) < least]
         if light:
             more = f" and {len(light) - _LEAST_NAMED} more" if len(light) > _LEAST_NAMED else ""
@@ -148,6 +149,4 @@ def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> I
 def _least(setting: str, inertia: Inertia) -> float:
     if setting == "boundmass":
         return inertia.mass
-    import numpy as np  # noqa: PLC0415
-
     return float(np.linalg.eigvalsh(inertia.central)[0])
