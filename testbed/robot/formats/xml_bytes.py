@@ -7,8 +7,8 @@ Source    XML 1.0, fifth edition: a start tag's attributes stand between quotes,
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from xml.parsers import expat
 
 from testbed.errors import ModelError
@@ -19,7 +19,7 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff", b"\x00", b"<\x00")
 """How files begin whose letters have more than one byte."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True)
 class Element:
     """An element, and where it stands.
 
@@ -29,17 +29,15 @@ class Element:
         children: Elements in it, in order.
         start: Of its start tag.
         opened: After its start tag.
-        ended: After its end tag.
         alone: Whether it has no end tag.
     """
 
     tag: str
-    attributes: dict[str, str]
+    attributes: Mapping[str, str]
+    children: tuple[Element, ...]
     start: int
     opened: int
     alone: bool
-    ended: int = 0
-    children: list[Element] = field(default_factory=list)
 
     def named(self, *tags: str) -> list[Element]:
         """Its children of these names."""
@@ -64,7 +62,7 @@ class XmlBytes:
         self.data = data
         self._line = b"\r\n" if b"\r\n" in data else b"\n"
         self._changes: list[tuple[int, int, bytes]] = []
-        self._open: list[Element] = []
+        self._open: list[tuple[dict[str, str], list[Element], int]] = [({}, [], 0)]
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = self._end
@@ -74,27 +72,21 @@ class XmlBytes:
             self._parser.Parse(data, True)
         except expat.ExpatError as error:
             raise ModelError(f"{name}: not well-formed XML ({error})") from None
+        (self.root,) = self._open[0][1]
 
     def _doctype(self, *_: object) -> None:
         raise ModelError(f"{self._name}: a file with a DOCTYPE is not edited; take it out")
 
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
-        start = self._parser.CurrentByteIndex
+        self._open.append((attributes, [], self._parser.CurrentByteIndex))
+
+    def _end(self, tag: str) -> None:
+        attributes, children, start = self._open.pop()
         found = _TAG.match(self.data, start)
         if found is None:
             raise ModelError(f"{self._name}: <{tag:.40}> cannot be found in the file's bytes")
-        element = Element(tag, attributes, start, found.end(), bool(found[2]))
-        if self._open:
-            self._open[-1].children.append(element)
-        else:
-            self.root = element
-        self._open.append(element)
-
-    def _end(self, tag: str) -> None:
-        element = self._open.pop()
-        element.ended = element.opened
-        if not element.alone:
-            element.ended = self.data.index(b">", self._parser.CurrentByteIndex) + 1
+        element = Element(tag, attributes, tuple(children), start, found.end(), bool(found[2]))
+        self._open[-1][1].append(element)
 
     def set(self, element: Element, **values: str | None) -> None:
         """Change attributes; None takes one out, which need not be there.
