@@ -22,8 +22,8 @@ from testbed.parameters.prior import prior_of
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
 from tests.helpers.measured import measured
-from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.paths import ROOT
+from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import random_robot, random_states
 
 PRIOR = 0.3
@@ -197,12 +197,16 @@ def prediction(seed: int) -> dict[str, Any]:
                 theirs = _inverse(path, wanted, states)
                 ours = ours + _losses(wanted, states[1])
             gaps[ending] = float(f"{np.abs(theirs - ours).max() / np.abs(ours).max():.1e}")
-    return {"what": "torques of an unseen motion", "pinocchio": gaps["urdf"], "mj_inverse": gaps["xml"]}
+    return {
+        "what": "torques of an unseen motion",
+        "pinocchio": gaps["urdf"],
+        "mj_inverse": gaps["xml"],
+    }
 
 
 def _losses(tree: tb.Tree, speed: Array) -> Array:
     """Of the joints, as mj_inverse counts them: damping; rotors are in the masses."""
-    return speed * np.array([joint.viscous for joint in tree.joints])
+    return np.asarray(speed * np.array([joint.viscous for joint in tree.joints]))
 
 
 def _inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:

@@ -19,9 +19,9 @@ from testbed.identification.conditions import conditions
 from testbed.identification.consistent_program import Scaled, scaled, solve
 from testbed.identification.consistent_warnings import warnings_of
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.evidence import Evidence, evidence, terms_of
+from testbed.identification.evidence import Evidence, agreeing, evidence, terms_of
 from testbed.identification.stated import Stated
-from testbed.identification.wishes import Wishes
+from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import matrices
@@ -47,9 +47,10 @@ class Bent:
         names: Of its parameters, (p,).
         units: One each.
         plain: As estimated, (p,).
-        plain_sigma: (p,).
+        plain_sigma: (p,), widened where another estimate contradicts it.
         values: Of the consistent bodies, (p,).
         covariance: Theirs, the prior's doubt among it, (p, p).
+        widened: By how much.
         distance: Between both, in sigmas of all parameters together: about the root of p
             where only noise is between them.
     """
@@ -61,6 +62,7 @@ class Bent:
     plain_sigma: Array
     values: Array
     covariance: Array
+    widened: float
     distance: float
 
     def __post_init__(self) -> None:
@@ -162,14 +164,14 @@ def consistent(
     if not estimates or isinstance(error, str):
         raise SettingsError("consistent bodies need an estimate, and a prior error as a number")
     terms = terms_of(estimates)
-    told = [evidence(blind, each, terms) for each in estimates]
+    told = agreeing([evidence(blind, each, terms) for each in estimates])
     asked = conditions(tree, prior, wishes, terms)
     problem = scaled(blind, prior, told, asked, terms)
     weight = 1 / error**2
     z, left = solve(problem, wishes.metric, weight)
     x = problem.lead @ z
     bodies = x[: 10 * tree.n].reshape(-1, 10)
-    spread, shares = _doubt(problem, z, weight)
+    spread, shares = _doubt(problem, z, wishes.metric, weight)
     bent = tuple(_bent(each, x, spread) for each in told)
     eigenvalues, margin = _certificates(problem, z, bodies)
     sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
@@ -229,9 +231,9 @@ def stated_by(found: Consistent, estimate: Estimate) -> Stated:
     )
 
 
-def _doubt(problem: Scaled, z: Array, weight: float) -> tuple[Array, Array]:
+def _doubt(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
     """Covariance of x, (m, m), and the part of each variance that the data took away, (m,)."""
-    program = problem.program(weight)
+    program = problem.program(metric, weight)
     before = program.prior_hessian(z) + problem.facts.T @ problem.facts
     rest = np.arange(10 * problem.bodies, len(z))
     before[rest, rest] += FAINT
@@ -255,9 +257,10 @@ def _bent(told: Evidence, x: Array, spread: Array) -> Bent:
         names=estimate.names,
         units=estimate.units,
         plain=estimate.values,
-        plain_sigma=estimate.sigma,
+        plain_sigma=told.widened * estimate.sigma,
         values=told.rows @ x,
         covariance=told.rows @ spread @ told.rows.T,
+        widened=told.widened,
         distance=float(np.linalg.norm(told.left(x))),
     )
 
@@ -265,7 +268,7 @@ def _bent(told: Evidence, x: Array, spread: Array) -> Bent:
 def _certificates(problem: Scaled, z: Array, bodies: Array) -> tuple[Array, Array]:
     """Eigenvalues of every J without units, (n, 4), and of Y, the least, (n,)."""
     eigenvalues, margin = np.zeros((len(bodies), 4)), np.ones(len(bodies))
-    found = problem.program(1.0).matrices(z)
+    found = problem.matrices(z)
     for body, own in zip(problem.prior.massive, found, strict=True):
         whole = matrices(bodies[body])
         centre = whole[:3, 3] / whole[3, 3]

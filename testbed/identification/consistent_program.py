@@ -17,12 +17,13 @@ from testbed.errors import SettingsError
 from testbed.identification.conditions import Conditions
 from testbed.identification.conic import Cone, minimise
 from testbed.identification.evidence import Evidence
-from testbed.identification.log_det import Program, nearest
+from testbed.identification.interior_point import Program, nearest
 from testbed.identification.wishes import Metric
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import (
     coordinates,
     matrices,
+    of_coordinates,
     standard_of_coordinates,
 )
 from testbed.robot.friction import ROTOR, JointTerm
@@ -32,14 +33,8 @@ from testbed.robot.tree import Tree
 ZERO = 1e-4
 """Sigma of what was taken to be zero, in parts of the prior's bodies."""
 
-FINEST = 1e-7
-"""Sigmas below this part of a body are rounding."""
-
 ROOM = 1e-9
 """Part of the prior by which some bodies must be able to obey all conditions."""
-
-EDGE = 1e-6
-"""Least eigenvalue of Y by the Frobenius metric."""
 
 PRICED = 1e-6
 """Part of the highest price of a condition that counts, where no bodies obey all."""
@@ -74,15 +69,21 @@ class Scaled:
         """Number of bodies with matter."""
         return len(self.prior.massive)
 
-    def program(self, weight: float) -> Program:
+    def matrices(self, z: Array) -> Array:
+        """Y of every body with matter, (bodies, 4, 4), at unknowns z."""
+        return of_coordinates(z[: 10 * self.bodies].reshape(-1, 10))
+
+    def program(self, metric: Metric, weight: float) -> Program:
         """What is to be minimised.
 
         Args:
-            weight: Of the distance to the prior.
+            metric: Of the distance to the prior.
+            weight: Of that distance.
         """
         exact, bounds = self.conditions.exact, self.conditions.bounds
         free = null_space(exact.rows) if exact.names else np.eye(self.lead.shape[1])
         return Program(
+            metric,
             self.bodies,
             np.vstack([self.data, self.facts]),
             np.concatenate([self.right, self.fact_values]),
@@ -125,8 +126,8 @@ def scaled(
     ):
         lead[10 * body : 10 * body + 10, 10 * k : 10 * k + 10] = own
     lead[10 * tree.n :, 10 * count :] = np.diag(sizes)
-    on_z = np.vstack([each.white @ each.rows @ lead for each in told])
-    data, right = _blunted(on_z, np.concatenate([e.white @ e.estimate.values for e in told]))
+    data = np.vstack([each.white @ each.rows @ lead for each in told])
+    right = np.concatenate([each.white @ each.estimate.values for each in told])
     doubtful = asked.doubtful
     facts = [doubtful.rows @ lead / doubtful.sigma[:, None]]
     facts += [_unit(each.zero @ lead)[0] / ZERO for each in told]
@@ -149,9 +150,7 @@ def solve(problem: Scaled, metric: Metric, weight: float) -> tuple[Array, float]
     Raises:
         SettingsError: No bodies obey all conditions; names those that contradict each other.
     """
-    program = problem.program(weight)
-    start = _inside(problem)
-    return nearest(program, start) if metric == "log-det" else _by_frobenius(problem, program)
+    return nearest(problem.program(metric, weight), _inside(problem))
 
 
 def _usual(tree: Tree, prior: Prior, term: JointTerm) -> float:
@@ -169,14 +168,6 @@ def _unit(rows: Array) -> tuple[Array, Array]:
     size = np.linalg.norm(rows, axis=1)
     size = np.where(size > 0, size, 1.0)
     return rows / size[:, None], size
-
-
-def _blunted(rows: Array, right: Array) -> tuple[Array, Array]:
-    """The same rows in independent directions, none finer than FINEST."""
-    left, size, across = np.linalg.svd(rows, full_matrices=False)
-    kept = np.minimum(size, 1 / FINEST)
-    part = np.divide(kept, size, out=np.zeros_like(size), where=size > 0)
-    return kept[:, None] * across, part * (left.T @ right)
 
 
 def _inside(problem: Scaled) -> Array:
@@ -209,25 +200,3 @@ def _inside(problem: Scaled) -> Array:
     return (
         z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)
     )
-
-
-def _by_frobenius(problem: Scaled, program: Program) -> tuple[Array, float]:
-    """The unknowns whose Y are nearest to one in the sum of squares."""
-    bodies = 10 * problem.bodies
-    exact, bounds = problem.conditions.exact, problem.conditions.bounds
-    one = np.tile(coordinates(np.eye(4)), problem.bodies)
-    prior = np.concatenate([np.full(bodies, program.weight), program.pull])
-    at = np.concatenate([one, np.ones(len(program.pull))])
-    size = max(1.0, float(np.abs(program.square).max()))
-    cones = [
-        Cone("zero", exact.rows, exact.values),
-        Cone("positive", -bounds.rows, -bounds.values),
-        Cone("matrices", -np.eye(bodies, len(at)), -EDGE * one),
-    ]
-    costs = -(program.rows.T @ program.right + prior * at)
-    found = minimise(costs / size, cones, (program.square + np.diag(prior)) / size)
-    if not found.solved:
-        raise SettingsError(
-            "the program by the Frobenius metric found no end; log-det has no such trouble"
-        )
-    return found.x, float(np.sqrt(max(2 * size * (found.value - found.bound), 0.0)))

@@ -28,6 +28,8 @@ class _Bent(Protocol):
     @property
     def names(self) -> tuple[str, ...]: ...
     @property
+    def widened(self) -> float: ...
+    @property
     def sigmas(self) -> Array: ...
 
 
@@ -44,6 +46,12 @@ def warnings_of(
     if not unsettled < SETTLED:
         yield f"the program of consistent bodies has not ended: {unsettled:.2g} sigma are open"
     for estimate, moved in zip(estimates, bent, strict=True):
+        if moved.widened > SURE:
+            yield (
+                f"the plate contradicts the {estimate.method} estimate by {moved.widened:.3g} of "
+                "its sigmas, by which they are widened: torque constants, or friction of another "
+                "law, are likely (`testbed drives`)"
+            )
         yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     yield from _without_place(estimates)

@@ -7,19 +7,23 @@ to be zero for an estimate is a statement as well, as far as the measured forces
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import null_space
 
 from testbed.arrays import Array
-from testbed.identification.estimate import Estimate
+from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.noise.scaled import inverse_root
+from testbed.identification.rigid_bodies import sizes
 from testbed.parameters.barycentric import on_standard
 from testbed.parameters.joint_terms import with_joint_terms
-from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.friction import JointTerm
 from testbed.robot.tree import Tree
+
+FINEST = 1e-7
+"""Sigmas below this part of a parameter are rounding: they are taken to be that large."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +35,14 @@ class Evidence:
         rows: Its parameters as forms of x, (p, m).
         white: What makes errors of its parameters numbers of sigma one, (p, p).
         zero: Forms of x that were taken to be zero, (k, m).
+        widened: By how much its sigmas were widened, because another estimate contradicts it.
     """
 
     estimate: Estimate
     rows: Array
     white: Array
     zero: Array
+    widened: float = 1.0
 
     def left(self, x: Array) -> Array:
         """How far the estimate is from what x says, in independent sigmas, (p,)."""
@@ -72,7 +78,43 @@ def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Ev
         found[:, place] = rows[:, 10 * tree.n :]
         return found
 
-    return Evidence(estimate, on_x(own), inverse_root(estimate.covariance).T, on_x(zero))
+    finest = (FINEST * sizes(estimate.values, estimate.units)) ** 2
+    white = inverse_root(estimate.covariance + np.diag(finest)).T
+    return Evidence(estimate, on_x(own), white, on_x(zero))
+
+
+def agreeing(told: Sequence[Evidence]) -> list[Evidence]:
+    """The same, sigmas of joint torques widened where the plate contradicts them.
+
+    Torque constants and friction of other laws bend what torques tell of the bodies, and their
+    sigmas do not know it: the plate's estimate judges them.
+
+    Args:
+        told: By one method or by both.
+    """
+    by_method = {each.estimate.method: each for each in told}
+    if len(by_method) < len(METHODS):
+        return list(told)
+    torques = by_method["internal"]
+    factor = _contradiction(by_method["external"].estimate, torques.estimate)
+    widened = replace(torques, white=torques.white / factor, widened=factor)
+    return [widened if each is torques else each for each in told]
+
+
+def _contradiction(plate: Estimate, torques: Estimate) -> float:
+    """Rms difference of what both tell, in sigmas; at least one."""
+    try:
+        told = selection(torques.minimal, plate.minimal)
+    except ValueError:  # other zeros, or a plate that tells changes only
+        return 1.0
+    own = torques.base
+    apart = told @ plate.base.values - own.values
+    spread = told @ plate.base.covariance @ told.T + own.covariance
+    spread += np.diag((FINEST * sizes(own.values, own.units)) ** 2)
+    rotors = () if torques.drives is None else torques.drives.regrouped.values()
+    alone = np.array([not any(column[k] for column in rotors) for k in range(len(apart))])
+    white = inverse_root(spread[np.ix_(alone, alone)]).T @ apart[alone]
+    return max(1.0, float(np.sqrt(np.mean(white**2)))) if alone.any() else 1.0
 
 
 def _on_barycentric(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ that its dual solution gives holds for every robot.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,10 +69,7 @@ def possibility(
         model_error: Part of each parameter, taken as an error besides sigma.
     """
     base = estimate.base
-    scale = np.abs(base.values)
-    for unit in set(base.units):
-        same = np.array([each == unit for each in base.units])
-        scale[same] = np.maximum(scale[same], SMALL * scale[same].max())
+    scale = sizes(base.values, base.units)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
     spread, axes = np.linalg.eigh(covariance)
     spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
@@ -82,6 +80,20 @@ def possibility(
     gap = (axes * np.sqrt(spread)) @ rest
     relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
     return Possibility(distance, limit, base.values + gap, relative)
+
+
+def sizes(values: Array, units: Sequence[str]) -> Array:
+    """How large parameters are, small ones counted as a share of the largest of their unit.
+
+    Args:
+        values: (p,).
+        units: One each.
+    """
+    found = np.abs(values)
+    for unit in set(units):
+        same = np.array([each == unit for each in units])
+        found[same] = np.maximum(found[same], SMALL * found[same].max())
+    return np.asarray(found)
 
 
 def _rotors(estimate: Estimate) -> Array:

@@ -96,7 +96,9 @@ def shared_out(
             lump = whole if parts is None else _sum(parts[link.name] for link in group)
             found |= {link.name: NOTHING for link in group}
             found[group[0].name] = group[0].seen_from(lump)
-    return found, tuple(notes)
+    bare = {link.name for link in links if not link.inertia.mass}
+    kept = {name: own for name, own in found.items() if own.mass or name not in bare}
+    return kept, tuple(notes)
 
 
 def _rigid(own: Sequence[Link]) -> list[list[Link]]:

@@ -78,7 +78,7 @@ EXAMPLES: dict[str, Any] = {
     "Prior": lambda: Prior(some(2, 10), some(2), some(2, 2, 3)),
     "Link": lambda: Link("a", 0, True, some(3, 3), some(3), NOTHING),
     "Bent": lambda: Bent(
-        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0
+        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0, 1.0
     ),
     "Consistent": lambda: Consistent(
         ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10), (NOTHING,),

@@ -1,13 +1,14 @@
-"""Newton's method for bodies that are near a prior's by the log-determinant divergence.
+"""Newton's method for bodies near a prior's, inside what bodies can be.
 
-    |B z - b|^2 / 2 + w sum over bodies (tr Y - log det Y) + penalties of the joints' terms
+    |B z - b|^2 / 2 + w sum over bodies D(Y) + penalties of the joints' terms
 
-over y with z = z0 + N y, Y the matrices whose coordinates z holds. Smooth and convex, and the
-divergence is its own barrier: Y stays positive definite. Bounds rows z >= least have a
-logarithmic barrier besides, which fades.
+over y with z = z0 + N y, Y the matrices whose coordinates z holds, one at the prior. D is the
+log-determinant divergence tr Y - log det Y, which is its own barrier, or half the Frobenius
+norm of Y - 1, squared, which has a barrier -log det Y that fades; bounds rows z >= least have
+such a one, too.
 
-Source    [LWP20] for the divergence; Newton with line search as in S. Boyd and L. Vandenberghe,
-          Convex optimization (2004), sections 9.5 and 11.3
+Source    [LWP20] for the divergence; barriers and Newton's method with line search as in S. Boyd
+          and L. Vandenberghe, Convex optimization (2004), sections 9.5 and 11.3
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.identification.wishes import Metric
 from testbed.parameters.pseudo_inertia import OF_COORDINATES, coordinates, of_coordinates
 
 DONE = 1e-12
@@ -35,7 +37,10 @@ FALL = 10.0
 """By which weights fall."""
 
 FADED = 1e-9
-"""The last weight of the bounds' barrier."""
+"""The last weight of the barriers."""
+
+EDGE = 1e-6
+"""Eigenvalue of Y at which the Frobenius norm's barrier stands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,7 @@ class Program:
     """What is to be minimised, in coordinates near one.
 
     Attributes:
+        metric: Which D.
         bodies: z begins with ten coordinates of so many Y.
         rows: B, (k, m).
         right: b, (k,).
@@ -53,6 +59,7 @@ class Program:
         bounds: (c,).
     """
 
+    metric: Metric
     bodies: int
     rows: Array
     right: Array
@@ -67,27 +74,47 @@ class Program:
         """B' B, (m, m)."""
         return np.asarray(self.rows.T @ self.rows)
 
+    @property
+    def fades(self) -> bool:
+        """Whether there are barriers that are no part of the program."""
+        return bool(len(self.bounds)) or self.metric == "frobenius"
+
     def matrices(self, z: Array) -> Array:
         """Y, (bodies, 4, 4)."""
         return of_coordinates(z[: 10 * self.bodies].reshape(-1, 10))
 
-    def prior_hessian(self, z: Array) -> Array:
-        """Of divergence and penalties at z, (m, m)."""
+    def prior_hessian(self, z: Array, barrier: float = 0.0) -> Array:
+        """Of divergence and penalties at z, (m, m).
+
+        Args:
+            z: Inside, (m,).
+            barrier: Weight of the Frobenius norm's barrier.
+        """
         found = np.zeros((len(z), len(z)))
-        inverse = np.linalg.inv(self.matrices(z))
+        plain, curved, shift = self._shares(barrier)
+        inverse = np.linalg.inv(self.matrices(z) - shift * np.eye(4))
         turned = np.einsum("nab,kbc,ncd->nkad", inverse, OF_COORDINATES, inverse)
-        for body, block in enumerate(self.weight * coordinates(turned)):
+        for body, block in enumerate(curved * coordinates(turned)):
             at = slice(10 * body, 10 * body + 10)
-            found[at, at] = block
+            found[at, at] = block + plain * np.eye(10)
         rest = np.arange(10 * self.bodies, len(z))
         found[rest, rest] = self.pull
         return found
 
-    def _prior_slope(self, z: Array) -> Array:
+    def _shares(self, barrier: float) -> tuple[float, float, float]:
+        """Weights of the square and of -log det, and where the latter stands."""
+        if self.metric == "log-det":
+            return 0.0, self.weight, 0.0
+        return self.weight, barrier, EDGE
+
+    def _prior_slope(self, z: Array, barrier: float) -> Array:
         rest = 10 * self.bodies
         slope = np.empty_like(z)
-        gap = np.eye(4) - np.linalg.inv(self.matrices(z))
-        slope[:rest] = self.weight * coordinates(gap).ravel()
+        plain, curved, shift = self._shares(barrier)
+        own = self.matrices(z)
+        gap = -curved * np.linalg.inv(own - shift * np.eye(4))
+        gap += curved * np.eye(4) if not plain else plain * (own - np.eye(4))
+        slope[:rest] = coordinates(np.asarray(gap)).ravel()
         slope[rest:] = self.pull * (z[rest:] - 1)
         return slope
 
@@ -96,23 +123,27 @@ class Program:
         slack = self.bound_rows @ z - self.bounds
         if (slack <= 0).any():
             return np.inf
+        plain, curved, shift = self._shares(barrier)
+        own = self.matrices(z)
         try:
-            roots = np.linalg.cholesky(self.matrices(z))
+            roots = np.linalg.cholesky(own - shift * np.eye(4))
         except np.linalg.LinAlgError:
             return np.inf
         rest = 10 * self.bodies
-        spread = (roots**2).sum() - 2 * np.log(np.einsum("nkk->nk", roots)).sum()
+        spread = -2 * curved * np.log(np.einsum("nkk->nk", roots)).sum()
+        away = curved * np.einsum("nkk->", own) if not plain else 0.0
+        away += plain * ((own - np.eye(4)) ** 2).sum() / 2
         terms = (self.pull * (z[rest:] - 1) ** 2).sum() / 2
         fit = ((self.rows @ z - self.right) ** 2).sum() / 2
-        return float(fit + self.weight * spread + terms - barrier * np.log(slack).sum())
+        return float(fit + spread + away + terms - barrier * np.log(slack).sum())
 
     def step(self, z: Array, barrier: float) -> tuple[Array, float]:
         """Newton's step, (m,), and its decrement squared."""
         slack = self.bound_rows @ z - self.bounds
         scaled = self.bound_rows / slack[:, None]
-        slope = self.rows.T @ (self.rows @ z - self.right) + self._prior_slope(z)
+        slope = self.rows.T @ (self.rows @ z - self.right) + self._prior_slope(z, barrier)
         slope -= barrier * scaled.sum(axis=0)
-        hessian = self.square + self.prior_hessian(z) + barrier * scaled.T @ scaled
+        hessian = self.square + self.prior_hessian(z, barrier) + barrier * scaled.T @ scaled
         inner = self.free.T @ hessian @ self.free
         across = self.free.T @ slope
         size = 1 / np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
@@ -158,13 +189,13 @@ def nearest(program: Program, start: Array) -> tuple[Array, float]:
 
 
 def _stages(program: Program, start: Array) -> Iterator[tuple[float, float]]:
-    """Weights of the prior and of the bounds' barrier, one pair after the other."""
+    """Weights of the prior and of the barriers, one pair after the other."""
     weight = max(program.weight, program.step(start, program.weight)[1] / 10)
     while weight > program.weight:
         yield weight, weight
         weight = max(weight / FALL, program.weight)
     barrier = program.weight
-    while len(program.bounds) and barrier > FADED:
+    while program.fades and barrier > FADED:
         yield program.weight, barrier
         barrier /= FALL
     yield program.weight, FADED
