@@ -14,9 +14,7 @@ if TYPE_CHECKING:
     from testbed.cli.reading import Reading
     from testbed.identification.consistency import Consistent
     from testbed.identification.estimate import Estimate, Method
-    from testbed.parameters.prior import Prior
     from testbed.recordings.source import Source
-    from testbed.robot.tree import Tree
 
 
 class Fixed(StrEnum):
@@ -96,10 +94,12 @@ class Writing:
         Raises:
             SettingsError: No bodies are as is wished.
         """
+        from testbed.experiment.consistent_run import prior_from
         from testbed.identification.prior_choice import consistent_by_held_out
 
         tree, wishes = reading.tree(model), reading.tables().consistent
-        prior = _prior(reading, model, tree, shapes=wishes.centres_in_shapes)
+        file = reading.model_file(model)
+        prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
         return consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
 
     def written(
@@ -133,16 +133,3 @@ class Writing:
                 over_source=self.in_place,
             )
         )
-
-
-def _prior(reading: Reading, model: Path, tree: Tree, *, shapes: bool) -> Prior:
-    """The model file's bodies, with the boxes around their shapes where those matter."""
-    from testbed.parameters.prior import prior_of
-    from testbed.robot.visuals.extents import extents
-    from testbed.robot.visuals.load_shapes import load_shapes
-
-    if not shapes:
-        return prior_of(tree)
-    file = reading.model_file(model)
-    seen = load_shapes(model, tree, weld_root=file.weld_root, lock=file.lock)
-    return prior_of(tree, extents(seen.shapes, tree.n))

@@ -18,6 +18,7 @@ from testbed.experiment.experiment_tables import (
     Expectations,
     Finite,
     MotionTable,
+    PriorTable,
     RobotTable,
     RunName,
     SimulationTable,
@@ -71,6 +72,9 @@ class ExperimentTables(Table):
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
+    consistent: Wishes | None = None
+    """What is asked of physically consistent bodies; without the table none are made."""
+    prior: PriorTable = PriorTable()
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.errors import SettingsError
+from testbed.errors import RecordingError, SettingsError
 from testbed.identification.conditions import conditions
 from testbed.identification.consistent_program import Scaled, scaled, solve
-from testbed.identification.consistent_warnings import warnings_of
+from testbed.identification.consistent_warnings import left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.evidence import Evidence, agreeing, evidence, terms_of
+from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
 from testbed.identification.stated import Stated
 from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
@@ -155,16 +155,22 @@ def consistent(
         tried: How it was chosen, if it was (`prior_choice`).
 
     Raises:
-        SettingsError: No bodies obey all that is asked; or there is no estimate, or the prior
-            error is yet to be chosen.
+        SettingsError: No bodies obey all that is asked; or the prior error is yet to be chosen.
+        RecordingError: There is no estimate whose covariance is one.
         UnknownName: A wish is about a link that is not there.
     """
     wishes, blind = wishes or Wishes(), tree.without_inertias()
     error = wishes.prior_error
-    if not estimates or isinstance(error, str):
-        raise SettingsError("consistent bodies need an estimate, and a prior error as a number")
-    terms = terms_of(estimates)
-    told = agreeing([evidence(blind, each, terms) for each in estimates])
+    if isinstance(error, str):
+        raise SettingsError("consistent bodies need a prior error that is a number")
+    used = [each for each in estimates if precise(each)]
+    if not used:
+        raise RecordingError(
+            "consistent bodies need an estimate with a covariance, and hardly more rows than "
+            "unknowns give none: record a longer or richer motion"
+        )
+    terms = terms_of(used)
+    told = agreeing([evidence(blind, each, terms) for each in used])
     asked = conditions(tree, prior, wishes, terms)
     problem = scaled(blind, prior, told, asked, terms)
     weight = 1 / error**2
@@ -193,7 +199,7 @@ def consistent(
         unsettled=left,
         prior_error=error,
         tried=tried or {},
-        warnings=(*prior.warnings, *warnings_of(estimates, bent, left)),
+        warnings=(*prior.warnings, *left_out(estimates, used), *warnings_of(used, bent, left)),
     )
 
 

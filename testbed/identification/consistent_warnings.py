@@ -57,6 +57,22 @@ def warnings_of(
     yield from _without_place(estimates)
 
 
+def left_out(estimates: Sequence[Estimate], used: Sequence[Estimate]) -> Iterator[str]:
+    """Estimates that could not be used.
+
+    Args:
+        estimates: All.
+        used: Those that were.
+    """
+    for estimate in estimates:
+        if not any(each is estimate for each in used):
+            yield (
+                f"the {estimate.method} estimate is left out of the consistent bodies: of "
+                f"{sum(estimate.samples)} rows for {len(estimate.names)} unknowns there is no "
+                "covariance"
+            )
+
+
 def _moved_far(estimate: Estimate, moved: _Bent) -> Iterator[str]:
     """An estimate that no bodies come near, or none of those that were asked for."""
     limit = float(np.sqrt(special.chdtri(len(moved.names), 2 * special.ndtr(-SURE))))

@@ -26,6 +26,10 @@ FINEST = 1e-7
 """Sigmas below this part of a parameter are rounding: they are taken to be that large."""
 
 
+ROUNDING = 1e-14
+"""Part of the greatest eigenvalue of a covariance below zero that is no sign of a wrong one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """What one estimate says of x: standard parameters body by body, then the joints' terms.
@@ -47,6 +51,23 @@ class Evidence:
     def left(self, x: Array) -> Array:
         """How far the estimate is from what x says, in independent sigmas, (p,)."""
         return np.asarray(self.white @ (self.rows @ x - self.estimate.values))
+
+
+def precise(estimate: Estimate) -> bool:
+    """Whether an estimate's covariance is one, and not of rounding.
+
+    With hardly more rows than unknowns the noise that is left says nothing, and variances of some
+    combinations come out as nothing or less.
+
+    Args:
+        estimate: Of either method.
+    """
+    variance = np.diagonal(estimate.covariance)
+    if (variance < 0).any():
+        return False
+    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+    size = np.linalg.eigvalsh(estimate.covariance / np.outer(scale, scale))
+    return bool(size[0] >= -ROUNDING * size[-1])
 
 
 def terms_of(estimates: Sequence[Estimate]) -> tuple[JointTerm, ...]:

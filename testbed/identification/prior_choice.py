@@ -81,7 +81,9 @@ def _left(
     squares = []
     for known, unseen in (halves, halves[::-1]):
         found = consistent(tree, known, prior, replace(wishes, prior_error=error))
-        for own, other in zip(found.bent, unseen, strict=True):
+        by_method = {each.method: each for each in unseen}
+        for own in found.bent:
+            other = by_method[own.method]
             equations = other.normal_equations
             left = np.diagonal(equations.residual(own.values)) / np.maximum(equations.used, 1.0)
             noise = np.maximum(other.residual, np.finfo(float).tiny)

@@ -183,6 +183,9 @@ def print_run(run: Run, folder: Path) -> None:
         out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
+    if run.consistent is not None:
+        for line in consistent_lines(run.consistent):
+            out.print(printable(line), soft_wrap=True)
     if run.drives is not None:
         _print_drives(out, run.drives)
     for line in validation_lines(run.validation):

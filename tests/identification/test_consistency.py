@@ -300,6 +300,35 @@ def test_data_that_no_bodies_have_are_said() -> None:
     assert fine.warnings == ()
 
 
+def test_an_estimate_without_a_covariance_is_left_out() -> None:
+    """With hardly more rows than unknowns, variances of combinations are below zero."""
+    tree = robot("puma")
+    plate, torques = estimates_of(tree)
+    covariance = np.array(torques.covariance)
+    first = covariance[:2, :2]
+    first[0, 1] = first[1, 0] = 1.01 * np.sqrt(first[0, 0] * first[1, 1])
+    hollow = replace(torques, covariance=covariance)
+    found = consistent(tree, [plate, hollow], prior_of(tree))
+    assert [each.method for each in found.bent] == ["external"]
+    assert any("left out" in line for line in found.warnings)
+    with pytest.raises(tb.TestbedError, match="longer or richer"):
+        consistent(tree, [hollow], prior_of(tree))
+
+
+def test_torques_with_wrong_constants_do_not_spoil_what_the_plate_tells() -> None:
+    tree = robot("puma")
+    recording = measured(tree, 4, duration=20.0)
+    torque = recording.measured("torque") * np.array([1.08, 0.94, 1.04])
+    wrong = replace(recording, torque=torque)
+    estimates = [tb.identify(tree, wrong, method) for method in METHODS]
+    prior = prior_for(tree)
+    both, alone = (consistent(tree, used, prior) for used in (estimates, estimates[:1]))
+    assert both.bent[1].widened > 3
+    assert any("contradicts the internal" in line for line in both.warnings)
+    gap = (both.bent[0].values - alone.bent[0].values) / estimates[0].sigma
+    assert np.abs(gap).max() < 2
+
+
 def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
     tree = robot("ur5")
     source = open_source(measured(tree, 5, duration=8.0))
