@@ -60,17 +60,23 @@ class Writing:
         """Whether consistent bodies are to be made."""
         return self.consistent or self.write is not None
 
-    def check(self, model: Path) -> None:
-        """Whether the file may be written: said before the work.
+    def check(self, reading: Reading, model: Path) -> None:
+        """Whether the file may be written, and wishes are of use: said before the work.
 
         Args:
+            reading: What is wished.
             model: The model file.
 
         Raises:
             ModelError: It may not.
+            SettingsError: Something is wished of bodies that nobody asked for.
         """
+        from testbed.errors import SettingsError
+        from testbed.identification.wishes import Wishes
         from testbed.robot.write_model import check_place
 
+        if not self.wanted and reading.tables().consistent != Wishes():
+            raise SettingsError("--set consistent... is about consistent bodies: say --consistent")
         if self.write is not None:
             check_place(model, self.write, over_source=self.in_place)
 

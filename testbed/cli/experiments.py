@@ -187,7 +187,7 @@ def identify(
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     writing = Writing(consistent, write, fixed, in_place)
-    writing.check(model)
+    writing.check(reading, model)
     table, tree = reading.tables().identification, reading.tree(model)
     source, doubt = reading.source(recording, tree), reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)

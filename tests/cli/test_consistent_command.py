@@ -45,6 +45,20 @@ def test_the_table_says_what_the_data_told(folder: Path) -> None:
         assert words in done.stdout
 
 
+def test_wishes_without_a_wish_for_bodies_are_said(folder: Path) -> None:
+    call = (
+        "identify",
+        "r.parquet",
+        "--model",
+        "puma562.urdf",
+        "--set",
+        "consistent.metric=frobenius",
+    )
+    done = command_line(*call, cwd=folder)
+    assert done.returncode == 2
+    assert "say --consistent" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -154,6 +154,18 @@ def test_matter_of_what_moves_together_is_shared_as_asked(fixed: Fixed, tmp_path
     assert (float(tool[1]) == 0) == (fixed == "lump")
 
 
+def test_a_byte_order_mark_and_accents_stay(tmp_path: Path) -> None:
+    text = CARRYING.replace("<!-- the arm -->", "<!-- épaule > bras -->")
+    source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
+    source.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    model = ModelFile(source, lock={"grip": None})
+    wanted = other(model.tree())
+    write_model(model, wanted, path)
+    assert_same(replace(model, path=path).tree(), wanted)
+    assert "<!-- épaule > bras -->".encode() in path.read_bytes()
+    assert path.read_bytes().startswith(b"\xef\xbb\xbf<?xml")
+
+
 def test_a_link_without_inertial_gets_one(tmp_path: Path) -> None:
     text = CARRYING.replace('<link name="frame" />', '<link name="frame"/>')
     source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"

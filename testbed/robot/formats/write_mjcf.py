@@ -83,6 +83,8 @@ def _bodies(
                 "file that holds them itself"
             )
         joints = [e for e in _within(element) if e.tag in ("joint", "freejoint")]
+        if len(joints) != len(own.joints):
+            raise ModelError(f"{path}: the joints of body '{own.name}' do not stand in this file")
         yield own.name, (element, list(zip((j.name for j in own.joints), joints, strict=True)))
         yield from _bodies(own, [element], path)
 
