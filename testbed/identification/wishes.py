@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
-from typing import Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from testbed.errors import SettingsError, UnknownName
+from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
 
 Metric = Literal["log-det", "frobenius"]
 
@@ -54,21 +54,20 @@ class Wishes:
     def __post_init__(self) -> None:
         if self.metric not in METRICS:
             raise UnknownName("metric of bodies", str(self.metric), METRICS)
-        if self.prior_error != "chosen" and not _positive(self.prior_error):
+        if self.prior_error != "chosen" and not (finite_number(self.prior_error) or 0) > 0:
             raise SettingsError(
                 f'prior_error is a positive part of one, or "chosen", found {self.prior_error!r}'
             )
         if not isinstance(self.centres_in_shapes, bool):
             raise SettingsError(f"centres_in_shapes is true or false: {self.centres_in_shapes!r}")
-        object.__setattr__(self, "known", _known(self.known))
+        object.__setattr__(self, "known", _masses(self.known))
         object.__setattr__(self, "symmetric", _symmetric(self.symmetric))
         self._check_total()
 
     @property
     def masses(self) -> dict[str, tuple[float, float]]:
         """Mass and sigma by name [kg]."""
-        pairs = self.known.items()
-        return {k: v if isinstance(v, tuple) else (float(v), 0.0) for k, v in pairs}  # type: ignore[arg-type]
+        return with_sigmas(self.known)
 
     def _check_total(self) -> None:
         """Whether the total leaves room for the masses that are known."""
@@ -85,26 +84,14 @@ class Wishes:
             )
 
 
-def _positive(value: object) -> bool:
-    real = isinstance(value, Real) and not isinstance(value, bool)
-    return real and 0 < float(value) < math.inf  # type: ignore[arg-type]
-
-
-def _known(given: object) -> dict[str, float | tuple[float, ...]]:
+def _masses(given: object) -> dict[str, float | tuple[float, ...]]:
     """Masses by name, checked one by one."""
-    if not isinstance(given, Mapping):
-        raise SettingsError(f"known is a table of masses by name, found {given!r}")
-    found: dict[str, float | tuple[float, ...]] = {}
-    for name, value in given.items():
-        if name != MASS and not str(name).startswith(f"{MASS}/"):
+    found = stated_values(given)
+    for name, (mass, _) in with_sigmas(found).items():
+        if name != MASS and not name.startswith(f"{MASS}/"):
             raise SettingsError(f"known.{name}: only '{MASS}' and '{MASS}/LINK' can be known")
-        listed: list[Any] = list(value) if isinstance(value, list | tuple) else [value]
-        real = all(isinstance(x, Real) and not isinstance(x, bool) for x in listed)
-        if not real or not 1 <= len(listed) <= 2 or not all(map(math.isfinite, listed)):
-            raise SettingsError(f"known.{name} is a mass, or a mass and its sigma, found {value!r}")
-        if listed[0] <= 0 or min(listed) < 0:
-            raise SettingsError(f"known.{name} = {listed[0]:g} kg: masses are positive")
-        found[str(name)] = float(listed[0]) if len(listed) == 1 else tuple(map(float, listed))
+        if mass <= 0:
+            raise SettingsError(f"known.{name} = {mass:g} kg: masses are positive")
     return found
 
 
