@@ -17,7 +17,7 @@ from testbed.arrays import Array, readonly
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.conditions import conditions
 from testbed.identification.consistent_program import Scaled, scaled, solve
-from testbed.identification.consistent_warnings import left_out, warnings_of
+from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
 from testbed.identification.stated import Stated
@@ -199,7 +199,12 @@ def consistent(
         unsettled=left,
         prior_error=error,
         tried=tried or {},
-        warnings=(*prior.warnings, *left_out(estimates, used), *warnings_of(used, bent, left)),
+        warnings=(
+            *prior.warnings,
+            *left_out(estimates, used),
+            *counted_twice(prior, used),
+            *warnings_of(used, bent, left),
+        ),
     )
 
 

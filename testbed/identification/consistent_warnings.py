@@ -12,6 +12,7 @@ from testbed.arrays import Array
 from testbed.identification.estimate import Estimate
 from testbed.identification.finding import few
 from testbed.identification.rigid_bodies import possibility
+from testbed.parameters.prior import Prior
 from testbed.robot.friction import LAWS, ROTOR
 
 SURE = 3.0
@@ -55,6 +56,27 @@ def warnings_of(
         yield from _moved_far(estimate, moved)
         yield from _negative(estimate)
     yield from _without_place(estimates)
+
+
+def counted_twice(prior: Prior, used: Sequence[Estimate]) -> Iterator[str]:
+    """Rotors of the file that torques take for the bodies'.
+
+    Args:
+        prior: What the file states.
+        used: Estimates.
+    """
+    for estimate in used:
+        drives = estimate.drives
+        if (
+            drives is not None
+            and prior.rotors.any()
+            and not any(term.law == ROTOR for term in drives.asked)
+        ):
+            yield (
+                "the model file states rotors' inertias, and joint torques without the term "
+                "'rotor' take them for the bodies': in a written file they count twice; add it to "
+                "identification.terms"
+            )
 
 
 def left_out(estimates: Sequence[Estimate], used: Sequence[Estimate]) -> Iterator[str]:

@@ -62,10 +62,10 @@ def write_model(
     bodies, joints = _changes(file, tree)
     links, notes = shared_out(_links(model, kind), bodies, fixed)
     data, warnings = _edited(model.path, kind, links, joints, [*note])
-    _check(model, data, tree)
+    unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
-    return (*notes, *warnings, *_lost_files(model.path, path))
+    return (*notes, *warnings, *unread, *_lost_files(model.path, path))
 
 
 def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
@@ -126,8 +126,8 @@ def _edited(
     return edited_urdf(path.read_bytes(), str(path), links, joints, note)
 
 
-def _check(model: ModelFile, data: bytes, tree: Tree) -> None:
-    """Whether what is to be written is read as it is meant."""
+def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
+    """Whether what is to be written is read as it is meant; a warning where losses are not."""
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_model(model.path, Path(folder))
         copy.write_bytes(data)
@@ -143,6 +143,16 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> None:
                 f"{model.path}: link '{joint.body}' would not be read as it is written (by "
                 f"{max(gaps):.1g} of itself); nothing was written"
             )
+    unread = [
+        new.name
+        for old, new in zip(read.joints, tree.joints, strict=True)
+        if (old.coulomb, old.viscous) != (new.coulomb, new.viscous)
+    ]
+    if not unread:
+        return ()
+    return (
+        f"friction of {', '.join(unread)} is written and not read: the file's options disable it",
+    )
 
 
 def _lost_files(source: Path, path: Path) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ from testbed.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.recordings.source import Source, Stretch, open_source
+from testbed.robot.friction import ROTOR
 from testbed.robot.inertia import NOTHING, Inertia
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
@@ -408,6 +409,22 @@ def test_conditions_count_friction_and_rotors() -> None:
     assert (rotors >= 0).all()
     assert len(rotors) == tree.n
     assert any("no place for offset/" in line for line in found.warnings)
+
+
+def test_rotors_that_would_count_twice_are_said() -> None:
+    tree = robot("puma").with_joints({"elbow": {"rotor_inertia": 0.5}})
+    estimates = estimates_of(tree)
+    assert any(
+        "count twice" in line for line in consistent(tree, estimates, prior_of(tree)).warnings
+    )
+    settings = tb.Settings(terms=("coulomb", "viscous", "rotor"))
+    told = tb.identify(tree, measured(tree, 1, duration=10.0), "internal", settings=settings)
+    found = consistent(tree, [estimates[0], told], prior_of(tree))
+    assert found.warnings == ()
+    rotors = {
+        t.joint: v for t, v in zip(found.terms, found.coefficients, strict=True) if t.law == ROTOR
+    }
+    assert rotors[2] == pytest.approx(0.5, rel=0.1)
 
 
 def test_pseudo_inertias_there_and_back() -> None:

@@ -12,14 +12,17 @@ import pinocchio as pin
 import pytest
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
+from testbed.robot.friction import drive_torque
 from testbed.robot.inertia import Inertia
 from testbed.robot.links import Fixed
 from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
 from tests.helpers.paths import GOLDEN, REAL, ROOT
-from tests.helpers.robots import random_robot
+from tests.helpers.pinocchio import by_pinocchio
+from tests.helpers.robots import random_robot, random_states
 
 MODELS = {
     "puma.xml": ROOT / "models/puma562.xml",
@@ -104,6 +107,42 @@ def test_random_trees_by_two_formats_and_three_readers(seed: int, tmp_path: Path
             read = pin.buildModelFromUrdf(str(path))
             for joint, body in zip(wanted.joints, wanted.inertias, strict=True):
                 assert read.inertias[read.getJointId(joint.name)].mass == body.mass
+
+
+def test_torques_of_the_written_file_in_other_engines(tmp_path: Path) -> None:
+    """Plain Pinocchio and mj_inverse, on an unseen motion; dry friction is the solver's there."""
+    rng = np.random.default_rng(3)
+    robot = random_robot(rng, 6)
+    states = random_states(rng, 20, 6)
+    motion = tb.Motion(np.arange(20.0), *states)
+    for ending, text in (("urdf", robot.urdf()), ("xml", robot.mjcf())):
+        source, path = tmp_path / f"source.{ending}", tmp_path / f"written.{ending}"
+        source.write_text(text)
+        wanted = other(tb.load_tree(source), 5, rotors=ending == "xml")
+        write_model(ModelFile(source), wanted, path)
+        ours = tb.joint_forces(wanted, motion)
+        if ending == "urdf":
+            theirs = by_pinocchio(path.read_text(), wanted, states).forces
+        else:
+            ours = ours + drive_torque(wanted.with_joints(FREE_OF_DRY), *states[1:])
+            theirs = by_mj_inverse(path, wanted, states)
+        np.testing.assert_allclose(theirs, ours, atol=1e-10 * np.abs(ours).max())
+
+
+FREE_OF_DRY = {f"j{k}": {"coulomb": 0.0} for k in range(1, 7)}
+
+
+def by_mj_inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:
+    model = mujoco.MjModel.from_xml_path(str(path))
+    model.dof_frictionloss[:] = 0.0
+    data = mujoco.MjData(model)
+    at = [int(model.joint(name).qposadr[0]) for name in tree.names]
+    found = []
+    for q, qd, qdd in zip(*states, strict=True):
+        data.qpos[at], data.qvel[at], data.qacc[at] = q, qd, qdd
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse[at].copy())
+    return np.asarray(found, dtype=float)
 
 
 CARRYING = """<?xml version='1.0'?>\r
@@ -261,6 +300,16 @@ def test_files_that_cannot_be_edited_are_refused(text: str, said: str, tmp_path:
     with pytest.raises(tb.TestbedError, match=said):
         written(text, tmp_path)
     assert not (tmp_path / "w.xml").exists()
+
+
+def test_classes_give_way_and_disabled_friction_is_said(tmp_path: Path) -> None:
+    classes = '<default><joint damping="3" armature="0.1" frictionloss="2"/></default>'
+    notes, path, wanted = written(mjcf(before=classes), tmp_path)
+    assert notes == ()
+    assert_same(tb.load_tree(path), wanted)
+    option = '<option><flag frictionloss="disable"/></option>'
+    notes, _, _ = written(mjcf(before=option), tmp_path)
+    assert any("not read" in note for note in notes)
 
 
 def test_bodies_of_another_file_are_not_looked_for(tmp_path: Path) -> None:
