@@ -163,12 +163,7 @@ def consistent(
     error = wishes.prior_error
     if isinstance(error, str):
         raise SettingsError("consistent bodies need a prior error that is a number")
-    used = [each for each in estimates if precise(each)]
-    if not used:
-        raise RecordingError(
-            "consistent bodies need an estimate with a covariance, and hardly more rows than "
-            "unknowns give none: record a longer or richer motion"
-        )
+    used = _usable(estimates)
     terms = terms_of(used)
     told = agreeing([evidence(blind, each, terms) for each in used])
     asked = conditions(tree, prior, wishes, terms)
@@ -206,6 +201,17 @@ def consistent(
             *warnings_of(used, bent, left),
         ),
     )
+
+
+def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Those that have a covariance."""
+    used = [each for each in estimates if precise(each)]
+    if not used:
+        raise RecordingError(
+            "consistent bodies need an estimate with a covariance, and hardly more rows than "
+            "unknowns give none: record a longer or richer motion"
+        )
+    return used
 
 
 def robot_of(found: Consistent, tree: Tree) -> Tree:
