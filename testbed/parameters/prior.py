@@ -7,7 +7,7 @@ matter in a file that gives others their masses is a frame between two joints: i
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,9 @@ THINNEST = 1e-2
 
 ROUNDING = 1e-9
 """Share below zero that is rounding in a file: of a rod or a plate."""
+
+MOST_NAMED = 6
+"""Bodies in one line."""
 
 SMALL = 0.1
 """Radius of gyration of a point mass, in parts of its distance or of the robot's lengths."""
@@ -65,30 +68,38 @@ def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
         extent: As in Prior; by default no body has shapes.
     """
     found = np.array(standard(tree))
-    warnings: list[str] = []
     reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in tree.joints))
-    if not (found[:, 0] > 0).any():
-        found[:] = 0.0
-        found[:, 0] = 1.0
-        warnings.append(
-            "the model file gives no body a mass: what the data do not tell is of bodies of 1 kg"
-        )
-    whole = matrices(found)
+    without_masses = not (found[:, 0] > 0).any()
+    if without_masses:
+        found[:] = np.eye(1, 10)
+    usual = float(np.median(found[found[:, 0] > 0, 0]))
+    impossible, nothing = [], []
     for body, joint in enumerate(tree.joints):
-        if not found[body].any():
+        given = matrices(found[body])
+        if not given.any():
+            nothing.append(joint.body)
             continue
-        put_right = _possible(whole[body], reach, float(np.median(found[found[:, 0] > 0, 0])))
-        size = float(np.abs(np.linalg.eigvalsh(whole[body])).max())
-        if np.linalg.eigvalsh(whole[body])[0] < -ROUNDING * size and not warnings:
-            warnings.append(
-                f"the model file's '{joint.body}' is no possible body; the nearest one is taken"
-            )
-        found[body] = parameters(put_right)
-    nothing = [joint.body for joint, own in zip(tree.joints, found, strict=True) if not own.any()]
-    warnings += _without_matter(nothing)
+        if _is_none(given):
+            impossible.append(joint.body)
+        found[body] = parameters(_possible(given, reach, usual))
     everywhere = np.tile([[-np.inf] * 3, [np.inf] * 3], (tree.n, 1, 1))
     rotors = np.array([joint.rotor_inertia for joint in tree.joints])
-    return Prior(found, rotors, everywhere if extent is None else extent, tuple(warnings))
+    return Prior(
+        found,
+        rotors,
+        everywhere if extent is None else extent,
+        tuple(_warnings(without_masses, impossible, nothing)),
+    )
+
+
+def _is_none(body: Array) -> bool:
+    """Whether no body has such a J, (4, 4), or a point alone has."""
+    mass = body[3, 3]
+    if mass <= 0:
+        return True
+    size = np.linalg.eigvalsh(body[:3, :3] - np.outer(body[:3, 3], body[:3, 3]) / mass)
+    least = ROUNDING * float(np.abs(body[:3, :3]).max())
+    return bool(size[0] < -least or size[-1] <= least)
 
 
 def _possible(body: Array, reach: float, mass: float) -> Array:
@@ -105,8 +116,19 @@ def _possible(body: Array, reach: float, mass: float) -> Array:
     return nearest_definite(body, THINNEST)
 
 
-def _without_matter(names: list[str]) -> Iterable[str]:
-    """What to know of bodies without matter."""
-    if names:
-        listed = ", ".join(f"'{name}'" for name in names[:6]) + ", ..." * (len(names) > 6)
-        yield f"{listed} has no matter in the model file, and none is looked for"
+def _warnings(without_masses: bool, impossible: list[str], nothing: list[str]) -> Iterator[str]:
+    """What was put right, a line each."""
+    if without_masses:
+        yield "the model file gives no body a mass: what the data do not tell is of bodies of 1 kg"
+    elif impossible:
+        yield (
+            f"no body has the inertia that the model file gives {_listed(impossible)}; the nearest "
+            "ones with some extent are taken"
+        )
+    if nothing:
+        yield f"{_listed(nothing)} has no matter in the model file, and none is looked for"
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:MOST_NAMED]) + more
