@@ -96,7 +96,7 @@ def shared_out(
             lump = whole if parts is None else _sum(parts[link.name] for link in group)
             found |= {link.name: NOTHING for link in group}
             found[group[0].name] = group[0].seen_from(lump)
-    bare = {link.name for link in links if not link.inertia.mass}
+    bare = {link.name for link in links if not link.inertia.pseudo.any()}
     kept = {name: own for name, own in found.items() if own.mass or name not in bare}
     return kept, tuple(notes)
 

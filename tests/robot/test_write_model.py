@@ -218,6 +218,16 @@ def test_a_link_without_inertial_gets_one(tmp_path: Path) -> None:
     assert b"<inertial>" in path.read_bytes()
 
 
+@pytest.mark.parametrize("fixed", ["lump", "share"])
+def test_inertia_without_mass_is_not_lost(fixed: Fixed, tmp_path: Path) -> None:
+    source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
+    source.write_text(CARRYING.replace('<mass value="1"/>', '<mass value="0"/>'))
+    model = ModelFile(source, accept_inertia=True, lock={"grip": None})
+    wanted = other(model.tree())
+    write_model(model, wanted, path, fixed=fixed)
+    assert_same(replace(model, path=path).tree(), wanted)
+
+
 def test_nothing_is_written_where_it_may_not_be(tmp_path: Path) -> None:
     source = tmp_path / "r.urdf"
     source.write_text(random_robot(np.random.default_rng(0), 3).urdf())

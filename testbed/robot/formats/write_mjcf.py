@@ -106,7 +106,7 @@ def _set_inertial(document: XmlBytes, body: Element, inertia: Inertia) -> None:
         "mass": repr(inertia.mass),
         "fullinertia": " ".join(repr(float(central[at])) for at in _ORDER),
     }
-    if not inertia.mass:  # MuJoCo takes no full inertia that is zero
+    if not central.any():  # MuJoCo takes no full inertia that is zero
         said["diaginertia"] = "0 0 0"
         del said["fullinertia"]
     there = body.named("inertial")
