@@ -20,6 +20,7 @@ from testbed.identification.consistent_program import Scaled, scaled, solve
 from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
+from testbed.identification.passes import one_blas_thread
 from testbed.identification.stated import Stated
 from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
@@ -159,11 +160,24 @@ def consistent(
         RecordingError: There is no estimate whose covariance is one.
         UnknownName: A wish is about a link that is not there.
     """
-    wishes, blind = wishes or Wishes(), tree.without_inertias()
+    wishes = wishes or Wishes()
     error = wishes.prior_error
     if isinstance(error, str):
         raise SettingsError("consistent bodies need a prior error that is a number")
-    used = _usable(estimates)
+    with one_blas_thread():
+        return _consistent(tree, estimates, prior, wishes, error, tried or {})
+
+
+def _consistent(
+    tree: Tree,
+    estimates: Sequence[Estimate],
+    prior: Prior,
+    wishes: Wishes,
+    error: float,
+    tried: Mapping[float, float],
+) -> Consistent:
+    """The same, the prior error a number."""
+    used, blind = _usable(estimates), tree.without_inertias()
     terms = terms_of(used)
     told = agreeing([evidence(blind, each, terms) for each in used])
     asked = conditions(tree, prior, wishes, terms)
@@ -193,7 +207,7 @@ def consistent(
         binding=(*(f"'{name}' a possible body" for name in edge), *_at_limits(problem, z)),
         unsettled=left,
         prior_error=error,
-        tried=tried or {},
+        tried=tried,
         warnings=(
             *prior.warnings,
             *left_out(estimates, used),
