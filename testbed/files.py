@@ -84,7 +84,8 @@ def read_text(path: Path, most: int) -> str:
 
 def fingerprint(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _place(path: Path, folder: bool) -> Path:

@@ -8,6 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from testbed.cli.consistent_files import (
+    ConsistentBodies,
+    Fixed,
+    FixedLinks,
+    InPlace,
+    Write,
+    Writing,
+)
 from testbed.cli.options import (
     Accept,
     Gravity,
@@ -28,7 +36,9 @@ from testbed.cli.reading import Reading, corrected_source
 if TYPE_CHECKING:
     from testbed.arrays import Array
     from testbed.experiment.experiment import Experiment
+    from testbed.identification.estimate import Estimate, Method
     from testbed.recordings.recording import Truth
+    from testbed.recordings.source import Source
     from testbed.simulation.rollout import Watch
 
 
@@ -153,6 +163,10 @@ def identify(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    consistent: ConsistentBodies = False,
+    write: Write = None,
+    fixed: FixedLinks = Fixed.lump,
+    in_place: InPlace = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
@@ -161,7 +175,10 @@ def identify(
     The recording may be larger than memory. A method whose signal it lacks is left out.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
+
+    Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
+    from testbed.experiment.consistent_results import consistent_as_json
     from testbed.experiment.results import identified_as_json
     from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
@@ -169,22 +186,21 @@ def identify(
     from testbed.report import terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
-    table, tree, file = (
-        reading.tables().identification,
-        reading.tree(model),
-        reading.model_file(model),
-    )
+    writing = Writing(consistent, write, fixed, in_place)
+    writing.check(reading, model)
+    table, tree = reading.tables().identification, reading.tree(model)
     source, doubt = reading.source(recording, tree), reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
     warnings = [said for m, said in zip(wanted, warnings, strict=True) if m not in there]
-    estimates = []
-    for name in there or wanted:  # the first says what is missing
+
+    def estimate_of(part: Source, name: Method) -> Estimate:
+        """By one method, of the recording or of a part of it."""
         with terminal.Progress(f"identifying, {name}") as progress:
-            estimate = identified(
+            return identified(
                 tree,
-                source,
+                part,
                 name,
                 gravity=gravity,
                 settings=table,
@@ -192,12 +208,21 @@ def identify(
                 threads=threads,
                 progress=progress,
             )
-        estimates.append(estimate)
+
+    estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
+    bodies = None
+    if writing.wanted:
+        bodies = writing.bodies(reading, model, source, estimates, estimate_of)
+        warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recording)]
     if as_json:
-        terminal.print_json(identified_as_json(estimates, file, reading.tables()))
+        content = identified_as_json(estimates, reading.model_file(model), reading.tables())
+        more = {} if bodies is None else {"consistent": consistent_as_json(bodies)}
+        terminal.print_json(content | more)
     else:
         warnings += warnings_between(estimates)
-        terminal.print_estimates(estimates, [*tree.warnings, *warnings])
+        terminal.print_estimates(estimates, [*tree.warnings, *warnings], bodies)
+        if write is not None:
+            terminal.print_lines([f"model file: {write}"], ())
 
 
 @app.command()

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from testbed.errors import ExperimentError
+from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.estimate import METHODS, Method
@@ -26,13 +27,15 @@ def evaluate(
 ) -> Run:
     """Identify from an experiment's recording and compare with the truth.
 
+    With consistent bodies, where the experiment asks for them.
+
     Args:
         experiment: What was carried out.
         recording: What the instrument measured.
         progress: Called with samples done and samples in all, method by method.
         methods: Which estimates to make.
     """
-    return assemble_run(
+    run = assemble_run(
         with_rotor_spin(robot_of(experiment), experiment.robot.spins),
         recording,
         name=experiment.name,
@@ -42,6 +45,7 @@ def evaluate(
         methods=methods,
         progress=progress,
     )
+    return with_consistent(run)
 
 
 def robot_of(experiment: Experiment) -> Tree:

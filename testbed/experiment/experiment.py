@@ -20,6 +20,7 @@ from testbed.experiment.experiment_tables import (
     Expectations,
     Finite,
     MotionTable,
+    PriorTable,
     RobotTable,
     RunName,
     SimulationTable,
@@ -27,6 +28,7 @@ from testbed.experiment.experiment_tables import (
 )
 from testbed.experiment.toml_text import checked, complaints, override, read_toml
 from testbed.identification.settings import Settings
+from testbed.identification.wishes import Wishes
 from testbed.instruments.chain import Instrument
 
 
@@ -37,6 +39,8 @@ class RecordingTables(Table):
     """How the model file is read."""
     identification: Settings = Settings()
     """How the estimates are made."""
+    consistent: Wishes = Wishes()
+    """What is asked of physically consistent bodies."""
 
     @staticmethod
     def of(settings: Iterable[str]) -> RecordingTables:
@@ -71,6 +75,9 @@ class ExperimentTables(Table):
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
+    consistent: Wishes | None = None
+    """What is asked of physically consistent bodies; without the table none are made."""
+    prior: PriorTable = PriorTable()
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics: the claim."""
 

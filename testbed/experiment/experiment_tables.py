@@ -42,6 +42,10 @@ METRICS = (
     "friction_curve_rms",
     "combined_rms_relative_error",
     "combined_max_z",
+    "consistent_rms_relative_error",
+    "prior_rms_relative_error",
+    "consistent_to_plain",
+    "consistent_least_eigenvalue",
     "payload_mass_error",
     "payload_mass_z",
     "payload_mass_sigma",
@@ -182,6 +186,13 @@ class SimulationTable(Table):
     """Time run before the recording starts [s]."""
     effect: tuple[Annotated[Effect, AsTable(effect_of)], ...] = ()
     """What else is in the plant, `[[simulation.effect]]` (docs/plants.md)."""
+
+
+class PriorTable(Table):
+    """The model file that consistent bodies start from: in an experiment it is the truth."""
+
+    error: NotNegative = 0.3
+    """How wrong its bodies are made first, in parts of themselves."""
 
 
 class Bound(Table):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.experiment.consistent_results import consistent_as_json
 from testbed.experiment.drive_results import drives_as_json
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.run import Run
@@ -39,6 +40,7 @@ def result(run: Run) -> dict[str, Any]:
         "as_expected": run.as_expected,
         "warnings": list(run.warnings),
         "drives": None if run.drives is None else drives_as_json(run.drives),
+        "consistent": None if run.consistent is None else consistent_as_json(run.consistent),
         "validation": {m: validation_as_json(found) for m, found in run.validation.items()},
         "model_sha256": run.recording.facts.get("model_sha256"),
         "versions": versions(),

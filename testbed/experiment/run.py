@@ -15,6 +15,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_warnings import warnings_of
 from testbed.experiment.score import Score, score
 from testbed.experiment.shown_motion import shown_motion
+from testbed.identification.consistency import Consistent
 from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify, in_its_gravity
@@ -45,6 +46,7 @@ class Run:
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
         drives: What the plate says of the drives; None where it was not asked.
+        consistent: Bodies that can exist; None where they were not asked for.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Run:
     warnings: tuple[str, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     drives: DriveFindings | None = None
+    consistent: Consistent | None = None
 
     @property
     def truths(self) -> dict[str, float]:

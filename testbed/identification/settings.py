@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -13,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
+from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
 from testbed.robot.friction import STRIBECK, JointLaw, joint_law
 
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
@@ -90,7 +89,7 @@ class Settings:
             "noise": _one_of("noise", self.noise, ("ar", "white")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "nuisances": _nuisances(self.nuisances),
-            "known": _known(self.known),
+            "known": stated_values(self.known),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -128,11 +127,7 @@ class Settings:
     @property
     def facts(self) -> dict[str, tuple[float, float]]:
         """Value and sigma of what is known, by name."""
-        found = {}
-        for name, given in self.known.items():
-            numbers = [given] if isinstance(given, Real) else list(given)  # type: ignore[arg-type]
-            found[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
-        return found
+        return with_sigmas(self.known)
 
     @property
     def joined(self) -> bool:
@@ -149,13 +144,6 @@ def _hertz(cutoff: Cutoff | None) -> float | None:
     return None if cutoff is None or isinstance(cutoff, str) else cutoff
 
 
-def _number(value: object) -> float | None:
-    """A finite number, or None for what is none."""
-    real = isinstance(value, Real) and not isinstance(value, bool)
-    number = float(value) if real else math.nan  # type: ignore[arg-type]
-    return number if math.isfinite(number) else None
-
-
 def _zeros(given: object) -> bool | tuple[str, ...]:
     if isinstance(given, bool):
         return given
@@ -168,21 +156,21 @@ def _zeros(given: object) -> bool | tuple[str, ...]:
 def _cutoff(name: str, given: object) -> Cutoff:
     if given is None or given == "off":
         return "off"
-    number = _number(given)
+    number = finite_number(given)
     if number is None or number <= 0:
         raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')
     return number
 
 
 def _speed(name: str, given: object) -> float:
-    number = _number(given)
+    number = finite_number(given)
     if number is None or number < 0:
         raise SettingsError(f"{name} is a speed [rad/s or m/s], found {given!r}")
     return number
 
 
 def _reach(given: object) -> float | None:
-    number = _number(given)
+    number = finite_number(given)
     if given is not None and (number is None or number < 0):
         raise SettingsError(f"reversal_reach is a time [s], found {given!r}")
     return number
@@ -219,22 +207,6 @@ def _nuisances(given: object) -> tuple[str, ...]:
     if len(set(names)) < len(names):
         raise SettingsError(f"nuisances names something twice: {', '.join(names)}")
     return tuple(names)
-
-
-def _known(given: object) -> dict[str, float | tuple[float, ...]]:
-    if not isinstance(given, Mapping):
-        raise SettingsError(f"known is a table of values by name, found {given!r}")
-    found: dict[str, float | tuple[float, ...]] = {}
-    for name, value in given.items():
-        listed = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
-        numbers = [_number(each) for each in listed]
-        if not 1 <= len(numbers) <= 2 or None in numbers or (numbers[1:] and numbers[1] < 0):  # type: ignore[operator]
-            raise SettingsError(
-                f"known.{name} is a value, or a value and its sigma, found {value!r}"
-            )
-        exact = [float(each) for each in numbers]  # type: ignore[arg-type]
-        found[str(name)] = exact[0] if len(exact) == 1 else tuple(exact)
-    return found
 
 
 def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:

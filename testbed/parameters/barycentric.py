@@ -10,10 +10,13 @@ Source    [FRS96] eqs. (3)-(5)
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from testbed.arrays import AnyArray, Array, readonly, skew
 from testbed.parameters.symbols import Symbol
+from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Tree
 
 _PARTS = (
@@ -52,6 +55,21 @@ def standard(tree: Tree) -> Array:
         (inertia.mass, *inertia.first_moment, *inertia.tensor[UPPER]) for inertia in tree.inertias
     ]
     return readonly(np.array(rows)[:, _TO_STANDARD_ORDER], (tree.n, 10), "standard")
+
+
+def with_standard(tree: Tree, standard: Array) -> Tree:
+    """The same tree with bodies of other standard parameters.
+
+    Args:
+        tree: The robot.
+        standard: (n, 10) in the order STANDARD [kg, kg m, kg m^2].
+    """
+    tensors = standard[:, _TO_STANDARD_ORDER][:, 4:] @ np.moveaxis(TENSOR, 2, 0).reshape(6, 9)
+    bodies = [
+        Inertia(own[0], own[1:4], tensor.reshape(3, 3))
+        for own, tensor in zip(standard, tensors, strict=True)
+    ]
+    return replace(tree, inertias=tuple(bodies))
 
 
 def barycentric(tree: Tree) -> Array:

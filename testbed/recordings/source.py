@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Protocol, runtime_checkable
 
@@ -51,6 +51,60 @@ class Source(Protocol):
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of a source, which is a source.
+
+    Attributes:
+        whole: Of which.
+        first: Its first sample.
+        last: The one after its last.
+    """
+
+    whole: Source
+    first: int
+    last: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names."""
+        return self.whole.names
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return self.last - self.first
+
+    @property
+    def rate(self) -> float:
+        """Samples a second [Hz]."""
+        return self.whole.rate
+
+    @property
+    def tare(self) -> Array | None:
+        """As `Recording.tare`."""
+        return self.whole.tare
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """As `Recording.facts`."""
+        return self.whole.facts
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """As `Recording.signals`."""
+        return self.whole.signals
+
+    @property
+    def senses_kinematics(self) -> bool:
+        """Whether velocities and accelerations were sensed, both."""
+        return self.whole.senses_kinematics
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1 of the stretch, without the truth."""
+        return self.whole.part(self.first + first, self.first + last)
 
 
 def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:

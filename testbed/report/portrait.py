@@ -36,7 +36,7 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
         wrench: Of the bedplate on the robot at the first posture, (6,) [N, N m]; None for none.
         name: What the picture shows, for those who cannot see it.
     """
-    camera = _camera()
+    camera = view(EYE)
     placed = poses(look.tree, motion)
     solid, colours = _surfaces(look, placed)
     paths = [placed[j][1] + placed[j][0] @ point for j, point in look.tips.items()]
@@ -80,9 +80,13 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
     )
 
 
-def _camera() -> Array:
-    """Rows: to the right, up, and away from the eye, (3, 3)."""
-    away = -EYE / np.linalg.norm(EYE)
+def view(eye: Array) -> Array:
+    """Rows: to the right, up, and away from the eye, (3, 3).
+
+    Args:
+        eye: Where the picture is taken from, not straight above; parallel rays, (3,).
+    """
+    away = -eye / np.linalg.norm(eye)
     right = np.cross(away, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return np.stack([right, np.cross(right, away), away])

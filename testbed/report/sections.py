@@ -11,6 +11,7 @@ from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
+from testbed.report.bodies_section import bodies_section
 from testbed.report.drive_sections import BAND, curve_lines, drive_section
 from testbed.report.figures import Panel, thinned
 from testbed.report.spectrum import rms_within, spectrum
@@ -24,7 +25,7 @@ SLOW = 5.0
 
 
 def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
-    """The figures that there are: measured against predicted, residuals' spectra, friction.
+    """The figures that there are: measured against predicted, residuals' spectra, friction, bodies.
 
     Args:
         found: Predictions for the unseen recording, or for the one that was identified.
@@ -38,6 +39,8 @@ def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
         if found.run.drives is not None:
             seconds = seconds_shown(found.motion.t)
             drawn.append(drive_section(found, found.run.drives, CUTOFF, seconds))
+    if found.run.consistent is not None:
+        drawn.append(bodies_section(found.run, found.run.consistent))
     return drawn
 
 

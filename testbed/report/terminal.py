@@ -15,6 +15,7 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 from testbed.experiment.summary import validation_lines
+from testbed.report.consistent_table import consistent_lines, consistent_tables
 from testbed.report.drive_table import drive_lines, drive_tables
 from testbed.report.payload_table import payload_lines, payload_table
 from testbed.report.plate_tables import plate_lines, plate_tables
@@ -24,6 +25,7 @@ from testbed.report.validation_tables import validation_tables
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
+    from testbed.identification.consistency import Consistent
     from testbed.identification.drive_findings import DriveFindings
     from testbed.identification.estimate import Estimate
     from testbed.identification.payload import PayloadEstimate
@@ -70,18 +72,26 @@ def print_json(value: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
-def print_estimates(estimates: list[Estimate], warnings: Sequence[str]) -> None:
+def print_estimates(
+    estimates: list[Estimate], warnings: Sequence[str], bodies: Consistent | None = None
+) -> None:
     """Print what was found.
 
     Args:
         estimates: Of one recording.
         warnings: About the robot and the recording.
+        bodies: Consistent with the estimates, where they were asked for.
     """
     out = console()
     for table in result_tables(out, estimates, {}):
         out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
+    if bodies is not None:
+        for table in consistent_tables(bodies):
+            out.print(table)
+        for line in consistent_lines(bodies):
+            out.print(printable(line), soft_wrap=True)
     print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
 
 
@@ -178,6 +188,9 @@ def print_run(run: Run, folder: Path) -> None:
         out.print(table)
     for line in quality_lines(estimates):
         out.print(line, soft_wrap=True)
+    if run.consistent is not None:
+        for line in consistent_lines(run.consistent):
+            out.print(printable(line), soft_wrap=True)
     if run.drives is not None:
         _print_drives(out, run.drives)
     for line in validation_lines(run.validation):

@@ -58,6 +58,24 @@ class Inertia:
         tensor: Array = self.tensor + self.mass * skew(self.com) @ skew(self.com)
         return tensor
 
+    @property
+    def pseudo(self) -> Array:
+        """Second moments, first moments and mass as one matrix, [[S, h], [h', m]], (4, 4).
+
+        [WKS18]: positive semidefinite if and only if the body is of rigid matter.
+        """
+        found = np.empty((4, 4))
+        found[:3, :3] = np.trace(self.tensor) / 2 * np.eye(3) - self.tensor
+        found[:3, 3] = found[3, :3] = self.first_moment
+        found[3, 3] = self.mass
+        return found
+
+    @staticmethod
+    def of_pseudo(matrix: Array) -> Inertia:
+        """From such a matrix, (4, 4)."""
+        second = matrix[:3, :3]
+        return Inertia(matrix[3, 3], matrix[:3, 3], np.trace(second) * np.eye(3) - second)
+
     def moved(self, rotation: Array, position: Array) -> Inertia:
         """The same body seen from another frame.
 
@@ -82,6 +100,18 @@ class Inertia:
 
 NOTHING = Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
 """A body without matter."""
+
+
+def upper_root(matrix: Array) -> Array:
+    """U with U U' the pseudo-inertia, upper triangular: an affine map, and a root of the mass.
+
+    Args:
+        matrix: (4, 4), positive definite.
+
+    Raises:
+        LinAlgError: It is not.
+    """
+    return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
 
 
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:

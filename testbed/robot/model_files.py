@@ -36,7 +36,7 @@ def copy_model(path: Path, folder: Path) -> Path:
         ModelError: The model file cannot be read.
     """
     path = path.resolve()
-    held = dict(_held(path))
+    held = held_files(path)
     root = Path(os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)]))
     for file in (path, *held):
         place = folder / file.relative_to(root)
@@ -45,10 +45,17 @@ def copy_model(path: Path, folder: Path) -> Path:
     return folder / path.relative_to(root)
 
 
-def _held(path: Path) -> Iterator[tuple[Path, Path]]:
-    """Files that a model refers to, and the folder from which their names lead there."""
+def held_files(path: Path) -> dict[Path, Path]:
+    """Files that a model refers to, and the folder from which their names lead there.
+
+    Args:
+        path: The model file.
+
+    Raises:
+        ModelError: The model file cannot be read.
+    """
     found = _of_mjcf(path) if model_format(path) == "mjcf" else _of_urdf(path)
-    return ((file, place) for file, place in found if file.suffix.lower() in ENDINGS)
+    return {file: place for file, place in found if file.suffix.lower() in ENDINGS}
 
 
 def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:

@@ -10,7 +10,7 @@ import rerun as rr
 from testbed.files import replacing
 from testbed.viewer.blueprint import blueprint
 from testbed.viewer.curves import log_friction, log_growth, log_signals
-from testbed.viewer.robot_drawing import log_reaction, log_robot
+from testbed.viewer.robot_drawing import log_bodies, log_reaction, log_robot
 from testbed.viewer.scene import Scene, root
 
 
@@ -40,6 +40,7 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
         at: Its root among the entities.
     """
     log_robot(stream, scene, f"{at}/world")
+    log_bodies(stream, scene, f"{at}/world")
     log_reaction(stream, scene, f"{at}/world/bedplate")
     log_signals(stream, scene, at)
     log_friction(stream, scene, f"{at}/friction")

@@ -9,7 +9,10 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
+from testbed.identification.consistency import robot_of
+from testbed.parameters.barycentric import with_standard
 from testbed.robot.visuals.appearance import Appearance
+from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.shapes import Shape
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.scene import Scene, means, pressure
@@ -36,6 +39,27 @@ def log_robot(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
         path = position + rotation @ point
         line = rr.LineStrips3D([path], colors=[COLOURS["path"]], radii=[look.reach / 720])
         stream.log(f"{at}/path/{j + 1}", line, static=True)
+
+
+def log_bodies(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
+    """Links as ellipsoids of even density: model file, truth and estimate, where there are any."""
+    run = scene.run
+    if run.consistent is None:
+        return
+    robots = {"prior": with_standard(run.tree, run.consistent.prior)}
+    if run.score is not None:
+        robots["truth"] = run.tree
+    robots["estimate"] = robot_of(run.consistent, run.tree)
+    for name, colour in (("prior", "measured"), ("truth", "path"), ("estimate", "external")):
+        for shape in equivalent_ellipsoids(robots[name], (0, 0, 0, 1)) if name in robots else ():
+            drawn = rr.Ellipsoids3D(
+                half_sizes=[shape.size],
+                centers=[shape.position],
+                quaternions=[rr.Quaternion(xyzw=quaternions(shape.rotation))],
+                colors=[COLOURS[colour]],
+                fill_mode=rr.components.FillMode.MajorWireframe,
+            )
+            stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", drawn, static=True)
 
 
 def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> None:

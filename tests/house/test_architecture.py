@@ -56,6 +56,7 @@ ANYWHERE = {"__init__", "__main__", "cli"}
 GUESTS = {
     "mujoco": (
         "robot/formats/mjcf",
+        "robot/formats/write_mjcf.py",
         "robot/visuals/mjcf_shapes.py",
         "simulation/",
         "excitation/collision_model.py",
@@ -64,6 +65,7 @@ GUESTS = {
     "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
     "coal": ("robot/visuals/urdf_shapes.py",),
     "rerun": ("viewer/",),
+    "clarabel": ("identification/conic.py",),
     "numba": ("kernel/",),
     "llvmlite": ("kernel/compiler.py",),
     "threadpoolctl": ("blas.py",),

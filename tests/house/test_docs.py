@@ -105,7 +105,7 @@ def test_what_the_documents_show_is_what_the_tool_prints(command: str, output: s
     )
 
 
-@pytest.mark.parametrize("name", ["robotran.md", "instruments.md"])
+@pytest.mark.parametrize("name", ["robotran.md", "instruments.md", "consistency.md"])
 def test_the_python_of_the_documents_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     blocks = code((ROOT / "docs" / name).read_text(), "python")

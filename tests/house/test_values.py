@@ -18,12 +18,15 @@ from testbed.excitation.limit_terms import PlateRange
 from testbed.excitation.limits import Limits
 from testbed.excitation.stencil import Stencil
 from testbed.identification.combined import Combined, Disagreement
+from testbed.identification.consistency import Bent, Consistent
 from testbed.identification.friction_curves import FrictionCurve
 from testbed.identification.payload import PayloadEstimate
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.rest import Pose
 from testbed.identification.stated import Stated
 from testbed.identification.validate import Validation
+from testbed.parameters.prior import Prior
+from testbed.robot.links import Link
 from testbed.robot.visuals.shapes import Shape
 
 
@@ -77,6 +80,15 @@ EXAMPLES: dict[str, Any] = {
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
         ("N",), some(1), some(1), (5,), 1.0, NOTHING, (), (), NOTHING, None, ("a",),
         nuisance_covariance=some(3, 3),
+    ),
+    "Prior": lambda: Prior(some(2, 10), some(2), some(2, 2, 3)),
+    "Link": lambda: Link("a", 0, True, some(3, 3), some(3), NOTHING),
+    "Bent": lambda: Bent(
+        "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0, 1.0
+    ),
+    "Consistent": lambda: Consistent(
+        ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10), (NOTHING,),
+        some(1), some(1), (), some(2, 4), some(2), (), 0.0, 0.5, {}, (),
     ),
     "Validation": lambda: Validation(
         "external", ("Fx",), ("N",), (5,), some(1), some(1), some(1), some(1), some(1)

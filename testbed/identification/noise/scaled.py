@@ -26,7 +26,7 @@ def scaled_solve(matrix: Array, right: Array) -> Array:
         matrix: Symmetric and positive definite, (m, m).
         right: (m,) or (m, k).
     """
-    root = _root(matrix)
+    root = inverse_root(matrix)
     return np.asarray(root @ (root.T @ right))
 
 
@@ -36,7 +36,7 @@ def scaled_inverse(matrix: Array) -> Array:
     Args:
         matrix: Symmetric and positive definite, (m, m).
     """
-    root = _root(matrix)
+    root = inverse_root(matrix)
     return np.asarray(root @ root.T)
 
 
@@ -54,8 +54,12 @@ def square_root(matrix: Array) -> Array:
         return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING)))
 
 
-def _root(matrix: Array) -> Array:
-    """R with R R' the inverse, (m, m)."""
+def inverse_root(matrix: Array) -> Array:
+    """R with R R' the inverse, (m, m): R' makes the matrix one of ones.
+
+    Args:
+        matrix: Symmetric and positive definite, (m, m).
+    """
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     unit = matrix * np.outer(scale, scale)

@@ -20,8 +20,9 @@ from testbed.robot.formats.mjcf_compile import (
     stated_inertias,
 )
 from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
-from testbed.robot.formats.mjcf_spec import open_spec
+from testbed.robot.formats.mjcf_spec import open_spec, parsed
 from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.links import Link
 from testbed.robot.locks import Lock
 from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
@@ -65,6 +66,29 @@ def read_mjcf(
     return _tree_of(model, stated, (*flaws, *notes, *_unmodelled(model)))
 
 
+def read_links(
+    path: Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> tuple[Link, ...]:
+    """The bodies of an MJCF file in those of its tree, carriers before what they carry.
+
+    Args:
+        path: The file, which `read_mjcf` has read.
+        weld_root: As then.
+        lock: As then.
+    """
+    jointed = {body.name for body in parsed(path).bodies if body.joints}
+    spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
+    _, stated = stated_inertias(spec)
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
+    model = compile_spec(spec, path)
+    found = []
+    for b, (owner, rotation, position) in _places(model).items():
+        name = model.body(b).name
+        inertia = _inertia_of(model, b, stated)
+        found.append(Link(name, owner, name in jointed, rotation, position, inertia))
+    return tuple(found)
+
+
 def _check_places(model: mujoco.MjModel, path: Path) -> None:
     """Whether bodies, joints and mass centres are near enough to be reckoned with."""
     bodies, joints = range(1, model.nbody), range(model.njnt)
@@ -101,18 +125,10 @@ def _tree_of(
     model: mujoco.MjModel, stated: dict[str, StatedInertia], warnings: tuple[str, ...]
 ) -> Tree:
     joints: list[Joint] = []
-    inertias: list[Inertia] = []
+    places = _places(model, joints)
+    inertias = [NOTHING] * len(joints)
     pedestal = NOTHING
-    carrier = {0: (-1, np.eye(3), np.zeros(3))}  # MuJoCo body -> (our body, its pose there)
-    for b in range(1, model.nbody):
-        owner, rotation, position = carrier[model.body_parentid[b]]
-        position = position + rotation @ model.body_pos[b]
-        rotation = rotation @ _matrix(model.body_quat[b])
-        for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
-            joints.append(_joint_of(model, j, owner, rotation, position))
-            inertias.append(NOTHING)
-            owner, rotation, position = len(joints) - 1, np.eye(3), -model.jnt_pos[j]
-        carrier[b] = (owner, rotation, position)
+    for b, (owner, rotation, position) in places.items():
         inertia = _inertia_of(model, b, stated).moved(rotation, position)
         if owner < 0:
             pedestal = pedestal + inertia
@@ -126,6 +142,29 @@ def _tree_of(
         gravity=np.zeros(3) if _disabled(model, "GRAVITY") else model.opt.gravity,
         warnings=warnings,
     )
+
+
+def _places(
+    model: mujoco.MjModel, joints: list[Joint] | None = None
+) -> dict[int, tuple[int, Array, Array]]:
+    """By MuJoCo body, the tree's body that it is part of, and its pose there.
+
+    Args:
+        model: Compiled.
+        joints: Gets the tree's joints.
+    """
+    joints = [] if joints is None else joints
+    found = {0: (-1, np.eye(3), np.zeros(3))}
+    for b in range(1, model.nbody):
+        owner, rotation, position = found[model.body_parentid[b]]
+        position = position + rotation @ model.body_pos[b]
+        rotation = rotation @ _matrix(model.body_quat[b])
+        for j in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
+            joints.append(_joint_of(model, j, owner, rotation, position))
+            owner, rotation, position = len(joints) - 1, np.eye(3), -model.jnt_pos[j]
+        found[b] = (owner, rotation, position)
+    del found[0]
+    return found
 
 
 def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, position: Array) -> Joint:

@@ -37,7 +37,7 @@ def open_spec(
             floating root, MimicError for a joint that follows another that moves.
         UnknownName: A joint to be held is not there.
     """
-    spec = _parsed(path)
+    spec = parsed(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
     if spec.compiler.settotalmass > 0:
         raise ModelError(
@@ -61,11 +61,15 @@ def open_spec(
 
 def follower_names(path: Path) -> tuple[str, ...]:
     """The joints of an MJCF file that follow others that move."""
-    return followers(_parsed(path), path)
+    return followers(parsed(path), path)
 
 
-def _parsed(path: Path) -> mujoco.MjSpec:
-    """The file as MuJoCo's parser takes it, everything named."""
+def parsed(path: Path) -> mujoco.MjSpec:
+    """The file as MuJoCo's parser takes it, everything named.
+
+    Raises:
+        ModelError: MuJoCo does not take it.
+    """
     check_files(path)
     if path.suffix != ".xml":
         raise ModelError(f"{path}: MuJoCo reads MJCF from files that end in .xml; rename it")

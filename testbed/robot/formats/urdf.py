@@ -17,8 +17,11 @@ import pinocchio as pin
 from testbed.errors import InertiaError, ModelError
 from testbed.robot.formats.urdf_numbers import numbers_of
 from testbed.robot.formats.urdf_xml import supported_xml
-from testbed.robot.inertia import Inertia, inertia_flaw
+from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
+from testbed.robot.links import Link
 from testbed.robot.locks import Lock
+from testbed.robot.model_xml import read_xml
+from testbed.robot.rotations import from_rpy
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Joint, Kind, Tree
 
@@ -47,6 +50,60 @@ def read_urdf(
     flaws = [found for link in root.findall("link") if (found := _link_flaw(link, path))]
     if flaws and not accept_inertia:
         raise InertiaError(path.name, flaws)
+    return _tree_of(_built(root, path), root.get("name", path.stem), (*flaws, *warnings))
+
+
+def read_links(
+    path: Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> tuple[Link, ...]:
+    """The links of a URDF file in the bodies of its tree, carriers before what they carry.
+
+    Args:
+        path: The file, which `read_urdf` has read.
+        weld_root: As then.
+        lock: As then.
+    """
+    moving = {
+        child.get("link")
+        for joint in read_xml(path).findall("joint")
+        if joint.get("type") != "fixed"
+        for child in joint.findall("child")
+    }
+    root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
+    elements = {link.get("name", ""): link for link in root.findall("link")}
+    for link in elements.values():
+        _link_flaw(link, path)
+    model = _built(root, path)
+    return tuple(
+        Link(
+            name=frame.name,
+            body=frame.parentJoint - 1,
+            moves=frame.name in moving,
+            rotation=frame.placement.rotation,
+            position=frame.placement.translation,
+            inertia=_link_inertia(elements[frame.name]),
+        )
+        for frame in model.frames.tolist()
+        if frame.type == pin.FrameType.BODY
+    )
+
+
+def _link_inertia(link: ET.Element) -> Inertia:
+    """As the file has it, in the link's frame."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return NOTHING
+    origin, central = inertial.find("origin"), inertial.find("inertia")
+    (mass,) = numbers_of(inertial.find("mass"), "value")
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    xx, xy, xz, yy, yz, zz = (numbers_of(central, key)[0] for key in keys)
+    turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
+    tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
+    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), tensor)
+
+
+def _built(root: ET.Element, path: Path) -> pin.Model:
+    """The file's mechanism as Pinocchio has it."""
     with captured_stderr() as said:
         try:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
@@ -54,7 +111,7 @@ def read_urdf(
             raise ModelError(f"{path}: {_first_complaint(said(), str(error))}") from None
         if said():  # its parser leaves out what it complains of
             raise ModelError(f"{path}: {_first_complaint(said(), said())}")
-    return _tree_of(model, root.get("name", path.stem), (*flaws, *warnings))
+    return model
 
 
 def _link_flaw(link: ET.Element, path: Path) -> str | None:

@@ -1,0 +1,110 @@
+"""Consistent bodies of a run, made from a model file that is wrong, and judged by the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import TestbedError
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.run import Run
+from testbed.experiment.score import relative_errors, root_mean_square
+from testbed.experiment.wrong_prior import wrong_bodies
+from testbed.identification.consistency import Consistent
+from testbed.identification.estimate import Estimate, Method
+from testbed.identification.identify import identify
+from testbed.identification.prior_choice import consistent_by_held_out
+from testbed.instruments.stage import stream
+from testbed.parameters.barycentric import standard
+from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.prior import Prior, prior_of
+from testbed.recordings.source import Source
+from testbed.robot.model_file import ModelFile
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.extents import extents
+from testbed.robot.visuals.load_shapes import load_shapes
+
+
+def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:
+    """The bodies of a tree as a prior, with the boxes around their shapes where those matter.
+
+    Args:
+        tree: The robot.
+        model: Its model file.
+        shapes: Whether mass centres are to lie in their shapes.
+    """
+    if model is None or not shapes:
+        return prior_of(tree)
+    seen = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    return prior_of(tree, extents(seen.shapes, tree.n))
+
+
+def with_consistent(run: Run) -> Run:
+    """A run with its consistent bodies, where the experiment asks for them, and their figures.
+
+    The model file is the truth in an experiment, so the prior is a wrong one.
+
+    Args:
+        run: The run.
+    """
+    experiment = run.experiment
+    if experiment is None or experiment.consistent is None or not run.estimates:
+        return run
+    wishes = experiment.consistent
+    wrong = wrong_prior(run.tree, experiment)
+    prior = prior_from(wrong, run.model, shapes=wishes.centres_in_shapes)
+
+    def identified(part: Source, method: Method) -> Estimate:
+        return identify(run.tree, part, method, settings=run.settings)
+
+    estimates = list(run.estimates.values())
+    blind = run.recording.blind()
+    try:
+        found = consistent_by_held_out(run.tree, estimates, prior, wishes, blind, identified)
+    except TestbedError as error:
+        return replace(run, warnings=(*run.warnings, f"no consistent bodies: {error}"))
+    warnings = tuple(dict.fromkeys((*run.warnings, *found.warnings)))
+    run = replace(run, consistent=found, warnings=warnings)
+    if run.score is None:
+        return run
+    metrics = {**run.score.metrics, **_metrics(run, found)}
+    return replace(run, score=replace(run.score, metrics=metrics))
+
+
+def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:
+    """The robot with the bodies that the experiment starts from.
+
+    Args:
+        tree: The robot with its true bodies.
+        experiment: Says how wrong they are.
+    """
+    return wrong_bodies(tree, experiment.prior.error, stream("prior", experiment.seed))
+
+
+def _metrics(run: Run, found: Consistent) -> dict[str, float]:
+    """Figures of consistent bodies against the truth."""
+    massive = found.eigenvalues[:, -1] > 0
+    metrics = {
+        "consistent_rms_relative_error": _error(run, found.standard),
+        "prior_rms_relative_error": _error(run, found.prior),
+    }
+    told = {name: value for name, value in metrics.items() if value is not None}
+    least = found.eigenvalues[massive, 0] / found.eigenvalues[massive, -1]
+    if len(least):
+        told["consistent_least_eigenvalue"] = float(least.min())
+    plain = [f"{method}_rms_relative_error" for method in run.estimates]
+    known = [run.metrics[name] for name in plain if name in run.metrics]
+    if known and "consistent_rms_relative_error" in told:
+        floor = float(np.finfo(float).tiny)
+        told["consistent_to_plain"] = told["consistent_rms_relative_error"] / max(*known[:1], floor)
+    return told
+
+
+def _error(run: Run, bodies: Array) -> float | None:
+    """Rms relative error of delta_d by bodies, (n, 10)."""
+    dynamic = minimal_set(run.tree, "dynamic", zeros=run.settings.zeros)
+    matrix = dynamic.standard_matrix
+    truth = matrix @ standard(run.tree).ravel()
+    return root_mean_square(relative_errors(matrix @ bodies.ravel(), truth, dynamic.units))

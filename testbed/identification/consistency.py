@@ -1,0 +1,317 @@
+"""Bodies that could exist, by estimates and a model file together.
+
+Estimates enter by their covariance, never as equations: noise alone moves them to where no
+bodies are. What they leave open is as near to the model file's bodies as it can be.
+
+Source    [WKS18] for the condition, [LWP20] for the distance
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.errors import RecordingError, SettingsError
+from testbed.identification.conditions import conditions
+from testbed.identification.consistent_program import Scaled, scaled, solve
+from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
+from testbed.identification.estimate import Estimate, Method
+from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
+from testbed.identification.passes import one_blas_thread
+from testbed.identification.stated import Stated
+from testbed.identification.wishes import Metric, Wishes
+from testbed.parameters.barycentric import with_standard
+from testbed.parameters.prior import Prior
+from testbed.parameters.pseudo_inertia import matrices
+from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.tree import Tree
+
+CLOSE = 1e-6
+"""A condition that is obeyed with less than this part of the prior's size binds."""
+
+FAINT = 1e-12
+"""Weight of terms that no file states, so that their variance before the data has a number."""
+
+THIN = 1e-2
+"""Parts of the prior's body below which a body is at the edge of what can be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bent:
+    """How far one estimate had to give way.
+
+    Attributes:
+        method: Of the estimate.
+        names: Of its parameters, (p,).
+        units: One each.
+        plain: As estimated, (p,).
+        plain_sigma: (p,), widened where another estimate contradicts it.
+        values: Of the consistent bodies, (p,).
+        covariance: Theirs, the prior's doubt among it, (p, p).
+        widened: By how much.
+        distance: Between both, in sigmas of all parameters together: about the root of p
+            where only noise is between them.
+    """
+
+    method: Method
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    plain: Array
+    plain_sigma: Array
+    values: Array
+    covariance: Array
+    widened: float
+    distance: float
+
+    def __post_init__(self) -> None:
+        p = len(self.names)
+        shapes = {"plain": (p,), "plain_sigma": (p,), "values": (p,), "covariance": (p, p)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def sigmas(self) -> Array:
+        """By how many of its own sigmas each parameter was moved, (p,)."""
+        gap = self.values - self.plain
+        return np.asarray(gap / np.maximum(self.plain_sigma, np.finfo(float).tiny))
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the consistent values, (p,)."""
+        return np.asarray(np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Consistent:
+    """Bodies, friction and rotors that could exist.
+
+    Attributes:
+        joints: The joints' names, (n,).
+        links: The bodies' names, (n,).
+        standard: Standard parameters, (n, 10) [kg, kg m, kg m^2].
+        sigma: Of each, data's and prior's doubt together, (n, 10).
+        told: Part of the prior's variance that the data took away, (n, 10): 1 where the data
+            tell a parameter, 0 where the prior or what is known filled it in.
+        prior: Standard parameters of the model file's bodies, as they were taken, (n, 10).
+        terms: Of the joints' torque, t of them.
+        coefficients: Theirs, (t,).
+        coefficient_sigma: (t,).
+        bent: How far each estimate had to give way.
+        eigenvalues: Of every J, ascending, lengths in radii of gyration of the body, masses in
+            its own, (n, 4); zero for bodies without matter.
+        margin: Least eigenvalue of every J beside the prior's, (n,): 1 for the prior itself.
+        binding: Conditions at their limits, in words.
+        unsettled: Sigmas that the program could still gain: far below one where it has ended.
+        prior_error: That was used, in parts of the prior's bodies.
+        tried: By prior error, rms of what was foretold wrongly of held-out data, in sigmas of
+            its noise; {} where it was given.
+        warnings: What a careful reader should know, a line each.
+    """
+
+    joints: tuple[str, ...]
+    links: tuple[str, ...]
+    standard: Array
+    sigma: Array
+    told: Array
+    prior: Array
+    terms: tuple[JointTerm, ...]
+    coefficients: Array
+    coefficient_sigma: Array
+    bent: tuple[Bent, ...]
+    eigenvalues: Array
+    margin: Array
+    binding: tuple[str, ...]
+    unsettled: float
+    prior_error: float
+    tried: Mapping[float, float]
+    warnings: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n, t = len(self.joints), len(self.terms)
+        shapes = dict.fromkeys(("standard", "sigma", "told", "prior"), (n, 10))
+        shapes |= {"eigenvalues": (n, 4)}
+        flat = {"margin": (n,), "coefficients": (t,), "coefficient_sigma": (t,)}
+        for name, shape in (shapes | flat).items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+
+def consistent(
+    tree: Tree,
+    estimates: Sequence[Estimate],
+    prior: Prior,
+    wishes: Wishes | None = None,
+    *,
+    tried: Mapping[float, float] | None = None,
+) -> Consistent:
+    """Bodies that could exist, fit what was measured, and are near the model file's otherwise.
+
+    Args:
+        tree: The robot; its inertias do not matter.
+        estimates: Of one recording, one a method; what each says of x counts by itself.
+        prior: The bodies before the data.
+        wishes: What is asked besides, the prior error a number; default `Wishes()`.
+        tried: How it was chosen, if it was (`prior_choice`).
+
+    Raises:
+        SettingsError: No bodies obey all that is asked; or the prior error is yet to be chosen.
+        RecordingError: There is no estimate whose covariance is one.
+        UnknownName: A wish is about a link that is not there.
+    """
+    wishes = wishes or Wishes()
+    error = wishes.prior_error
+    if isinstance(error, str):
+        raise SettingsError("consistent bodies need a prior error that is a number")
+    with one_blas_thread():
+        return _consistent(tree, estimates, prior, wishes, error, tried or {})
+
+
+def _consistent(
+    tree: Tree,
+    estimates: Sequence[Estimate],
+    prior: Prior,
+    wishes: Wishes,
+    error: float,
+    tried: Mapping[float, float],
+) -> Consistent:
+    """The same, the prior error a number."""
+    used, blind = _usable(estimates), tree.without_inertias()
+    terms = terms_of(used)
+    told = agreeing([evidence(blind, each, terms) for each in used])
+    asked = conditions(tree, prior, wishes, terms)
+    problem = scaled(blind, prior, told, asked, terms)
+    weight = 1 / error**2
+    z, left = solve(problem, wishes.metric, weight)
+    x = problem.lead @ z
+    bodies = x[: 10 * tree.n].reshape(-1, 10)
+    spread, shares = _doubt(problem, z, wishes.metric, weight)
+    bent = tuple(_bent(each, x, spread) for each in told)
+    eigenvalues, margin = _certificates(problem, z, bodies)
+    sigma = np.sqrt(np.maximum(np.diagonal(spread), 0.0))
+    edge = [j.body for j, own in zip(tree.joints, margin, strict=True) if own < THIN]
+    return Consistent(
+        joints=tree.names,
+        links=tuple(joint.body for joint in tree.joints),
+        standard=bodies,
+        sigma=sigma[: 10 * tree.n].reshape(-1, 10),
+        told=shares[: 10 * tree.n].reshape(-1, 10),
+        prior=prior.standard,
+        terms=terms,
+        coefficients=x[10 * tree.n :],
+        coefficient_sigma=sigma[10 * tree.n :],
+        bent=bent,
+        eigenvalues=eigenvalues,
+        margin=margin,
+        binding=(*(f"'{name}' a possible body" for name in edge), *_at_limits(problem, z)),
+        unsettled=left,
+        prior_error=error,
+        tried=tried,
+        warnings=(
+            *prior.warnings,
+            *left_out(estimates, used),
+            *counted_twice(prior, used),
+            *warnings_of(used, bent, left),
+        ),
+    )
+
+
+def _usable(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """Those that have a covariance."""
+    used = [each for each in estimates if precise(each)]
+    if not used:
+        raise RecordingError(
+            "consistent bodies need an estimate with a covariance, and hardly more rows than "
+            "unknowns give none: record a longer or richer motion"
+        )
+    return used
+
+
+def robot_of(found: Consistent, tree: Tree) -> Tree:
+    """The robot with its consistent bodies, friction and rotors; other terms have no place there.
+
+    Args:
+        found: Of this robot.
+        tree: The robot.
+    """
+    settings: dict[str, dict[str, object]] = {}
+    for term, value in zip(found.terms, found.coefficients, strict=True):
+        if term.law in LAWS and term.law.parameter is not None:
+            own = settings.setdefault(tree.names[term.joint], {})
+            own[term.law.parameter] = max(float(value), 0.0)
+    return with_standard(tree, np.array(found.standard)).with_joints(settings)
+
+
+def stated_by(found: Consistent, estimate: Estimate) -> Stated:
+    """What consistent bodies say of an estimate's parameters, to be validated or to foretell.
+
+    Args:
+        found: Made of the estimate.
+        estimate: With its residuals.
+    """
+    own = next(each for each in found.bent if each.method == estimate.method)
+    return Stated(
+        method=estimate.method,
+        names=estimate.names,
+        values=own.values,
+        covariance=own.covariance,
+        gravity=estimate.gravity,
+        residual=estimate.residual,
+        nuisances={each.name: each.value for each in estimate.nuisances},
+    )
+
+
+def _doubt(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:
+    """Covariance of x, (m, m), and the part of each variance that the data took away, (m,)."""
+    program = problem.program(metric, weight)
+    before = program.prior_hessian(z) + problem.facts.T @ problem.facts
+    rest = np.arange(10 * problem.bodies, len(z))
+    before[rest, rest] += FAINT
+    after = before + problem.data.T @ problem.data
+    lead = problem.lead @ program.free
+
+    def covariance(hessian: Array) -> Array:
+        return np.asarray(lead @ np.linalg.inv(program.free.T @ hessian @ program.free) @ lead.T)
+
+    prior, found = np.diagonal(covariance(before)), covariance(after)
+    open_before = prior > FAINT * (problem.lead**2).sum(axis=1)  # else what is known settles it
+    share = 1 - np.divide(np.diagonal(found), prior, out=np.ones_like(prior), where=open_before)
+    return found * np.outer(open_before, open_before), np.clip(share, 0.0, 1.0)
+
+
+def _bent(told: Evidence, x: Array, spread: Array) -> Bent:
+    """How far an estimate had to give way."""
+    estimate = told.estimate
+    return Bent(
+        method=estimate.method,
+        names=estimate.names,
+        units=estimate.units,
+        plain=estimate.values,
+        plain_sigma=told.widened * estimate.sigma,
+        values=told.rows @ x,
+        covariance=told.rows @ spread @ told.rows.T,
+        widened=told.widened,
+        distance=float(np.linalg.norm(told.left(x))),
+    )
+
+
+def _certificates(problem: Scaled, z: Array, bodies: Array) -> tuple[Array, Array]:
+    """Eigenvalues of every J without units, (n, 4), and of Y, the least, (n,)."""
+    eigenvalues, margin = np.zeros((len(bodies), 4)), np.ones(len(bodies))
+    found = problem.matrices(z)
+    for body, own in zip(problem.prior.massive, found, strict=True):
+        whole = matrices(bodies[body])
+        centre = whole[:3, 3] / whole[3, 3]
+        square = np.trace(whole[:3, :3]) / whole[3, 3] - centre @ centre
+        size = np.append(np.full(3, 1 / np.sqrt(max(square, np.finfo(float).tiny))), 1.0)
+        eigenvalues[body] = np.linalg.eigvalsh(whole * np.outer(size, size) / whole[3, 3])
+        margin[body] = np.linalg.eigvalsh(own)[0]
+    return eigenvalues, margin
+
+
+def _at_limits(problem: Scaled, z: Array) -> tuple[str, ...]:
+    """Conditions that bind."""
+    bounds = problem.conditions.bounds
+    slack = bounds.rows @ z - bounds.values
+    return tuple(n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)

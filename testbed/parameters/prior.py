@@ -1,0 +1,134 @@
+"""What a model file says of a robot's bodies and rotors, before any data.
+
+Files hold bodies that cannot be: without inertia, or with principal moments that break the
+triangle inequality. As a prior every body is the nearest one that can be. A body without any
+matter in a file that gives others their masses is a frame between two joints: it stays so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.parameters.barycentric import standard
+from testbed.parameters.pseudo_inertia import matrices, nearest_definite, parameters
+from testbed.robot.tree import Tree
+
+THINNEST = 1e-2
+"""Share of a body's greatest principal second moment that its others have at least."""
+
+ROUNDING = 1e-9
+"""Share below zero that is rounding in a file: of a rod or a plate."""
+
+MOST_NAMED = 6
+"""Bodies in one line."""
+
+SMALL = 0.1
+"""Radius of gyration of a point mass, in parts of its distance or of the robot's lengths."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Bodies and rotors as a model file has them.
+
+    Attributes:
+        standard: Standard parameters, (n, 10) [kg, kg m, kg m^2]; of bodies that can be, or zero
+            for those without matter, which have none whatever the data say.
+        rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
+        extent: Least and greatest coordinates of every body's shapes in its own frame,
+            (n, 2, 3) [m]; infinite where it has none.
+        warnings: What was put right, a line each.
+    """
+
+    standard: Array
+    rotors: Array
+    extent: Array
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        n = len(self.rotors)
+        shapes = {"standard": (n, 10), "rotors": (n,), "extent": (n, 2, 3)}
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+    @property
+    def massive(self) -> tuple[int, ...]:
+        """Bodies that have matter."""
+        return tuple(int(k) for k in np.flatnonzero(self.standard[:, 0]))
+
+
+def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
+    """What a model file says of the bodies, put right where no body can be so.
+
+    Args:
+        tree: The robot as the file has it.
+        extent: As in Prior; by default no body has shapes.
+    """
+    found = np.array(standard(tree))
+    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in tree.joints))
+    without_masses = not (found[:, 0] > 0).any()
+    if without_masses:
+        found[:] = np.eye(1, 10)
+    usual = float(np.median(found[found[:, 0] > 0, 0]))
+    impossible, nothing = [], []
+    for body, joint in enumerate(tree.joints):
+        given = matrices(found[body])
+        if not given.any():
+            nothing.append(joint.body)
+            continue
+        if _is_none(given):
+            impossible.append(joint.body)
+        found[body] = parameters(_possible(given, reach, usual))
+    everywhere = np.tile([[-np.inf] * 3, [np.inf] * 3], (tree.n, 1, 1))
+    rotors = np.array([joint.rotor_inertia for joint in tree.joints])
+    return Prior(
+        found,
+        rotors,
+        everywhere if extent is None else extent,
+        tuple(_warnings(without_masses, impossible, nothing)),
+    )
+
+
+def _is_none(body: Array) -> bool:
+    """Whether no body has such a J, (4, 4), or a point alone has."""
+    mass = body[3, 3]
+    if mass <= 0:
+        return True
+    size = np.linalg.eigvalsh(body[:3, :3] - np.outer(body[:3, 3], body[:3, 3]) / mass)
+    least = ROUNDING * float(np.abs(body[:3, :3]).max())
+    return bool(size[0] < -least or size[-1] <= least)
+
+
+def _possible(body: Array, reach: float, mass: float) -> Array:
+    """J of the nearest body that can be, (4, 4)."""
+    if body[3, 3] <= 0:
+        body = np.array(body)
+        body[3, 3], body[:3, 3], body[3, :3] = mass, 0.0, 0.0
+    centre = body[:3, 3] / body[3, 3]
+    central = body[:3, :3] - body[3, 3] * np.outer(centre, centre)
+    if np.linalg.eigvalsh(central)[-1] <= ROUNDING * np.abs(body[:3, :3]).max():
+        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
+        body = np.array(body)
+        body[:3, :3] += body[3, 3] * radius**2 * np.eye(3) / 3 - central
+    return nearest_definite(body, THINNEST)
+
+
+def _warnings(without_masses: bool, impossible: list[str], nothing: list[str]) -> Iterator[str]:
+    """What was put right, a line each."""
+    if without_masses:
+        yield "the model file gives no body a mass: what the data do not tell is of bodies of 1 kg"
+    elif impossible:
+        yield (
+            f"no body has the inertia that the model file gives {_listed(impossible)}; the nearest "
+            "ones with some extent are taken"
+        )
+    if nothing:
+        yield f"{_listed(nothing)} has no matter in the model file, and none is looked for"
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:MOST_NAMED]) + more

@@ -1,0 +1,154 @@
+"""An MJCF file with other inertials, joint losses and armatures, and not another byte changed.
+
+Bodies and joints are found where MuJoCo's parser has them, one beside the other through the
+whole tree: names are optional, and frames, classes and defaults may stand between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import zip_longest
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from testbed.errors import ModelError
+from testbed.robot.formats.mjcf_spec import parsed
+from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Joint
+
+_ORDER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Of fullinertia."""
+_TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
+"""Other ways to say an inertia's axes."""
+_LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_inertia"}
+_LEAST_NAMED = 6
+
+
+def edited_mjcf(
+    path: Path,
+    links: Mapping[str, Inertia],
+    joints: Mapping[str, tuple[Joint, Joint]],
+    note: list[str],
+) -> tuple[bytes, tuple[str, ...]]:
+    """The file's bytes with other inertials, friction and armatures.
+
+    Args:
+        path: The file.
+        links: New inertias about and along the bodies' frames, by body.
+        joints: By name, as the file has them and as they are to be.
+        note: Lines of a comment that says where the numbers come from.
+
+    Returns:
+        The bytes, and a line for what MuJoCo will make otherwise than they say.
+
+    Raises:
+        ModelError: The file cannot be edited: inertias are computed from geoms whatever
+            inertials say, or bodies stand in other files or are copies.
+    """
+    spec = parsed(path)
+    if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
+        raise ModelError(
+            f'{path}: compiler inertiafromgeom="true" makes MuJoCo pass over all inertials; set it '
+            'to "auto" and write again'
+        )
+    document = XmlBytes(path.read_bytes(), str(path))
+    document.insert(document.root, comment(note))
+    world = document.root.named("worldbody")
+    places = dict(_bodies(spec.worldbody, world, path))
+    for name, inertia in links.items():
+        _set_inertial(document, places[name][0], inertia)
+    for _, own in places.values():
+        for joint, element in own:
+            if joint in joints:
+                _set_losses(document, element, *joints[joint])
+    return document.edited(), tuple(_changed_by_compiler(spec, links))
+
+
+_Joints = list[tuple[str, Element]]
+
+
+def _bodies(
+    body: mujoco.MjsBody, elements: list[Element], path: Path
+) -> Iterator[tuple[str, tuple[Element, _Joints]]]:
+    """By body below one, its element, and the elements of its joints."""
+    inside = [each for element in elements for each in _within(element)]
+    for own, element in zip_longest(body.bodies, [e for e in inside if e.tag == "body"]):
+        if own is None or element is None or element.attributes.get("name", own.name) != own.name:
+            raise ModelError(
+                f"{path}: the bodies in '{body.name}' are not those that stand in this file, one "
+                "by one: <include>, <attach>, <replicate> or the like makes them; write into a "
+                "file that holds them itself"
+            )
+        joints = [e for e in _within(element) if e.tag in ("joint", "freejoint")]
+        if len(joints) != len(own.joints):
+            raise ModelError(f"{path}: the joints of body '{own.name}' do not stand in this file")
+        yield own.name, (element, list(zip((j.name for j in own.joints), joints, strict=True)))
+        yield from _bodies(own, [element], path)
+
+
+def _within(element: Element) -> Iterator[Element]:
+    """What stands in a body, frames being no bodies."""
+    for child in element.children:
+        if child.tag == "frame":
+            yield from _within(child)
+        else:
+            yield child
+
+
+def _set_inertial(document: XmlBytes, body: Element, inertia: Inertia) -> None:
+    """The mass centre, the mass, and the inertia about it, along the body's axes."""
+    central = inertia.central
+    said = {
+        "pos": " ".join(repr(float(x)) for x in inertia.com),
+        "mass": repr(inertia.mass),
+        "fullinertia": " ".join(repr(float(central[at])) for at in _ORDER),
+    }
+    if not central.any():  # MuJoCo takes no full inertia that is zero
+        said["diaginertia"] = "0 0 0"
+        del said["fullinertia"]
+    there = body.named("inertial")
+    if there:
+        others = {key: None for key in ("fullinertia", *_TURNS) if key not in said}
+        document.set(there[0], **said, **others)
+    else:
+        listed = " ".join(f'{key}="{value}"' for key, value in said.items())
+        document.insert(body, f"<inertial {listed}/>")
+
+
+def _set_losses(document: XmlBytes, element: Element, before: Joint, after: Joint) -> None:
+    """Friction, damping and armature, where they have changed."""
+    changed = {
+        key: repr(float(getattr(after, what)))
+        for key, what in _LOSSES.items()
+        if getattr(after, what) != getattr(before, what)
+    }
+    if changed:
+        document.set(element, **changed)
+
+
+def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:
+    """Settings of the file's compiler that make other bodies of those that are written."""
+    compiler = spec.compiler
+    bounds = {"boundmass": compiler.boundmass, "boundinertia": compiler.boundinertia}
+    for setting, least in bounds.items():
+        light = [name for name, own in links.items() if _least(setting, own) < least]
+        if light:
+            more = f" and {len(light) - _LEAST_NAMED} more" if len(light) > _LEAST_NAMED else ""
+            yield (
+                f'compiler {setting}="{least:g}" makes MuJoCo raise what is written of '
+                f"{', '.join(light[:_LEAST_NAMED])}{more}: take it out of the file"
+            )
+    if compiler.balanceinertia:
+        yield (
+            'compiler balanceinertia="true" is of no use any more: all bodies that were written '
+            "can exist; it may be taken out of the file"
+        )
+
+
+def _least(setting: str, inertia: Inertia) -> float:
+    if setting == "boundmass":
+        return inertia.mass
+    return float(np.linalg.eigvalsh(inertia.central)[0])

@@ -1,0 +1,168 @@
+"""A tree's bodies, friction and rotors written into a copy of its model file.
+
+Nothing but those numbers changes. What was written is read again before it takes its place.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import ModelError
+from testbed.files import replacing
+from testbed.robot.inertia import Inertia
+from testbed.robot.links import Fixed, Link, shared_out
+from testbed.robot.load import load_tree, model_format
+from testbed.robot.model_file import ModelFile
+from testbed.robot.model_files import copy_model, held_files
+from testbed.robot.model_xml import read_xml
+from testbed.robot.tree import Joint, Tree
+
+EXACT = 1e-9
+"""Part of a body by which what is read again may differ from what was written."""
+
+ENDINGS = {"mjcf": ".xml", "urdf": ".urdf"}
+
+
+def write_model(
+    model: ModelFile,
+    tree: Tree,
+    path: Path,
+    *,
+    fixed: Fixed = "lump",
+    note: Sequence[str] = (),
+    over_source: bool = False,
+) -> tuple[str, ...]:
+    """Write a model file with a tree's masses, friction and rotors, all else byte for byte.
+
+    Args:
+        model: The file, and how it was read.
+        tree: Of the file's joints, with other numbers.
+        path: Where to.
+        fixed: What of a body goes to links that are fixed to others: nothing ("lump"), or what
+            is in proportion to what they had ("share").
+        note: Lines of a comment: where the numbers come from.
+        over_source: Whether `path` may be the model file itself.
+
+    Returns:
+        Warnings: what the format has no place for, what readers will make otherwise.
+
+    Raises:
+        ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
+            ending of its format.
+    """
+    kind, file = (
+        model_format(model.path),
+        load_tree(model.path, weld_root=model.weld_root, accept_inertia=True, lock=model.lock),
+    )
+    check_place(model.path, path, over_source=over_source)
+    bodies, joints = _changes(file, tree)
+    links, notes = shared_out(_links(model, kind), bodies, fixed)
+    data, warnings = _edited(model.path, kind, links, joints, [*note])
+    unread = _check(model, data, tree)
+    with replacing(path) as fresh:
+        fresh.write_bytes(data)
+    return (*notes, *warnings, *unread, *_lost_files(model.path, path))
+
+
+def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
+    """Whether a file may be written there.
+
+    Args:
+        source: The model file.
+        path: Where to.
+        over_source: Whether that may be the model file itself.
+
+    Raises:
+        ModelError: It may not.
+    """
+    ending = ENDINGS[model_format(source)]
+    if path.suffix.lower() != ending:
+        raise ModelError(
+            f"'{path}': the model file '{source.name}' is copied with other numbers, so its name "
+            f"ends in {ending}"
+        )
+    if path.exists() and path.samefile(source) and not over_source:
+        raise ModelError(
+            f"'{path}' is the model file itself; choose another name, or say --in-place"
+        )
+
+
+def _changes(file: Tree, tree: Tree) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:
+    """Bodies and joints that are not as in the file."""
+    bodies = {}
+    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
+        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
+        if not (same and np.array_equal(old.tensor, new.tensor)):
+            bodies[k] = new
+    joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
+    return bodies, joints
+
+
+def _links(model: ModelFile, kind: str) -> tuple[Link, ...]:
+    if kind == "mjcf":
+        from testbed.robot.formats.mjcf import read_links
+    else:
+        from testbed.robot.formats.urdf import read_links
+    return read_links(model.path, weld_root=model.weld_root, lock=model.lock)
+
+
+def _edited(
+    path: Path,
+    kind: str,
+    links: dict[str, Inertia],
+    joints: dict[str, tuple[Joint, Joint]],
+    note: list[str],
+) -> tuple[bytes, tuple[str, ...]]:
+    if kind == "mjcf":
+        from testbed.robot.formats.write_mjcf import edited_mjcf
+
+        return edited_mjcf(path, links, joints, note)
+    from testbed.robot.formats.write_urdf import edited_urdf
+
+    return edited_urdf(path.read_bytes(), str(path), links, joints, note)
+
+
+def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
+    """Whether what is to be written is read as it is meant; a warning where losses are not."""
+    with tempfile.TemporaryDirectory() as folder:
+        copy = copy_model(model.path, Path(folder))
+        copy.write_bytes(data)
+        read = load_tree(copy, weld_root=model.weld_root, accept_inertia=True, lock=model.lock)
+    for joint, old, new in zip(tree.joints, read.inertias, tree.inertias, strict=True):
+        size = np.abs(new.tensor).max()
+        gaps = (
+            abs(old.mass - new.mass) / max(new.mass, np.finfo(float).tiny),
+            np.abs(old.tensor - new.tensor).max() / max(size, np.finfo(float).tiny),
+        )
+        if not max(gaps) <= EXACT:
+            raise ModelError(
+                f"{model.path}: link '{joint.body}' would not be read as it is written (by "
+                f"{max(gaps):.1g} of itself); nothing was written"
+            )
+    unread = [
+        new.name
+        for old, new in zip(read.joints, tree.joints, strict=True)
+        if (old.coulomb, old.viscous) != (new.coulomb, new.viscous)
+    ]
+    if not unread:
+        return ()
+    return (
+        f"friction of {', '.join(unread)} is written and not read: the file's options disable it",
+    )
+
+
+def _lost_files(source: Path, path: Path) -> tuple[str, ...]:
+    """A warning where what the file refers to is not found from its new place."""
+    if path.resolve().parent == source.resolve().parent or not held_files(source):
+        return ()
+    names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
+    if names and all("://" in name for name in names):  # addresses of packages, whatever the place
+        return ()
+    return (
+        f"the file refers to others by their places beside '{source}', which are not found from "
+        f"'{path.parent}': write it there, or copy them along",
+    )
