@@ -14,7 +14,13 @@ from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
-from testbed.identification.noise.biases import constants, square_of_last, with_constants
+from testbed.identification.noise.biases import (
+    carrying_constants,
+    constants,
+    square_of_last,
+    with_constants,
+)
+from testbed.identification.noise.dilution import undiluted
 from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
@@ -75,9 +81,12 @@ def under_coloured_noise(
     """
     plan, p = passes.plan, len(names)
     units = units_of(start, beside)
-    m, every = units.lead.shape[1], units.products(passes, start.values, HIGHEST)
+    m, encoders = units.lead.shape[1], _encoder_noise(passes)
+    every, made = units.products(passes, start.values, HIGHEST, encoders)
     products = units.as_free(every)
     fit, found, directions, hidden = _fit(products.leading(m), plan.layout.model == "reaction")
+    if made is not None:
+        found, drowned = undiluted(found, carrying_constants(units.as_free(made), directions))
     grown = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + grown[:p], grown[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
@@ -134,7 +143,7 @@ def further_values(
         beside: Columns beside theirs, no tested ones among them.
     """
     units, p = units_of(start, beside), len(start.values)
-    given = units.products(passes, start.values, 0)
+    given, _ = units.products(passes, start.values, 0)
     found = whitened_fit(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
@@ -163,6 +172,14 @@ def _by_facts(
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
     spread = units.grown @ moved[:count] @ units.facts.root
     return np.asarray(spread @ spread.T)
+
+
+def _encoder_noise(passes: Passes) -> Array | None:
+    """Noise of the encoders that is in the columns, (n,); None where it is none, or unknown."""
+    if passes.plan.layout.model != "reaction" or passes.plan.source.senses_kinematics:
+        return None
+    found = passes.surveyor.survey().encoder_noise
+    return found if found.any() else None
 
 
 def _in_channels(units: Units, directions: Array) -> Array:

@@ -61,12 +61,22 @@ def with_constants(fit: Fit, directions: Array) -> Fit:
     """
 
     def fitted(given: LaggedProducts, order: int | None) -> NoiseFit:
-        m, k = given.products.shape[2] - 2, directions.shape[1]
-        maps = np.zeros((len(directions), m + 1, m + k))
-        maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
-        return fit(given.carrying(maps), order)
+        return fit(carrying_constants(given, directions), order)
 
     return fitted
+
+
+def carrying_constants(given: LaggedProducts, directions: Array) -> LaggedProducts:
+    """Products of the unknowns' columns and of constants after them.
+
+    Args:
+        given: Without the constants.
+        directions: Combinations of the channels, (C, k).
+    """
+    m, k = given.products.shape[2] - 2, directions.shape[1]
+    maps = np.zeros((len(directions), m + 1, m + k))
+    maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
+    return given.carrying(maps)
 
 
 def square_of_last(found: NoiseFit, count: int) -> float:
