@@ -14,14 +14,8 @@ from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
-from testbed.identification.noise.biases import (
-    carrying_constants,
-    constants,
-    square_of_last,
-    with_constants,
-)
-from testbed.identification.noise.dilution import undiluted
-from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
+from testbed.identification.noise.average import averaged_fit
+from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.repetition import RepetitionSums
@@ -36,11 +30,8 @@ from testbed.identification.solvers import least_squares
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
 
-FEW = 50
-"""Rows below which constants are not looked for."""
-
-IMITATES = 0.1
-"""An unknown with a larger part than this in what imitates a constant is named."""
+LARGE = 0.1
+"""An unknown with a larger part than this in a combination is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,12 +72,11 @@ def under_coloured_noise(
     """
     plan, p = passes.plan, len(names)
     units = units_of(start, beside)
-    m, encoders = units.lead.shape[1], _encoder_noise(passes)
-    every, made = units.products(passes, start.values, HIGHEST, encoders)
-    products = units.as_free(every)
-    fit, found, directions, hidden = _fit(products.leading(m), plan.layout.model == "reaction")
-    if made is not None:
-        found, drowned = undiluted(found, carrying_constants(units.as_free(made), directions))
+    m = units.lead.shape[1]
+    every, made = units.products(passes, start.values, HIGHEST, _encoder_noise(passes))
+    products, noise = units.as_free(every), made and units.as_free(made)
+    answer = averaged_fit(products.leading(m), noise, plan.layout.model == "reaction")
+    found, directions = answer.found, answer.directions
     grown = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + grown[:p], grown[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
@@ -102,7 +92,7 @@ def under_coloured_noise(
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
-    factor = replicas.factor(fit, units.lead[:p][units.lead[:p].any(axis=1)])
+    factor = replicas.factor(answer.fit, units.lead[:p][units.lead[:p].any(axis=1)])
     covariance, count = factor**2 * found.covariance, directions.shape[1]
     bias_sigma = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
     covariance = units.lead @ covariance[:m, :m] @ units.lead.T
@@ -118,9 +108,11 @@ def under_coloured_noise(
             factor=factor,
             bias=bias,
             bias_sigma=bias_sigma,
-            bias_chance=_chance(square_of_last(found, count) / factor**2, count),
+            bias_chance=_chance(answer.square / factor**2, count),
+            bias_weight=answer.weight,
             span=plan.source.samples / plan.source.rate,
-            hidden=_imitating(hidden[:, :m] @ units.lead[:p].T, names),
+            hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
+            drowned=_large(answer.drowned[:m].T @ units.lead[:p].T, names),
             repetition=repeated.found() if repeated else None,
         ),
         further=further,
@@ -189,10 +181,10 @@ def _in_channels(units: Units, directions: Array) -> Array:
     return np.asarray(back)
 
 
-def _imitating(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Unknowns with a large part, (k, p), in what imitates one of k constants."""
+def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Unknowns with a large part in one of k combinations, (k, p)."""
     size = np.abs(part)
-    large = size > IMITATES * size.max(axis=1, keepdims=True, initial=0.0)
+    large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
     return tuple(n for n, seen in zip(names, large.any(axis=0), strict=True) if seen)
 
 
@@ -204,28 +196,6 @@ def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | 
     samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
     rows = round(samples / plan.step)
     return RepetitionSums(noise, rows, samples / plan.source.rate) if rows > HIGHEST else None
-
-
-def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:
-    """How it was fitted, the fit, the constants that it took, and unknowns that imitate others.
-
-    Args:
-        given: Products of unknowns' columns, residuals and ones.
-        whole: Whether no rows are missing.
-    """
-    none = np.zeros((len(given.first), 0))
-    if not whole:
-        unknowns = given.products.shape[2] - 2
-        return weighted_fit, weighted_fit(given, None), none, np.zeros((0, unknowns))
-    there = constants(given)
-    if given.rows < FEW:
-        return whitened_fit, whitened_fit(given, None), none, there.hidden
-    biased = with_constants(whitened_fit, there.directions)
-    found = biased(given, None)
-    count = there.directions.shape[1]
-    if square_of_last(found, count) > 2 * count:  # Akaike's criterion
-        return whitened_fit, found, there.directions, there.hidden
-    return whitened_fit, whitened_fit(given, None), none, there.hidden
 
 
 def _chance(square: float, count: int) -> float:

@@ -7,6 +7,8 @@ leaves the weight to fast motion, of which the encoders' accelerations have litt
 
 With products of what the noise alone does to the columns, N of all and H of the noise,
 (N - H) x = b is free of it to first order.
+
+Source    [Ful87]
 """
 
 from __future__ import annotations

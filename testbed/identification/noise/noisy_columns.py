@@ -57,11 +57,10 @@ class NoisyColumns:
         around = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
         at = signals.start - half + np.arange(signals.number) * signals.step
         motion = np.moveaxis(around[at] @ signals.taps.T, 2, 0)
-        time = np.arange(signals.number, dtype=np.float64)
-        more, less = (
-            linear(layout.tree, Motion(time, *moved), self._lead, layout.gravity)[1]
-            for moved in (motion + noise, motion - noise)
-        )
+        moved = np.concatenate([motion + noise, motion - noise], axis=1)
+        time = np.arange(moved.shape[1], dtype=np.float64)
+        wrench = linear(layout.tree, Motion(time, *moved), self._lead, layout.gravity)[1]
+        more, less = np.split(wrench, 2)
         return np.asarray((more - less).transpose(1, 0, 2) / 2)
 
     def coordinates(self, first: int, count: int) -> Array:
@@ -81,4 +80,4 @@ class NoisyColumns:
         )[begin % BLOCK :][: end - begin]
         around = np.lib.stride_tricks.sliding_window_view(white, len(self._kernels), axis=0)
         made = around[:: self._per_row] @ self._kernels
-        return np.moveaxis(made, 2, 0) * self._sigma
+        return np.asarray(np.moveaxis(made, 2, 0) * self._sigma)
