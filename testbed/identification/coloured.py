@@ -7,14 +7,15 @@ Unknowns of the instrument, and columns whose traces are looked for, stand besid
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
-from testbed.identification.noise.average import averaged_fit
+from testbed.identification.noise.average import Answer, averaged_fit
+from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
@@ -70,18 +71,18 @@ def under_coloured_noise(
         names: Of the robot's unknowns.
         beside: Columns beside theirs.
     """
-    plan, p = passes.plan, len(names)
-    units = units_of(start, beside)
+    units, p = units_of(start, beside), len(names)
     m = units.lead.shape[1]
     every, made = units.products(passes, start.values, HIGHEST, _encoder_noise(passes))
     products, noise = units.as_free(every), made and units.as_free(made)
-    answer = averaged_fit(products.leading(m), noise, plan.layout.model == "reaction")
+    answer = averaged_fit(products.leading(m), noise, passes.plan.layout.model == "reaction")
     found, directions = answer.found, answer.directions
-    grown = units.fixed + units.lead @ found.values[:m]
-    values, further = start.values + grown[:p], grown[p:]
+    step = units.fixed + units.lead @ found.values[:m]
+    values, further = start.values + step[:p], step[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
-    bias = (back := _in_channels(units, directions)) @ found.values[m:]
+    back = _in_channels(units, directions)
+    bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
@@ -92,27 +93,19 @@ def under_coloured_noise(
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
-    factor = replicas.factor(answer.fit, units.lead[:p][units.lead[:p].any(axis=1)])
-    covariance, count = factor**2 * found.covariance, directions.shape[1]
-    bias_sigma = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
-    covariance = units.lead @ covariance[:m, :m] @ units.lead.T
+    told = units.lead[:p][units.lead[:p].any(axis=1)]
+    factor = replicas.factor(answer.fit, told)
+    covariance = units.lead @ (factor**2 * found.covariance[:m, :m]) @ units.lead.T
     covariance += _by_facts(units, every, directions, found.noise)
     return Refined(
         fit=start,
         values=values,
         covariance=covariance[:p, :p],
         squares=squares,
-        noise=FoundNoise(
-            order=found.noise.order,
-            memory=tuple(float(m) / plan.rate for m in found.noise.memory),
-            factor=factor,
-            bias=bias,
-            bias_sigma=bias_sigma,
-            bias_chance=_chance(answer.square / factor**2, count),
-            bias_weight=answer.weight,
-            span=plan.source.samples / plan.source.rate,
+        noise=replace(
+            _found_noise(passes, answer, factor, back, bias),
             hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
-            drowned=_large(answer.drowned[:m].T @ units.lead[:p].T, names),
+            drowned=_drowned(answer.alone, units.lead[:p], names),
             repetition=repeated.found() if repeated else None,
         ),
         further=further,
@@ -166,6 +159,26 @@ def _by_facts(
     return np.asarray(spread @ spread.T)
 
 
+def _found_noise(
+    passes: Passes, answer: Answer, factor: float, back: Array, bias: Array
+) -> FoundNoise:
+    """What the residuals are like; parameters that they say something of are not named yet."""
+    noise, count = answer.found.noise, back.shape[1]
+    m = len(answer.found.values) - count
+    spread = factor**2 * answer.found.covariance[m:, m:]
+    return FoundNoise(
+        order=noise.order,
+        memory=tuple(float(rows) / passes.plan.rate for rows in noise.memory),
+        factor=factor,
+        bias=bias,
+        bias_sigma=np.sqrt(np.einsum("ci,ij,cj->c", back, spread, back)),
+        bias_chance=_chance(answer.square / factor**2, count),
+        bias_weight=answer.weight,
+        span=passes.plan.source.samples / passes.plan.source.rate,
+        hidden=(),
+    )
+
+
 def _encoder_noise(passes: Passes) -> Array | None:
     """Noise of the encoders that is in the columns, (n,); None where it is none, or unknown."""
     if passes.plan.layout.model != "reaction" or passes.plan.source.senses_kinematics:
@@ -186,6 +199,13 @@ def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
     size = np.abs(part)
     large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
     return tuple(n for n, seen in zip(names, large.any(axis=0), strict=True) if seen)
+
+
+def _drowned(found: Undiluted | None, lead: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters that noise of the encoders hides, of unknowns that make them up, (p, m)."""
+    if found is None:
+        return ()
+    return tuple(n for n, hides in zip(names, found.drowned(lead), strict=True) if hides)
 
 
 def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | None:

@@ -17,7 +17,7 @@ from scipy import special
 
 from testbed.arrays import Array
 from testbed.identification.noise.biases import carrying_constants, constants, square_of_last
-from testbed.identification.noise.dilution import undiluted
+from testbed.identification.noise.dilution import Undiluted, undiluted
 from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
 from testbed.identification.noise.lagged_products import LaggedProducts
 
@@ -34,7 +34,7 @@ class Answer:
         fit: What fitted either.
         directions: Combinations of the channels that are constants, (C, k).
         hidden: Unknowns that imitate other constants, (C - k, m).
-        drowned: Combinations of the unknowns whose columns are noise for the most part, (m, j).
+        alone: Without constants, noise in the columns taken back; None where none was known.
         weight: Of the model with constants, 0 to 1.
         square: How far constants are from zero: a chi-square if they are.
     """
@@ -43,7 +43,7 @@ class Answer:
     fit: Fit
     directions: Array
     hidden: Array
-    drowned: Array
+    alone: Undiluted | None = None
     weight: float = 0.0
     square: float = 0.0
 
@@ -58,17 +58,19 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
     """
     none, m = np.zeros((len(given.first), 0)), given.products.shape[2] - 2
     if not whole:
-        nothing = np.zeros((m, 0))
-        return Answer(weighted_fit(given), weighted_fit, none, nothing.T, nothing)
+        return Answer(weighted_fit(given), weighted_fit, none, np.zeros((0, m)))
     there = constants(given)
-    alone, drowned = _whitened(given, made)
-    answer = Answer(alone, whitened_fit, none, there.hidden, drowned)
+    plain = whitened_fit(given)
+    taken = None if made is None else undiluted(plain, made)
+    alone = plain if taken is None else taken.found
+    answer = Answer(alone, whitened_fit, none, there.hidden, taken)
     count = there.directions.shape[1]
     if given.rows < FEW or not count:
         return answer
     directions = there.directions
-    noise = None if made is None else carrying_constants(made, directions)
-    beside, _ = _whitened(carrying_constants(given, directions), noise)
+    beside = whitened_fit(carrying_constants(given, directions))
+    if made is not None:
+        beside = undiluted(beside, carrying_constants(made, directions)).found
     square = square_of_last(beside, count)
     weight = float(special.expit(square / 2 - count))
     return replace(
@@ -99,11 +101,3 @@ def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
         + weight * (1 - weight) * np.outer(apart, apart),
         noise=(beside if weight > 0.5 else alone).noise,
     )
-
-
-def _whitened(given: LaggedProducts, made: LaggedProducts | None) -> tuple[NoiseFit, Array]:
-    """Noise in the columns taken back, and combinations of the unknowns that it drowns."""
-    found = whitened_fit(given)
-    if made is None:
-        return found, np.zeros((len(found.values), 0))
-    return undiluted(found, made)

@@ -13,9 +13,10 @@ Source    [Ful87]
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.identification.noise.fits import NoiseFit
@@ -25,27 +26,50 @@ from testbed.identification.noise.scaled import square_root
 MOST = 0.5
 """Part of the square of a combination of columns that may be noise: more is not taken back."""
 
+ALL = 0.999
+"""Part of what tells an unknown that noise is at most: all of it would leave no sigma."""
 
-def undiluted(found: NoiseFit, made: LaggedProducts) -> tuple[NoiseFit, Array]:
-    """Unknowns as they were without noise in the columns, and those that it drowns.
+
+@dataclass(frozen=True, eq=False)
+class Undiluted:
+    """Unknowns as they were without noise in the columns.
+
+    Attributes:
+        found: Values and covariance.
+        directions: Combinations of the unknowns, independent and of variance one before, (m, m).
+        share: Part of the square of each one's column that is noise, (m,).
+    """
+
+    found: NoiseFit
+    directions: Array
+    share: Array
+
+    def drowned(self, lead: Array) -> NDArray[np.bool_]:
+        """Parameters that columns tell of which more than `MOST` is noise, (p,).
+
+        Args:
+            lead: How the unknowns make up the parameters, (p, m).
+        """
+        parts = (lead @ self.directions) ** 2
+        rest = 1 - np.clip(self.share, 0.0, ALL)
+        return np.asarray(parts.sum(axis=1) < (1 - MOST) * (parts / rest).sum(axis=1))
+
+
+def undiluted(found: NoiseFit, made: LaggedProducts) -> Undiluted:
+    """Take noise in the columns back.
 
     Args:
         found: A fit of whitened rows.
         made: Products of noise in the same unknowns' columns, of what it leaves in the
             residuals, and of ones, as the rows' own.
-
-    Returns:
-        The fit, and combinations of the unknowns whose columns are noise for the most part,
-        (m, k).
     """
     m = len(found.values)
     white = np.tensordot(found.noise.sigma**-2.0, made.whitened(found.noise.coefficients), 1)
     root = square_root(found.covariance)
     share, axes = np.linalg.eigh(root.T @ white[:m, :m] @ root)
-    lead, kept = root @ axes, np.clip(share, 0.0, MOST)
+    directions, kept = root @ axes, np.clip(share, 0.0, MOST)
     taken = white[:m, :m] @ found.values - white[:m, m]
-    taken = lead.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
-    spread = lead / (1 - kept)
+    taken = directions.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
+    spread = directions / (1 - kept)
     values = found.values + spread @ taken
-    drowned = np.asarray(lead[:, share > MOST])
-    return replace(found, values=values, covariance=spread @ spread.T), drowned
+    return Undiluted(replace(found, values=values, covariance=spread @ spread.T), directions, share)
