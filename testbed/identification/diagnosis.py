@@ -135,7 +135,7 @@ def _noise_warnings(estimate: Estimate) -> list[str]:
     if noise is None:
         return []
     drowned = [
-        f"noise of the encoders is most of what these data show of {few(noise.drowned)}: sigma "
+        f"noise of the encoders is much of what these data show of {few(noise.drowned)}: sigma "
         "does not hold there; move faster, or filter lower (`cutoff`)"
     ] * bool(noise.drowned)
     if noise.bias_chance > SMALL_CHANCE:

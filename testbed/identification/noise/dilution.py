@@ -26,6 +26,9 @@ from testbed.identification.noise.scaled import square_root
 MOST = 0.5
 """Part of the square of a combination of columns that may be noise: more is not taken back."""
 
+NAMED = 0.25
+"""Part of what tells a parameter that may be noise: taken back, but how well is not in sigma."""
+
 ALL = 0.999
 """Part of what tells an unknown that noise is at most: all of it would leave no sigma."""
 
@@ -45,14 +48,14 @@ class Undiluted:
     share: Array
 
     def drowned(self, lead: Array) -> NDArray[np.bool_]:
-        """Parameters that columns tell of which more than `MOST` is noise, (p,).
+        """Parameters that columns tell of which more than `NAMED` is noise, (p,).
 
         Args:
             lead: How the unknowns make up the parameters, (p, m).
         """
         parts = (lead @ self.directions) ** 2
         rest = 1 - np.clip(self.share, 0.0, ALL)
-        return np.asarray(parts.sum(axis=1) < (1 - MOST) * (parts / rest).sum(axis=1))
+        return np.asarray(parts.sum(axis=1) < (1 - NAMED) * (parts / rest).sum(axis=1))
 
 
 def undiluted(found: NoiseFit, made: LaggedProducts) -> Undiluted:

@@ -22,7 +22,7 @@ class FoundNoise:
         bias_weight: Of the answer with constants, 0 to 1; the one without has the rest.
         span: How long the recording is [s].
         hidden: Parameters that no motion can tell from a constant of a channel.
-        drowned: Parameters whose columns are noise of the encoders for the most part, alone or
+        drowned: Parameters whose columns are in large part noise of the encoders, alone or
             together: sigma does not hold for them.
         repetition: Whether the residuals repeat with the motion; None where that cannot be told.
     """
