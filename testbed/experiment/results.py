@@ -102,7 +102,9 @@ def _noise(estimate: Estimate) -> dict[str, Any] | None:
         "bias": noise.bias.tolist(),
         "bias_sigma": noise.bias_sigma.tolist(),
         "bias_chance": noise.bias_chance,
+        "bias_weight": noise.bias_weight,
         "hidden": list(noise.hidden),
+        "drowned": list(noise.drowned),
         "repetition": None if noise.repetition is None else asdict(noise.repetition),
     }
 

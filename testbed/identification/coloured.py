@@ -7,15 +7,16 @@ Unknowns of the instrument, and columns whose traces are looked for, stand besid
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
-from testbed.identification.noise.biases import constants, square_of_last, with_constants
-from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
+from testbed.identification.noise.average import Answer, averaged_fit
+from testbed.identification.noise.dilution import Undiluted
+from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.repetition import RepetitionSums
@@ -30,11 +31,8 @@ from testbed.identification.solvers import least_squares
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
 
-FEW = 50
-"""Rows below which constants are not looked for."""
-
-IMITATES = 0.1
-"""An unknown with a larger part than this in what imitates a constant is named."""
+LARGE = 0.1
+"""An unknown with a larger part than this in a combination is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,16 +71,18 @@ def under_coloured_noise(
         names: Of the robot's unknowns.
         beside: Columns beside theirs.
     """
-    plan, p = passes.plan, len(names)
-    units = units_of(start, beside)
-    m, every = units.lead.shape[1], units.products(passes, start.values, HIGHEST)
-    products = units.as_free(every)
-    fit, found, directions, hidden = _fit(products.leading(m), plan.layout.model == "reaction")
-    grown = units.fixed + units.lead @ found.values[:m]
-    values, further = start.values + grown[:p], grown[p:]
+    units, p = units_of(start, beside), len(names)
+    m = units.lead.shape[1]
+    every, made = units.products(passes, start.values, HIGHEST, _encoder_noise(passes))
+    products, noise = units.as_free(every), made and units.as_free(made)
+    answer = averaged_fit(products.leading(m), noise, passes.plan.layout.model == "reaction")
+    found, directions = answer.found, answer.directions
+    step = units.fixed + units.lead @ found.values[:m]
+    values, further = start.values + step[:p], step[p:]
     clues = Clues(products, Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
-    bias = (back := _in_channels(units, directions)) @ found.values[m:]
+    back = _in_channels(units, directions)
+    bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
     for rows in units.rows(passes, values):
         ones = rows.ones[..., None] * directions[:, None]
@@ -93,25 +93,19 @@ def under_coloured_noise(
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
-    factor = replicas.factor(fit, units.lead[:p][units.lead[:p].any(axis=1)])
-    covariance, count = factor**2 * found.covariance, directions.shape[1]
-    bias_sigma = np.sqrt(np.einsum("ci,ij,cj->c", back, covariance[m:, m:], back))
-    covariance = units.lead @ covariance[:m, :m] @ units.lead.T
+    told = units.lead[:p][units.lead[:p].any(axis=1)]
+    factor = replicas.factor(answer.fit, told)
+    covariance = units.lead @ (factor**2 * found.covariance[:m, :m]) @ units.lead.T
     covariance += _by_facts(units, every, directions, found.noise)
     return Refined(
         fit=start,
         values=values,
         covariance=covariance[:p, :p],
         squares=squares,
-        noise=FoundNoise(
-            order=found.noise.order,
-            memory=tuple(float(m) / plan.rate for m in found.noise.memory),
-            factor=factor,
-            bias=bias,
-            bias_sigma=bias_sigma,
-            bias_chance=_chance(square_of_last(found, count) / factor**2, count),
-            span=plan.source.samples / plan.source.rate,
-            hidden=_imitating(hidden[:, :m] @ units.lead[:p].T, names),
+        noise=replace(
+            _found_noise(passes, answer, factor, back, bias),
+            hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
+            drowned=_drowned(answer.alone, units.lead[:p], names),
             repetition=repeated.found() if repeated else None,
         ),
         further=further,
@@ -134,7 +128,7 @@ def further_values(
         beside: Columns beside theirs, no tested ones among them.
     """
     units, p = units_of(start, beside), len(start.values)
-    given = units.products(passes, start.values, 0)
+    given, _ = units.products(passes, start.values, 0)
     found = whitened_fit(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
@@ -165,6 +159,34 @@ def _by_facts(
     return np.asarray(spread @ spread.T)
 
 
+def _found_noise(
+    passes: Passes, answer: Answer, factor: float, back: Array, bias: Array
+) -> FoundNoise:
+    """What the residuals are like; parameters that they say something of are not named yet."""
+    noise, count = answer.found.noise, back.shape[1]
+    m = len(answer.found.values) - count
+    spread = factor**2 * answer.found.covariance[m:, m:]
+    return FoundNoise(
+        order=noise.order,
+        memory=tuple(float(rows) / passes.plan.rate for rows in noise.memory),
+        factor=factor,
+        bias=bias,
+        bias_sigma=np.sqrt(np.einsum("ci,ij,cj->c", back, spread, back)),
+        bias_chance=_chance(answer.square / factor**2, count),
+        bias_weight=answer.weight,
+        span=passes.plan.source.samples / passes.plan.source.rate,
+        hidden=(),
+    )
+
+
+def _encoder_noise(passes: Passes) -> Array | None:
+    """Noise of the encoders that is in the columns, (n,); None where it is none, or unknown."""
+    if passes.plan.layout.model != "reaction" or passes.plan.source.senses_kinematics:
+        return None
+    found = passes.surveyor.survey().encoder_noise
+    return found if found.any() else None
+
+
 def _in_channels(units: Units, directions: Array) -> Array:
     """Constants along directions, in the channels as measured, (C, k) [N, N m]."""
     back = np.linalg.inv(units.root.T) @ directions
@@ -172,11 +194,18 @@ def _in_channels(units: Units, directions: Array) -> Array:
     return np.asarray(back)
 
 
-def _imitating(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Unknowns with a large part, (k, p), in what imitates one of k constants."""
+def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Unknowns with a large part in one of k combinations, (k, p)."""
     size = np.abs(part)
-    large = size > IMITATES * size.max(axis=1, keepdims=True, initial=0.0)
+    large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
     return tuple(n for n, seen in zip(names, large.any(axis=0), strict=True) if seen)
+
+
+def _drowned(found: Undiluted | None, lead: Array, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Parameters that noise of the encoders hides, of unknowns that make them up, (p, m)."""
+    if found is None:
+        return ()
+    return tuple(n for n, hides in zip(names, found.drowned(lead), strict=True) if hides)
 
 
 def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | None:
@@ -187,28 +216,6 @@ def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | 
     samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
     rows = round(samples / plan.step)
     return RepetitionSums(noise, rows, samples / plan.source.rate) if rows > HIGHEST else None
-
-
-def _fit(given: LaggedProducts, whole: bool) -> tuple[Fit, NoiseFit, Array, Array]:
-    """How it was fitted, the fit, the constants that it took, and unknowns that imitate others.
-
-    Args:
-        given: Products of unknowns' columns, residuals and ones.
-        whole: Whether no rows are missing.
-    """
-    none = np.zeros((len(given.first), 0))
-    if not whole:
-        unknowns = given.products.shape[2] - 2
-        return weighted_fit, weighted_fit(given, None), none, np.zeros((0, unknowns))
-    there = constants(given)
-    if given.rows < FEW:
-        return whitened_fit, whitened_fit(given, None), none, there.hidden
-    biased = with_constants(whitened_fit, there.directions)
-    found = biased(given, None)
-    count = there.directions.shape[1]
-    if square_of_last(found, count) > 2 * count:  # Akaike's criterion
-        return whitened_fit, found, there.directions, there.hidden
-    return whitened_fit, whitened_fit(given, None), none, there.hidden
 
 
 def _chance(square: float, count: int) -> float:

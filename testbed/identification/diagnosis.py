@@ -134,8 +134,12 @@ def _noise_warnings(estimate: Estimate) -> list[str]:
     noise = estimate.noise
     if noise is None:
         return []
+    drowned = [
+        f"noise of the encoders is much of what these data show of {few(noise.drowned)}: sigma "
+        "does not hold there; move faster, or filter lower (`cutoff`)"
+    ] * bool(noise.drowned)
     if noise.bias_chance > SMALL_CHANCE:
-        return _drifting(estimate, noise)
+        return drowned + _drifting(estimate, noise)
     told = ", ".join(
         f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
         for channel, unit, value, sigma in zip(
@@ -150,8 +154,9 @@ def _noise_warnings(estimate: Estimate) -> list[str]:
         else ""
     )
     return [
+        *drowned,
         f"the plate's zero is off, or drifts: constants were estimated with the parameters "
-        f"({told}){hidden}"
+        f"({told}){hidden}",
     ]
 
 

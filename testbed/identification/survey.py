@@ -1,8 +1,12 @@
-"""What the first pass sees of the raw signals: some samples, evenly spread over the recording."""
+"""What the first pass sees of the raw signals: some samples, evenly spread over the recording.
+
+And how noisy the encoders are: differences of high order leave nothing of a motion.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb
 
 import numpy as np
 
@@ -11,6 +15,12 @@ from testbed.kernel.records import Signals
 
 SAMPLES = 20_000
 """How many are looked at, about: enough to see ranges and limits, few enough to cost nothing."""
+
+ORDER = 8
+"""Of the differences of positions: of a motion at a tenth of the sampling rate they leave 2 %."""
+
+STRETCH = 256
+"""Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +47,13 @@ class Survey:
         measured: Motor torques, (m, n) [N m or N], or the plate's wrench without its tare,
             (m, 6) [N, N m].
         repeats: How often samples are like the ones before, among all samples.
+        encoder_noise: Standard deviations, as if it were white, (n,) [rad or m].
     """
 
     position: Array
     measured: Array
     repeats: Repeats
+    encoder_noise: Array
 
 
 class Surveyor:
@@ -52,6 +64,7 @@ class Surveyor:
         self.stride = max(1, samples // SAMPLES)
         self._kept: dict[int, tuple[Array, Array]] = {}
         self._repeats: dict[int, Repeats] = {}
+        self._rough: dict[int, Array] = {}
 
     def look(self, signals: Signals, first: int, count: int) -> None:
         """Keep some of a window's samples.
@@ -66,6 +79,7 @@ class Surveyor:
         self._repeats[first] = _repeats(
             signals.position[: count + 1], signals.measured[: count + 1]
         )
+        self._rough[first] = _noise_squares(signals.position[: count + ORDER])
 
     def survey(self) -> Survey:
         """All that was kept, in the order of time."""
@@ -77,7 +91,8 @@ class Surveyor:
             channels=np.sum([each.channels for each in counts], axis=0),
             together=sum(each.together for each in counts),
         )
-        return Survey(position, measured, repeats)
+        rough = np.stack([self._rough[first] for first in sorted(self._rough)])
+        return Survey(position, measured, repeats, np.sqrt(np.median(rough, axis=0)))
 
 
 def _repeats(position: Array, measured: Array) -> Repeats:
@@ -85,3 +100,14 @@ def _repeats(position: Array, measured: Array) -> Repeats:
     same = (measured[1:] == measured[:-1])[moved]
     channels = same.sum(axis=0).astype(np.float64)
     return Repeats(int(moved.sum()), channels, int(same.all(axis=1).sum()))
+
+
+def _noise_squares(position: Array) -> Array:
+    """Mean square of white noise in consecutive positions, (n,); zero where they are too few."""
+    rough = np.diff(position, ORDER, axis=0)
+    if not len(rough):
+        return np.zeros(position.shape[1])
+    starts = np.arange(0, max(len(rough) - STRETCH, 0) + 1, STRETCH)
+    ends = np.append(starts[1:], len(rough))
+    sums = np.add.reduceat(rough**2, starts, axis=0) / (ends - starts)[:, None]
+    return np.asarray(np.median(sums, axis=0) / comb(2 * ORDER, ORDER))

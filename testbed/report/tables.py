@@ -147,7 +147,7 @@ def _noise(estimate: Estimate) -> str:
     noise = estimate.noise
     if noise is None:
         return ""
-    constants = ", constants estimated" if noise.bias_sigma.any() else ""
+    constants = ", constants estimated" if noise.bias_weight > 0.5 else ""
     rests = f", {', '.join(noise.hidden)} if its zero is right" if noise.hidden else ""
     return (
         f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}"

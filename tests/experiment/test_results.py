@@ -19,6 +19,8 @@ def test_noise_is_written_where_it_has_a_memory(puma: tb.Tree) -> None:
     assert found["factor"] == estimate.noise.factor
     assert len(found["bias"]) == len(found["bias_sigma"]) == 6
     assert 0 <= found["bias_chance"] <= 1
+    assert 0 <= found["bias_weight"] <= 1
     assert found["hidden"] == ["mbar1"]
+    assert found["drowned"] == []
     white = tb.identify(puma, recording, settings=tb.Settings(noise="white"))
     assert estimate_as_json(white)["noise"] is None

@@ -80,6 +80,18 @@ def test_a_constant_of_the_plate_is_found_and_told(robot: str) -> None:
     np.testing.assert_allclose(after.residual, before.residual, rtol=0.1)
 
 
+def test_what_noise_of_the_encoders_drowns_is_said() -> None:
+    """Of a slow motion under slow noise of the plate; with finer encoders nothing is said."""
+    tree = load("gantry_ppp_rrr")
+    fine = measured(tree, 0, duration=40.0, speed=0.25, memory=0.98, noise=0.1)
+    coarse = 5e-4 * np.random.default_rng(0).normal(size=fine.position.shape)
+    for extra, told in ((0.0, 0), (coarse, 1)):
+        estimate = tb.identify(tree, replace(fine, position=fine.position + extra))
+        assert estimate.noise is not None
+        lines = [line for line in estimate.warnings if "noise of the encoders" in line]
+        assert len(lines) == bool(estimate.noise.drowned) == told
+
+
 def test_a_sigma_is_the_same_every_time(puma: tb.Tree) -> None:
     recording = measured(puma, 0, memory=0.9)
     one, other = (tb.identify(puma, recording) for _ in range(2))

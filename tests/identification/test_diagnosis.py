@@ -247,6 +247,8 @@ def test_a_survey_is_the_same_for_any_cut_and_any_number_of_threads(
     for other in others:
         np.testing.assert_array_equal(other.position, one.position)
         np.testing.assert_array_equal(other.measured, one.measured)
+        np.testing.assert_array_equal(other.encoder_noise, one.encoder_noise)
+    np.testing.assert_allclose(one.encoder_noise, 1e-7, rtol=0.1)
 
 
 # The plate.

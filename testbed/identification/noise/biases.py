@@ -1,9 +1,7 @@
-"""A constant in every channel, where the data say that there is one.
+"""A constant in every channel: where there is a bias, or where slow noise looks like one.
 
-A fit with constants is less certain, so they are taken only if they earn it by Akaike's
-criterion: where there is a bias, or where slow noise looks like one. A constant that the
-parameters can imitate, such as the vertical force beside the total mass, is not told apart by
-any motion and is left out.
+A constant that the parameters can imitate, such as the vertical force beside the total mass, is
+not told apart by any motion and is left out.
 """
 
 from __future__ import annotations
@@ -13,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.noise.fits import Fit, NoiseFit
+from testbed.identification.noise.fits import NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.scaled import scaled_solve
 
@@ -52,21 +50,17 @@ def constants(given: LaggedProducts) -> Constants:
     return Constants(axes[:, told], (imitating @ axes[:, ~told]).T)
 
 
-def with_constants(fit: Fit, directions: Array) -> Fit:
-    """The same fit with constants as further unknowns, after the others.
+def carrying_constants(given: LaggedProducts, directions: Array) -> LaggedProducts:
+    """Products of the unknowns' columns and of constants after them.
 
     Args:
-        fit: Without them.
+        given: Without the constants.
         directions: Combinations of the channels, (C, k).
     """
-
-    def fitted(given: LaggedProducts, order: int | None) -> NoiseFit:
-        m, k = given.products.shape[2] - 2, directions.shape[1]
-        maps = np.zeros((len(directions), m + 1, m + k))
-        maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
-        return fit(given.carrying(maps), order)
-
-    return fitted
+    m, k = given.products.shape[2] - 2, directions.shape[1]
+    maps = np.zeros((len(directions), m + 1, m + k))
+    maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
+    return given.carrying(maps)
 
 
 def square_of_last(found: NoiseFit, count: int) -> float:

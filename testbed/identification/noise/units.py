@@ -17,6 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.noisy_columns import NoisyColumns
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
@@ -57,6 +58,8 @@ class Rows(NamedTuple):
         ones: Where a row counts, (C, k).
         own: What the values leave, (C, k) [N, N m].
         further: Those beside, (C, k, s) [N or N m per unit].
+        noise: What made noise of the encoders does to the robot's columns, and to what the values
+            foretell, (C, k, p + 1); nothing if none is made, (C, k, 0).
     """
 
     columns: Array
@@ -64,6 +67,7 @@ class Rows(NamedTuple):
     ones: Array
     own: Array
     further: Array
+    noise: Array
 
 
 def counted(columns: Array, measured: Array) -> Array:
@@ -132,26 +136,74 @@ class Units:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array) -> Iterator[Rows]:
-        """Rows, block by block."""
+    def rows(
+        self, passes: Passes, values: Array, encoder_noise: Array | None = None
+    ) -> Iterator[Rows]:
+        """Rows, block by block.
+
+        Args:
+            passes: Over all rows.
+            values: Of the robot's unknowns.
+            encoder_noise: Standard deviations of what is to be made, (n,); None for none.
+        """
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
-        for columns, further, measured in passes.rows_beside(combined, self.beside.columns):
-            own = measured - columns[..., -1]
+        beside, made = self.beside.columns, combined.shape[1]
+        if encoder_noise is None:
+            shown, made = beside, 0
+        else:
+            shown = _together(NoisyColumns(passes.plan, encoder_noise, combined), beside)
+        for columns, others, measured in passes.rows_beside(combined, shown):
+            further, own = others[..., made:], measured - columns[..., -1]
             ones = counted(columns, measured)
             if not alone:  # each is then a mixture of all
                 ones = np.broadcast_to(ones.max(axis=0), ones.shape)
-            stack = np.concatenate([columns[..., :-1], further, own[..., None]], axis=2)
+            stack = np.concatenate([columns[..., :-1], others, own[..., None]], axis=2)
             units = np.tensordot(self.root.T, stack, 1)
-            yield Rows(units[..., :-1], units[..., -1], ones, own, further)
+            p = len(values)
+            yield Rows(
+                columns=np.delete(units[..., :-1], slice(p, p + made), axis=2),
+                left=units[..., -1],
+                ones=ones,
+                own=own,
+                further=further,
+                noise=units[..., p : p + made],
+            )
 
-    def products(self, passes: Passes, values: Array, lags: int) -> LaggedProducts:
-        """Products of columns, of what values leave, and of ones, with so many rows before."""
-        sums = LaggedSums(lags)
-        for rows in self.rows(passes, values):
+    def products(
+        self, passes: Passes, values: Array, lags: int, encoder_noise: Array | None = None
+    ) -> tuple[LaggedProducts, LaggedProducts | None]:
+        """Products of columns, of what values leave, and of ones, with so many rows before.
+
+        And the same of what made noise of the encoders does to the unknowns' columns and to what
+        values leave, if it is made.
+
+        Args:
+            passes: Over all rows.
+            values: Of the robot's unknowns.
+            lags: How many rows before.
+            encoder_noise: As for `rows`.
+        """
+        sums, noise = LaggedSums(lags), LaggedSums(lags)
+        for rows in self.rows(passes, values, encoder_noise):
             last = np.stack([rows.left, rows.ones], axis=2)
             sums.add(np.concatenate([rows.columns, last], axis=2))
-        return sums.finish()
+            if encoder_noise is not None:
+                noise.add(self._of_noise(rows.noise))
+        return sums.finish(), None if encoder_noise is None else noise.finish()
+
+    def _of_noise(self, noise: Array) -> Array:
+        """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
+        columns, foretold = noise[..., :-1], noise[..., -1:]
+        exact = np.zeros((*noise.shape[:2], self.beside.unknown))
+        return np.concatenate([columns, exact, -foretold, np.zeros_like(foretold)], axis=2)
+
+
+def _together(first: Columns, second: Columns | None) -> Columns:
+    """Columns of both."""
+    if second is None:
+        return first
+    return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
 def units_of(start: least_squares.Fit, beside: Beside) -> Units:

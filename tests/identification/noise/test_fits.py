@@ -7,7 +7,7 @@ import pytest
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
-from testbed.identification.noise.biases import constants, square_of_last, with_constants
+from testbed.identification.noise.biases import carrying_constants, constants, square_of_last
 from testbed.identification.noise.fits import Fit, weighted_fit, whitened_fit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 
@@ -104,7 +104,7 @@ def test_constants_are_found_apart_from_the_parameters() -> None:
     part = np.abs(there.hidden[0])
     assert part.argmax() == 0
     assert part[1:].max() < 1e-6 * part[0]
-    found = with_constants(whitened_fit, there.directions)(given, None)
+    found = whitened_fit(carrying_constants(given, there.directions))
     told = there.directions @ found.values[3:]
     np.testing.assert_allclose(told[[0, 1, 3]], bias[[0, 1, 3]], atol=0.2)
     assert square_of_last(found, 3) > 1000
@@ -116,7 +116,7 @@ def test_no_constants_are_significant_where_there_are_none() -> None:
     for seed in range(100):
         given = products(problem(seed, WHITE))
         directions = constants(given).directions
-        found = with_constants(whitened_fit, directions)(given, None)
+        found = whitened_fit(carrying_constants(given, directions))
         squares.append(square_of_last(found, directions.shape[1]))
     assert np.mean(squares) == pytest.approx(4.0, abs=1.0)  # chi-square of four
 
