@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.conditions import conditions
 from testbed.identification.consistent_program import Scaled, scaled, solve
 from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
-from testbed.identification.passes import one_blas_thread
 from testbed.identification.stated import Stated
 from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
