@@ -229,7 +229,7 @@ def test_every_reference_resolves() -> None:
 
 def test_nothing_names_a_machine_or_a_registry() -> None:
     texts = [ROOT / name for name in ("README.md", "CHANGELOG.md", "pyproject.toml", ".ci/run")]
-    texts += [*MODULES, *(ROOT / "docs").glob("*.md"), *(ROOT / "experiments").glob("*")]
+    texts += [*MODULES, *(ROOT / "docs").glob("*.md"), *(ROOT / "experiments").rglob("*.*")]
     texts += list(ROOT.glob("*.lock"))
     for path in texts:
         found = re.search(r"/(work|root|home)/|\.\./shared|pypi\.|--index-url", path.read_text())
