@@ -196,6 +196,10 @@ class ClearanceTerm:
         return np.asarray(least - np.abs(postures - before) @ self._levers.T)
 
 
+NARROW = 1.5
+"""Pairs that have so much of the clearance, or less, keep half of what they have."""
+
+
 @dataclass(frozen=True, eq=False)
 class Watched:
     """Pairs of bodies whose shapes say something.
@@ -217,7 +221,7 @@ def watched(
     """What a motion can be asked to keep clear.
 
     Pairs that touch in nearly every posture are left out: their shapes are too coarse. Pairs that
-    are nearer to each other than the clearance in the posture of zeros, or in nearly every one,
+    are about as near to each other as the clearance in the posture of zeros, or in nearly all,
     keep half of what they have there. Obstacles are watched in any case.
 
     Args:
@@ -232,9 +236,10 @@ def watched(
     home = meter.measure(limits.home).values
     around = np.array([a == CELL for a, _ in collision.pairs], dtype=bool)
     free = around | ((found <= 0).mean(axis=0) < ALWAYS)
-    built = np.where((found < clearance).mean(axis=0) >= ALWAYS, np.median(found, axis=0), np.inf)
+    always = (found < NARROW * clearance).mean(axis=0) >= ALWAYS
+    built = np.where(always, np.median(found, axis=0), np.inf)
     usual = np.minimum(built, np.where(home > 0, home, np.inf))
-    kept = np.where(~around & (usual < clearance), usual / 2, clearance)
+    kept = np.where(~around & (usual < NARROW * clearance), usual / 2, clearance)
     notes = [
         f"{name}: their shapes touch in nearly every posture; not watched"
         for name, watch in zip(collision.names, free, strict=True)
@@ -244,5 +249,5 @@ def watched(
     if nearer:
         first = collision.names[nearer[0]]
         more = f" and {len(nearer) - 1} more pairs" if len(nearer) > 1 else ""
-        notes.append(f"{first}{more}: built nearer than the clearance; half of that is kept")
+        notes.append(f"{first}{more}: built about as near as the clearance; half of that is kept")
     return Watched(collision.only(free.tolist()), kept[free], tuple(notes))

@@ -201,14 +201,20 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
                 m.scaled(float(s), limits.home) for m, s in zip(motions, SHARES, strict=True)
             ]
         slow = series.unknowns(motions[-1])
-        if not problem.inside(slow).holds:
-            worst = problem.worst(slow)
-            if nearest is None or worst[2] < nearest[2]:
-                nearest = worst
-            continue
-        larger = (series.unknowns(motion) for motion in motions)
-        return problem, next((x for x in larger if problem.inside(x).holds), slow)
-    assert nearest is not None
+        if (problem.inside(slow).limits < 0).all():
+            larger = (series.unknowns(motion) for motion in motions)
+            found = next((x for x in larger if problem.inside(x).holds), None)
+            if found is not None:
+                return problem, found
+            continue  # so slow a motion does not tell all parameters
+        worst = problem.worst(slow)
+        if nearest is None or worst[2] < nearest[2]:
+            nearest = worst
+    if nearest is None:
+        raise InfeasibleMotion(
+            f"none of {DRAWS} random motions inside the limits tells all parameters: some joint "
+            "has too little room or is too slow; allow more, or lock it"
+        )
     label, instant, over = nearest
     raise InfeasibleMotion(
         f"no motion inside all limits was found in {DRAWS} random postures: even one that hardly "
