@@ -16,18 +16,23 @@ from testbed.simulation.build import build_plant
 from testbed.simulation.rollout import Sampling, simulate_motion
 
 MODEL = Path(__file__).parents[1] / "models" / "puma562.xml"
-STEP, RATE, DURATION = 5e-4, 1000.0, 2.0
+RATE, DURATION = 1000.0, 2.0
 
 
-def simulate(rounds: int = 5) -> dict[str, Any]:
-    """A recording run against `mj_step` alone, per simulation step."""
+def simulate(step: float, rounds: int = 5) -> dict[str, Any]:
+    """A recording run against `mj_step` alone, per simulation step.
+
+    Args:
+        step: Of the integration [s].
+        rounds: How often both take turns.
+    """
     tree = tb.load_tree(MODEL)
-    plant = build_plant(ModelFile(MODEL), tree, STEP)
+    plant = build_plant(ModelFile(MODEL), tree, step)
     motion = Fourier(0.5, np.zeros(tree.n), np.full((tree.n, 2), 0.2), np.full((tree.n, 2), 0.1))
-    steps = round(1 / (RATE * STEP))
+    steps = round(1 / (RATE * step))
     sampling = Sampling(RATE, steps, averaged=True, warm_up=0.0)
     data = mujoco.MjData(plant.model)
-    count = round(DURATION / STEP)
+    count = round(DURATION / step)
     tasks = {
         "mj_step": lambda: mujoco.mj_step(plant.model, data, nstep=count),
         "run": lambda: simulate_motion(plant, tree, motion, DURATION, 100.0, sampling),
@@ -37,6 +42,7 @@ def simulate(rounds: int = 5) -> dict[str, Any]:
     return {
         "benchmark": "simulate",
         "robot": tree.name,
+        "step": step,
         "ns_per_step": ns,
         "ratio": round(best["run"] / best["mj_step"], 2),
         "peak_rss_mb": round(peak_rss()),
