@@ -16,16 +16,15 @@ from pydantic import Field, ValidationError
 from testbed.errors import ExperimentError
 from testbed.experiment.experiment_tables import (
     Expectations,
-    Finite,
     MotionTable,
     RobotTable,
     RunName,
     SimulationTable,
     Table,
 )
-from testbed.experiment.toml_text import checked, complaints, override, read_toml
 from testbed.identification.settings import Settings
 from testbed.instruments.chain import Instrument
+from testbed.toml_text import Finite, checked, complaints, override, read_toml
 
 
 class RecordingTables(Table):
