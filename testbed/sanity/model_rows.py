@@ -1,0 +1,117 @@
+"""What a model with rough masses says of a recording, beside what was measured.
+
+Each body's share of every torque and of the wrench stands by itself, so that masses can be
+scaled one by one. Everything passes one low-pass and is thinned out: a few hundred rows tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.identification.filters import motion_taps, row_weights
+from testbed.parameters.barycentric import barycentric
+from testbed.robot.inertia import NOTHING
+from testbed.robot.tree import Tree
+
+ROW_CUTOFF, POSITION_CUTOFF = 4.0, 16.0
+"""Of the low-pass on rows and on positions [Hz]; less where the recording is slower."""
+
+ROWS_A_SECOND = 14.0
+"""Rows kept: a few for each independent one."""
+
+FINE = 40.0
+"""Instants a second at which the model is asked before rows are filtered [Hz]."""
+
+MOST_INSTANTS = 1200
+"""At which the model is asked; of a longer recording the middle is taken."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModelRows:
+    """Rows of C channels, n bodies, n joints.
+
+    Attributes:
+        bodies: Share of each body by the model file, (T, C, n) [N m or N].
+        speed: Of the joints, (T, n) [rad/s or m/s].
+        sign: Its sign, filtered alike, (T, n).
+        acceleration: (T, n) [rad/s^2 or m/s^2].
+        measured: (T, C) [N m or N].
+        joints: How many of the channels are joints' torques; the others are the wrench's.
+    """
+
+    bodies: Array
+    speed: Array
+    sign: Array
+    acceleration: Array
+    measured: Array
+    joints: int
+
+
+def model_rows(
+    tree: Tree, position: Array, torque: Array | None, wrench: Array | None, rate: float
+) -> ModelRows:
+    """Rows of a recording.
+
+    Args:
+        tree: The robot, its masses roughly right.
+        position: (M, n) [rad or m].
+        torque: (M, n) [N m or N], if measured.
+        wrench: (M, 6) [N, N m], if measured.
+        rate: Samples a second [Hz].
+    """
+    there = [signal for signal in (torque, wrench) if signal is not None]
+    slow = min(1.0, rate / (6 * POSITION_CUTOFF))  # slow recordings are filtered lower
+    taps = motion_taps(rate, slow * POSITION_CUTOFF)
+    smooth = row_weights(rate, slow * POSITION_CUTOFF)
+    step = max(1, int(rate / FINE))
+    lost = max(taps.shape[1], len(smooth)) // 2
+    part = _middle(len(position), 2 * lost + MOST_INSTANTS * step)
+    q, qd, qdd = (_thinned(position[part], tap[::-1], lost, step) for tap in taps)
+    measured = np.hstack([_thinned(signal[part], smooth, lost, step) for signal in there])
+    joints, base = linear(tree, Motion(np.arange(len(q)) * step / rate, q, qd, qdd), _shares(tree))
+    bodies = [shares for shares, signal in ((joints, torque), (base, wrench)) if signal is not None]
+    weights = row_weights(rate / step, slow * ROW_CUTOFF)
+    kept = max(1, int(rate / step / ROWS_A_SECOND))
+    reach = len(weights) // 2
+
+    def filtered(rows: Array) -> Array:
+        flat = _thinned(rows.reshape(len(rows), -1), weights, reach, kept)
+        return flat.reshape(-1, *rows.shape[1:])
+
+    return ModelRows(
+        bodies=filtered(np.concatenate(bodies, axis=1)),
+        speed=filtered(qd),
+        sign=filtered(np.sign(qd)),
+        acceleration=filtered(qdd),
+        measured=filtered(measured),
+        joints=0 if torque is None else tree.n,
+    )
+
+
+def _shares(tree: Tree) -> Array:
+    """Barycentric parameters of each body alone, (n, 10, n)."""
+    alone = []
+    for body in range(tree.n):
+        inertias = [own if k == body else NOTHING for k, own in enumerate(tree.inertias)]
+        alone.append(barycentric(replace(tree, inertias=tuple(inertias))))
+    return np.stack(alone, axis=-1)
+
+
+def _middle(samples: int, most: int) -> slice:
+    first = max(0, (samples - most) // 2)
+    return slice(first, first + most)
+
+
+def _thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
+    """A signal filtered, without `reach` samples at either end, every so many samples."""
+    from scipy.signal import oaconvolve
+
+    spare = reach - len(weights) // 2
+    found = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
+    thinned: Array = found[spare : len(found) - spare or None : step]
+    return thinned
