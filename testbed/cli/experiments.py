@@ -18,6 +18,7 @@ from testbed.cli.options import (
     RecordingSet,
     Set,
     Threads,
+    Unchecked,
     Weld,
     Zeros,
     app,
@@ -153,12 +154,14 @@ def identify(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    unchecked: Unchecked = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
 
-    The recording may be larger than memory. A method whose signal it lacks is left out.
+    The recording may be larger than memory. A method whose signal it lacks is left out. One that
+    was imported is held against the model first: signs, units, order, zeros, clocks.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
     """
@@ -175,10 +178,12 @@ def identify(
         reading.model_file(model),
     )
     source, doubt = reading.source(recording, tree), reading.doubt(tree)
+    accepted = reading.accepted(source, tree, unchecked=unchecked)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
     warnings = [said for m, said in zip(wanted, warnings, strict=True) if m not in there]
+    warnings += accepted
     estimates = []
     for name in there or wanted:  # the first says what is missing
         with terminal.Progress(f"identifying, {name}") as progress:

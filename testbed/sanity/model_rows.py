@@ -17,6 +17,7 @@ from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.barycentric import barycentric
 from testbed.robot.inertia import NOTHING
 from testbed.robot.tree import Tree
+from testbed.sanity.thinning import thinned
 
 ROW_CUTOFF, POSITION_CUTOFF = 4.0, 16.0
 """Of the low-pass on rows and on positions [Hz]; less where the recording is slower."""
@@ -71,8 +72,8 @@ def model_rows(
     step = max(1, int(rate / FINE))
     lost = max(taps.shape[1], len(smooth)) // 2
     part = _middle(len(position), 2 * lost + MOST_INSTANTS * step)
-    q, qd, qdd = (_thinned(position[part], tap[::-1], lost, step) for tap in taps)
-    measured = np.hstack([_thinned(signal[part], smooth, lost, step) for signal in there])
+    q, qd, qdd = (thinned(position[part], tap[::-1], lost, step) for tap in taps)
+    measured = np.hstack([thinned(signal[part], smooth, lost, step) for signal in there])
     joints, base = linear(tree, Motion(np.arange(len(q)) * step / rate, q, qd, qdd), _shares(tree))
     bodies = [shares for shares, signal in ((joints, torque), (base, wrench)) if signal is not None]
     weights = row_weights(rate / step, slow * ROW_CUTOFF)
@@ -80,7 +81,7 @@ def model_rows(
     reach = len(weights) // 2
 
     def filtered(rows: Array) -> Array:
-        flat = _thinned(rows.reshape(len(rows), -1), weights, reach, kept)
+        flat = thinned(rows.reshape(len(rows), -1), weights, reach, kept)
         return flat.reshape(-1, *rows.shape[1:])
 
     return ModelRows(
@@ -105,13 +106,3 @@ def _shares(tree: Tree) -> Array:
 def _middle(samples: int, most: int) -> slice:
     first = max(0, (samples - most) // 2)
     return slice(first, first + most)
-
-
-def _thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
-    """A signal filtered, without `reach` samples at either end, every so many samples."""
-    from scipy.signal import oaconvolve
-
-    spare = reach - len(weights) // 2
-    found = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
-    thinned: Array = found[spare : len(found) - spare or None : step]
-    return thinned

@@ -8,8 +8,10 @@ a reading of the data can be true at all.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.sanity.model_rows import ModelRows
@@ -28,6 +30,10 @@ INDEPENDENT = 40
 
 OWN = 3
 """Unknowns of a joint's own: dry and viscous friction, rotor."""
+
+
+Part: TypeAlias = tuple[Array, Array, NDArray[np.intp]]
+"""Columns and measurement of a channel, and which unknowns the columns are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +94,7 @@ def _fitted(rows: ModelRows, gains: Array) -> ScaledFit:
     return ScaledFit(values[:n], gains[:n], left / variance, rigid)
 
 
-def _channel(rows: ModelRows, channel: int, gain: float) -> tuple[Array, Array, Array]:
+def _channel(rows: ModelRows, channel: int, gain: float) -> Part:
     """Columns, measurement, and which unknowns the columns are, of one channel without its mean."""
     n = rows.bodies.shape[2]
     columns, unknowns = [rows.bodies[:, channel]], [*range(n)]
@@ -100,9 +106,7 @@ def _channel(rows: ModelRows, channel: int, gain: float) -> tuple[Array, Array, 
     return matrix - matrix.mean(axis=0), right - right.mean(), np.array(unknowns)
 
 
-def _bounded(
-    parts: list[tuple[Array, Array, Array]], weights: Array, low: Array, high: Array
-) -> Array:
+def _bounded(parts: list[Part], weights: Array, low: Array, high: Array) -> Array:
     """Least squares within bounds, by products."""
     from scipy.optimize import lsq_linear
 

@@ -36,6 +36,8 @@ PLAN = {
     "instruments": BASE | KINDS | {"robot", "recordings"},
     "simulation": BASE | KINDS | {"robot", "dynamics", "excitation", "recordings"},
     "identification": BASE | {"robot", "parameters", "dynamics", "kernel", "recordings"},
+    "sanity": BASE
+    | {"robot", "parameters", "dynamics", "recordings", "identification"},
     "experiment": BASE
     | KINDS
     | {
@@ -59,7 +61,8 @@ GUESTS = {
     "llvmlite": ("kernel/compiler.py",),
     "threadpoolctl": ("identification/passes.py",),
     "pyarrow": (
-        "recordings/formats/parquet.py", "recordings/importing/readers/parquet_columns.py",
+        "recordings/formats/parquet.py",
+        "recordings/importing/readers/parquet_columns.py",
     ),
     "h5py": ("recordings/importing/readers/hdf5.py",),
     "rosbags": ("recordings/importing/readers/ros_bag.py",),

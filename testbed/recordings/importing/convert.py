@@ -7,7 +7,7 @@ sampled, and then mapped to joints and bedplate, all in memory.
 from __future__ import annotations
 
 from collections.abc import Mapping as Table
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,20 @@ def imported(path: Path) -> Imported:
         ExperimentError: The mapping is not understood.
         RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
     """
-    mapping = read_mapping(path)
-    tables = {name: _open(path.parent, mapping, name) for name in _used(mapping)}
+    return converted(read_mapping(path), path.parent)
+
+
+def converted(mapping: Mapping, folder: Path) -> Imported:
+    """What the files that a mapping names say.
+
+    Args:
+        mapping: What their columns mean.
+        folder: To which the files are relative.
+
+    Raises:
+        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
+    """
+    tables = {name: _open(folder, mapping, name) for name in _used(mapping)}
     times = {name: _times(mapping, name, table) for name, table in tables.items()}
     window = _window(mapping, times)
     sources = {
@@ -92,7 +104,8 @@ def imported(path: Path) -> Imported:
         raw, reports["wrench"] = _resampled(mapping, wrench, sources[wrench.source], grid)
         found = bedplate_wrench(wrench, raw)
         columns |= {f"wrench/{axis}": found[:, k] for k, axis in enumerate(AXES)}
-    clocks = {name: source.clock for name, source in sources.items()}
+    leads = {name: float(grid[0] - times[name][0]) for name in sources}
+    clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
     return Imported(columns, _metadata(mapping, report), report)
 
@@ -180,8 +193,12 @@ def _read(
 def _grid(mapping: Mapping, sources: Table[str, _Source], window: tuple[float, float]) -> Array:
     """The recording's instants, (L,) [s]."""
     reach = {name: low_pass_reach(s.clock.rate, mapping.rate) for name, s in sources.items()}
-    first = max(window[0], *(s.time[0] + reach[name] for name, s in sources.items()))
-    last = min(window[1], *(s.time[-1] - reach[name] for name, s in sources.items()))
+    first, last = window
+    for table in (*mapping.signals.values(), mapping.wrench):
+        if table is not None:
+            time, lost = sources[table.source].time, reach[table.source]
+            first = max(first, time[0] + lost - table.delay)
+            last = min(last, time[-1] - lost - table.delay)
     wanted = 1 + 6 * len(mapping.joints)
     count = (last - first) * mapping.rate
     if not count * wanted <= MOST_NUMBERS:
@@ -199,7 +216,7 @@ def _resampled(
     mapping: Mapping, table: SignalTable | WrenchTable, source: _Source, grid: Array
 ) -> tuple[Array, SignalReport]:
     """A signal's columns on the grid, (L, k), and how they came there."""
-    time, rate = source.time, source.clock.rate
+    time, rate = source.time - table.delay, source.clock.rate
     values = np.stack([source.columns[name] for name in table.columns], axis=1)
     held, dropped = held_share(values), 0
     if mapping.sources[table.source].drop_held:

@@ -119,6 +119,8 @@ class SignalTable(MappingTable):
     """M: a row a joint, a column a column."""
     offset: Numbers | None = None
     """Added to each joint [rad or m, N m or N, ...]."""
+    delay: Finite = 0.0
+    """How late the signal is, besides its source's clock: a filter in the drive [s]."""
 
 
 class PlaceTable(MappingTable):
@@ -146,6 +148,8 @@ class WrenchTable(MappingTable):
     """Of the sensor; default the bedplate's frame."""
     matrix: Rows | None = None
     """Six rows: from the columns to forces and moments, as of a sensor's calibration."""
+    delay: Finite = 0.0
+    """How late the signal is, besides its source's clock [s]."""
     tare: Six | None = None
     """What of the recording's wrench is the pedestal's, in the bedplate's frame [N, N m]; zeros
     for a plate that was zeroed with the pedestal on it. Default: the model's pedestal."""
@@ -194,8 +198,8 @@ class Mapping(MappingTable):
             _check_signal(kind, table, n, self.gear is not None)
         if self.wrench is not None:
             _check_wrench(self.wrench)
-        tables: dict[str, SignalTable | WrenchTable | None] = {**self.signals}
-        for label, each in (tables | {"wrench": self.wrench}).items():
+        tables: list[tuple[str, SignalTable | WrenchTable | None]] = [("wrench", self.wrench)]
+        for label, each in (*self.signals.items(), *tables):
             if each is not None and each.source not in self.sources:
                 known = ", ".join(self.sources)
                 raise ValueError(f"{label}.source: there is no source '{each.source}' ({known})")
@@ -232,15 +236,15 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
     for what, given, wanted in lists:
         if given is not None and len(given) != wanted:
             raise ValueError(f"{kind}.{what}: {len(given)} given, {wanted} wanted")
-    for unit in units:
-        check_unit(kind, unit, gained=table.gain is not None)
+    for each in units:
+        check_unit(kind, each, gained=table.gain is not None)
     if table.matrix is not None and any(len(row) != columns for row in table.matrix):
         raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")
     if table.matrix is None and columns != joints:
         raise ValueError(f"{kind}.columns: {columns} columns, {joints} joints, and no matrix")
     if geared != (table.side is not None):
-        wanted = "say `side`: joint or motor" if geared else "`side` needs a table [gear]"
-        raise ValueError(f"{kind}.side: {wanted}")
+        said = "say `side`: joint or motor" if geared else "`side` needs a table [gear]"
+        raise ValueError(f"{kind}.side: {said}")
 
 
 def _check_wrench(table: WrenchTable) -> None:

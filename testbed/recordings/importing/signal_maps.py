@@ -28,12 +28,12 @@ def joint_signal(kind: Kind, table: SignalTable, gear: GearTable | None, columns
     for given in (table.gain, table.sign):
         if given is not None:
             scale = scale * np.asarray(given, dtype=np.float64)
-    found: Array = columns * scale
+    found: Array = np.asarray(columns * scale, dtype=np.float64)
     if table.matrix is not None:
         found = found @ np.array(table.matrix, dtype=np.float64).T
     if gear is not None and table.side == "motor":
         motor = gear.motor_of_joint
-        found = found @ motor if kind == "torque" else np.linalg.solve(motor, found.T).T
+        found = found @ motor if kind == "torque" else np.asarray(np.linalg.solve(motor, found.T).T)
     return found if table.offset is None else found + np.array(table.offset, dtype=np.float64)
 
 

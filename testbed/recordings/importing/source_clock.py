@@ -39,6 +39,7 @@ class ClockReport:
         gaps: Steps of more than 1.5 sampling times.
         longest_gap: Longest step [s].
         repeated: Samples left out because stamp and values were those of the one before.
+        lead: From its first sample to the recording's first instant [s].
     """
 
     samples: int
@@ -47,6 +48,7 @@ class ClockReport:
     gaps: int
     longest_gap: float
     repeated: int
+    lead: float = 0.0
 
 
 def sample_times(
@@ -161,7 +163,8 @@ def clock_report(
         k = int(np.argmax(used))
         raise RecordingError(
             f"sources.{name}: nothing was recorded for {longest:.3g} s after "
-            f"{time[k] - time[0]:.6g} s; cut it out by `start` and `stop`, or say `max_gap` = {longest:.3g} to bridge it"
+            f"{time[k] - time[0]:.6g} s; cut it out by `start` and `stop`, or say "
+            f"`max_gap` = {longest:.3g} to bridge it"
         )
     near = steps[steps <= GAP * typical]
     jitter = float(np.std(near) / typical) if len(near) else 0.0

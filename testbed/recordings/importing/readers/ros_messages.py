@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -38,25 +37,26 @@ Definitions = Mapping[str, tuple[Any, Sequence[tuple[str, tuple[Any, Any]]]]]
 """Fields by the name of a type, as rosbags gives them."""
 
 
-@dataclass
 class Message:
-    """The bytes of one message, taken from the front; positions count from its first byte.
+    """The bytes of one message, taken from the front.
 
     Attributes:
         data: All bytes.
-        order: "<" or ">".
-        aligned: Whether numbers stand at multiples of their size, as in CDR.
-        start: Where positions are counted from.
         place: Of the next byte.
         steps: Parts taken so far.
     """
 
-    data: bytes
-    order: str
-    aligned: bool
-    start: int = 0
-    place: int = 0
-    steps: int = field(default=0)
+    def __init__(self, data: bytes, version: int) -> None:
+        """At the message's beginning.
+
+        Args:
+            data: As the bag holds it.
+            version: Of ROS. Numbers of version 2 stand at multiples of their size, counted from
+                the fourth byte; the second one says their order.
+        """
+        self.data, self.place, self.steps = data, 0 if version == 1 else 4, 0
+        self._start, self._aligned = self.place, version != 1
+        self._order = "<" if version == 1 or data[1] & 1 else ">"
 
     def number(self, kind: str) -> float:
         """The next number."""
@@ -67,11 +67,11 @@ class Message:
         self.steps += 1
         code = NUMBERS[kind]
         size = struct.calcsize(code)
-        if self.aligned and count:
-            self.place += -(self.place - self.start) % size
+        if self._aligned and count:
+            self.place += -(self.place - self._start) % size
         if self.steps > MOST_STEPS or count * size > len(self.data) - self.place:
             raise ValueError("a message ends early, or has too many parts")
-        kind = {"?": "?"}.get(code, self.order + code)
+        kind = {"?": "?"}.get(code, self._order + code)
         found = np.frombuffer(self.data, kind, count, self.place)
         self.place += count * size
         return found
@@ -95,11 +95,7 @@ def numbers_of(data: bytes, kind: str, definitions: Definitions, version: int) -
     Raises:
         ValueError: It is damaged.
     """
-    if version == 1:
-        message = Message(data, "<", aligned=False)
-    else:
-        message = Message(data, "<" if data[1] & 1 else ">", aligned=True, start=4, place=4)
-    return _fields(message, kind, definitions, "")
+    return _fields(Message(data, version), kind, definitions, "")
 
 
 def _fields(message: Message, kind: str, definitions: Definitions, before: str) -> dict[str, float]:
