@@ -6,6 +6,7 @@ sampled, and then mapped to joints and bedplate, all in memory.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from testbed.recordings.importing.held_samples import held_share, slow_device
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
 from testbed.recordings.importing.mapping import Mapping, SignalTable, WrenchTable, read_mapping
 from testbed.recordings.importing.readers import open_foreign
-from testbed.recordings.importing.resampling import low_pass_reach, onto_grid
+from testbed.recordings.importing.resampling import SAME, low_pass_reach, onto_grid
 from testbed.recordings.importing.signal_maps import (
     bedplate_wrench,
     check_file_units,
@@ -61,6 +62,16 @@ class _Source:
     clock: ClockReport
 
 
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """A signal's columns, (M, k), and when and how they were sampled."""
+
+    time: Array
+    values: Array
+    rate: float
+    report: SignalReport
+
+
 def imported(path: Path) -> Imported:
     """What a mapping file and the files that it names say.
 
@@ -90,20 +101,17 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     sources = {
         name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
     }
-    grid = _grid(mapping, sources, window)
-    columns: dict[str, Array] = {"time": grid - grid[0]}
-    reports: dict[str, SignalReport] = {}
-    for kind, signal in mapping.signals.items():
-        _check_units(kind, signal, tables[signal.source])
-        raw, reports[kind] = _resampled(mapping, signal, sources[signal.source], grid)
-        found = joint_signal(kind, signal, mapping.gear, raw)
-        columns |= {f"{kind}/{name}": found[:, k] for k, name in enumerate(mapping.joints)}
+    tables_of: dict[str, SignalTable | WrenchTable] = dict(mapping.signals.items())
     if mapping.wrench is not None:
-        wrench = mapping.wrench
-        _check_units("wrench", wrench, tables[wrench.source])
-        raw, reports["wrench"] = _resampled(mapping, wrench, sources[wrench.source], grid)
-        found = bedplate_wrench(wrench, raw)
-        columns |= {f"wrench/{axis}": found[:, k] for k, axis in enumerate(AXES)}
+        tables_of["wrench"] = mapping.wrench
+    samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
+    grid = _grid(mapping, samples.values(), window)
+    columns: dict[str, Array] = {"time": grid - grid[0]}
+    for label, each in tables_of.items():
+        _check_units(label, each, tables[each.source])
+        got = samples[label]
+        columns |= _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
+    reports = {label: got.report for label, got in samples.items()}
     leads = {name: float(grid[0] - times[name][0]) for name in sources}
     clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
@@ -190,15 +198,29 @@ def _read(
     return _Source(used, {c: values[:, k] for k, c in enumerate(wanted)}, clock)
 
 
-def _grid(mapping: Mapping, sources: Table[str, _Source], window: tuple[float, float]) -> Array:
+def _samples(
+    mapping: Mapping, table: SignalTable | WrenchTable, sources: Table[str, _Source]
+) -> _Samples:
+    """A signal's columns as they were sampled, those of a slow device once each."""
+    source = sources[table.source]
+    time, rate = source.time - table.delay, source.clock.rate
+    values = np.stack([source.columns[name] for name in table.columns], axis=1)
+    held, dropped = held_share(values), 0
+    if mapping.sources[table.source].drop_held:
+        news = slow_device(values)
+        dropped = int(np.count_nonzero(~news))
+        time, values = time[news], values[news]
+        rate = float(1 / np.median(np.diff(time)))
+    passed = low_pass_reach(rate, mapping.rate) > 0
+    return _Samples(time, values, rate, SignalReport(table.source, held, dropped, passed))
+
+
+def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
     """The recording's instants, (L,) [s]."""
-    reach = {name: low_pass_reach(s.clock.rate, mapping.rate) for name, s in sources.items()}
     first, last = window
-    for table in (*mapping.signals.values(), mapping.wrench):
-        if table is not None:
-            time, lost = sources[table.source].time, reach[table.source]
-            first = max(first, time[0] + lost - table.delay)
-            last = min(last, time[-1] - lost - table.delay)
+    for each in samples:
+        lost = low_pass_reach(each.rate, mapping.rate)
+        first, last = max(first, each.time[0] + lost), min(last, each.time[-1] - lost)
     wanted = 1 + 6 * len(mapping.joints)
     count = (last - first) * mapping.rate
     if not count * wanted <= MOST_NUMBERS:
@@ -207,27 +229,20 @@ def _grid(mapping: Mapping, sources: Table[str, _Source], window: tuple[float, f
         )
     if count < 2:
         raise RecordingError(f"at {mapping.rate:g} Hz {max(0, int(count))} samples are left")
-    rounding = 1e-6  # of a sample: the last one may be the window's end
-    found: Array = first + np.arange(int(count + rounding) + 1) / mapping.rate
+    found: Array = first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
     return found
 
 
-def _resampled(
-    mapping: Mapping, table: SignalTable | WrenchTable, source: _Source, grid: Array
-) -> tuple[Array, SignalReport]:
-    """A signal's columns on the grid, (L, k), and how they came there."""
-    time, rate = source.time - table.delay, source.clock.rate
-    values = np.stack([source.columns[name] for name in table.columns], axis=1)
-    held, dropped = held_share(values), 0
-    if mapping.sources[table.source].drop_held:
-        news = slow_device(values)
-        news[-1] = True
-        dropped = int(np.count_nonzero(~news))
-        time, values = time[news], values[news]
-        rate = float(1 / np.median(np.diff(time)))
-    passed = low_pass_reach(rate, mapping.rate) > 0
-    report = SignalReport(table.source, held, dropped, passed)
-    return onto_grid(time, values, rate, grid), report
+def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
+    """A signal on the grid as the recording's columns."""
+    if label == "wrench" and mapping.wrench is not None:
+        found = bedplate_wrench(mapping.wrench, raw)
+        members: tuple[str, ...] = AXES
+    else:
+        (kind,) = (kind for kind in mapping.signals if kind == label)
+        found = joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
+        members = tuple(mapping.joints)
+    return {f"{label}/{member}": found[:, k] for k, member in enumerate(members)}
 
 
 def _check_units(label: str, table: SignalTable | WrenchTable, file: ForeignTable) -> None:

@@ -24,7 +24,7 @@ WORDS = {
     "velocity": ("vel", "speed", "qd", "dq"),
     "acceleration": ("acc", "qdd", "ddq"),
     "torque": ("torque", "tau", "effort", "cur", "trq"),
-    "wrench": ("force", "wrench", "moment", "fx", "fy", "fz", "mx", "my", "mz", "ft["),
+    "wrench": ("force", "wrench", "moment", "fx", "fy", "fz", "mx", "my", "mz", "ft[", "w["),
 }
 """Parts of names by which columns are told apart."""
 
