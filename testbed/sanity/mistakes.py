@@ -29,8 +29,8 @@ BEYOND = 2 * np.pi
 MERGED = ("position_sign", "torque_sign", "degrees", "zero")
 """Kinds of which there is one line in a mapping for all joints."""
 
-MOST_PAIRS = 12
-"""Joints up to which every pair is tried."""
+MOST_JOINTS = 12
+"""Joints of a robot up to which orders and zeros are tried: their number grows fast."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
         yield Mistake("degrees", tuple(_turning(tree, everyone)))
     orders = [tuple(np.roll(everyone, k).tolist()) for k in range(1, tree.n)] + [everyone[::-1]]
     for order in orders:
-        if tree.n > 2:
+        if 2 < tree.n <= MOST_JOINTS:
             yield from _orders(tree, signals, order)
 
 
@@ -145,11 +145,11 @@ def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> 
         yield Mistake("position_sign", (joint,))
         if signals.torque is not None:
             yield Mistake("torque_sign", (joint,))
-        if _turning(tree, [joint]):
+        if _turning(tree, [joint]) and tree.n <= MOST_JOINTS:
             if np.abs(signals.position[:, joint]).max() > BEYOND:
                 yield Mistake("degrees", (joint,))
             yield from (Mistake("zero", (joint,), (angle,)) for angle in QUARTERS)
-        for other in range(tree.n) if tree.n <= MOST_PAIRS else ():
+        for other in range(tree.n) if tree.n <= MOST_JOINTS else ():
             if other < joint or (other > joint and other not in doubted):
                 order = list(range(tree.n))
                 order[joint], order[other] = other, joint

@@ -32,6 +32,10 @@ MOST_INSTANTS = 1200
 """At which the model is asked; of a longer recording the middle is taken."""
 
 
+MEDIAN = 0.4549
+"""Of the square of a normal number of variance one."""
+
+
 @dataclass(frozen=True, eq=False)
 class ModelRows:
     """Rows of C channels, n bodies, n joints.
@@ -43,6 +47,7 @@ class ModelRows:
         acceleration: (T, n) [rad/s^2 or m/s^2].
         measured: (T, C) [N m or N].
         joints: How many of the channels are joints' torques; the others are the wrench's.
+        noise: Variance of the rows' own noise, (C,).
     """
 
     bodies: Array
@@ -51,6 +56,13 @@ class ModelRows:
     acceleration: Array
     measured: Array
     joints: int
+    noise: Array
+
+    @property
+    def noise_share(self) -> Array:
+        """Part of each channel's variance that is its own noise, (C,)."""
+        found: Array = self.noise / np.maximum(self.measured.var(axis=0), 1e-30)
+        return found
 
 
 def model_rows(
@@ -91,7 +103,19 @@ def model_rows(
         acceleration=filtered(qdd),
         measured=filtered(measured),
         joints=0 if torque is None else tree.n,
+        noise=_noise(np.hstack(there)) * 2 * slow * ROW_CUTOFF / rate,
     )
+
+
+def _noise(signals: Array) -> Array:
+    """Variance of white noise, by the differences from sample to sample that motion does not make.
+
+    Args:
+        signals: (M, C).
+    """
+    second = np.diff(signals, 2, axis=0) ** 2
+    found: Array = np.median(second, axis=0) / (6 * MEDIAN)
+    return found
 
 
 def _shares(tree: Tree) -> Array:

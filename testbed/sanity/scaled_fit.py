@@ -19,6 +19,9 @@ from testbed.sanity.model_rows import ModelRows
 LEAST, MOST = 0.25, 4.0
 """Factors of bodies' inertias that rough masses may need."""
 
+MOST_GAIN = 300.0
+"""Times that torques are too large or too small at most: gears have no higher ratios."""
+
 ROUNDS = 4
 """Of weighing channels by what is left in them."""
 
@@ -71,7 +74,8 @@ def scaled_fit(rows: ModelRows, *, free_gains: bool = False) -> ScaledFit:
         steps = np.ones(channels)
         for joint in range(rows.joints):
             steps[joint] = _slope(rows, found.factors, joint) / gains[joint]
-        gains = np.where(steps > 0, gains * steps, gains)
+        wanted = np.where(steps > 0, gains * steps, gains)
+        gains = np.clip(wanted, 1 / MOST_GAIN, MOST_GAIN)
         found = _fitted(rows, gains)
     return ScaledFit(found.factors, gains[:n], found.left, found.rigid)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.robot.tree import Tree
 from testbed.sanity.mistakes import (
+    MOST_JOINTS,
     QUARTERS,
     Mistake,
     Signals,
@@ -22,6 +23,9 @@ from testbed.sanity.scaled_fit import ScaledFit, scaled_fit
 
 EXPLAINED = 0.02
 """Part of a channel's variance that rough models leave: below it nothing is odd."""
+
+NOISY = 3.0
+"""Times the noise's own part that may be left besides."""
 
 CONCERNS = 0.3
 """Part of what is left that the model's bodies must make for a mistake of theirs to explain it."""
@@ -85,7 +89,7 @@ def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
         for mistakes in (
             mistakes_of_all(tree, signals),
             mistakes_of_joints(tree, signals, doubted),
-            rarer_mistakes(tree, doubted),
+            rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ()),
         ):
             better = _best(tree, found, rate, mistakes, better)
             if better is not found and not doubted_joints(tree, better):
@@ -122,7 +126,8 @@ def doubted_joints(tree: Tree, reading: Reading) -> list[int]:
     variance = np.maximum(rows.measured.var(axis=0), 1e-30)
     bodies = rows.bodies.sum(axis=2).var(axis=0) / variance
     bodies[: rows.joints] *= reading.fit.gains[: rows.joints] ** 2
-    odd = np.flatnonzero((left > EXPLAINED) & ((bodies > CONCERNS * left) | (left > PUSHING)))
+    least = EXPLAINED + NOISY * rows.noise_share
+    odd = np.flatnonzero((left > least) & ((bodies > CONCERNS * left) | (left > PUSHING)))
     if (odd >= reading.rows.joints).any():
         return list(range(tree.n))
     return [int(k) for k in odd]
