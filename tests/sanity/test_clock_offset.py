@@ -41,13 +41,14 @@ def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None
     torque, wrench = clock_offsets(tree, spoiled)
     assert torque.late
     assert wrench.late
-    assert not (torque.drifts or wrench.drifts)
+    assert not torque.drifts
+    assert not wrench.drifts
     assert abs(torque.delay - late) < max(2e-5, 5 * torque.sigma)
     assert abs(wrench.delay - late / 2) < max(2e-5, 5 * wrench.sigma)
 
 
 def test_sigma_of_a_delay_is_honest() -> None:
-    """z of delays of random trees that are on time: about one."""
+    """Z of delays of random trees that are on time: about one."""
     found = []
     for seed in range(12):
         tree = random_robot(np.random.default_rng(seed), 3).tree()
