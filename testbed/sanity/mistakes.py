@@ -141,15 +141,16 @@ def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> 
         signals: What there is.
         doubted: Joints about which something is odd.
     """
-    for joint in doubted:
+    near = range(tree.n) if tree.n <= MOST_JOINTS else doubted
+    for joint in near:  # a position shows in the torques of its carriers
         yield Mistake("position_sign", (joint,))
-        if signals.torque is not None:
+        if signals.torque is not None and joint in doubted:
             yield Mistake("torque_sign", (joint,))
         if _turning(tree, [joint]) and tree.n <= MOST_JOINTS:
             if np.abs(signals.position[:, joint]).max() > BEYOND:
                 yield Mistake("degrees", (joint,))
             yield from (Mistake("zero", (joint,), (angle,)) for angle in QUARTERS)
-        for other in range(tree.n) if tree.n <= MOST_JOINTS else ():
+        for other in range(tree.n) if tree.n <= MOST_JOINTS and joint in doubted else ():
             if other < joint or (other > joint and other not in doubted):
                 order = list(range(tree.n))
                 order[joint], order[other] = other, joint

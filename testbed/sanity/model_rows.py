@@ -15,11 +15,11 @@ from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.barycentric import barycentric
-from testbed.robot.inertia import NOTHING
+from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.tree import Tree
 from testbed.sanity.thinning import thinned
 
-ROW_CUTOFF, POSITION_CUTOFF = 4.0, 16.0
+ROW_CUTOFF, POSITION_CUTOFF = 4.0, 10.0
 """Of the low-pass on rows and on positions [Hz]; less where the recording is slower."""
 
 ROWS_A_SECOND = 14.0
@@ -32,6 +32,10 @@ MOST_INSTANTS = 1200
 """At which the model is asked; of a longer recording the middle is taken."""
 
 
+REACH, LIGHT = 0.05, 0.1
+"""By which centres of mass may be wrong along each axis [m]; and part of the robot's mass that a
+body counts with at least: tools that the model does not know are at light links."""
+
 MEDIAN = 0.4549
 """Of the square of a normal number of variance one."""
 
@@ -42,6 +46,7 @@ class ModelRows:
 
     Attributes:
         bodies: Share of each body by the model file, (T, C, n) [N m or N].
+        shifts: What moving each body's centre of mass by `REACH` along x, y, z adds, (T, C, 3 n).
         speed: Of the joints, (T, n) [rad/s or m/s].
         sign: Its sign, filtered alike, (T, n).
         acceleration: (T, n) [rad/s^2 or m/s^2].
@@ -51,6 +56,7 @@ class ModelRows:
     """
 
     bodies: Array
+    shifts: Array
     speed: Array
     sign: Array
     acceleration: Array
@@ -96,8 +102,10 @@ def model_rows(
         flat = thinned(rows.reshape(len(rows), -1), weights, reach, kept)
         return flat.reshape(-1, *rows.shape[1:])
 
+    shares = filtered(np.concatenate(bodies, axis=1))
     return ModelRows(
-        bodies=filtered(np.concatenate(bodies, axis=1)),
+        bodies=shares[..., : tree.n],
+        shifts=shares[..., tree.n :],
         speed=filtered(qd),
         sign=filtered(np.sign(qd)),
         acceleration=filtered(qdd),
@@ -119,11 +127,17 @@ def _noise(signals: Array) -> Array:
 
 
 def _shares(tree: Tree) -> Array:
-    """Barycentric parameters of each body alone, (n, 10, n)."""
+    """Barycentric parameters of each body alone, then of its shifts, (n, 10, n + 3 n)."""
+    light = LIGHT * sum(inertia.mass for inertia in tree.inertias)
+    shifts = [
+        (body, Inertia(0.0, REACH * max(own.mass, light) * axis, np.zeros((3, 3))))
+        for body, own in enumerate(tree.inertias)
+        for axis in np.eye(3)
+    ]
     alone = []
-    for body in range(tree.n):
-        inertias = [own if k == body else NOTHING for k, own in enumerate(tree.inertias)]
-        alone.append(barycentric(replace(tree, inertias=tuple(inertias))))
+    for body, inertia in [*enumerate(tree.inertias), *shifts]:
+        inertias = tuple(inertia if k == body else NOTHING for k in range(tree.n))
+        alone.append(barycentric(replace(tree, inertias=inertias)))
     return np.stack(alone, axis=-1)
 
 

@@ -104,12 +104,13 @@ def check_sanity(tree: Tree, source: Source) -> Sanity:
     gain = given.fit.cost - sized.fit.cost
     wrong = [mistake_finding(tree, m, given, sized, mapping) for m in merged(sized.mistakes)]
     sizes = torque_sizes(sized)
-    beyond = sized.free_gains and not _within(sizes, LEAST, MOST)
-    if beyond:
-        wrong.append(gain_finding(tree, sizes, LEAST, MOST))
     clear = gain > CERTAIN and _explains(given, sized)
+    told = sizes[np.isfinite(sizes)]
+    doubtful = told if clear else np.median(told, keepdims=True) if len(told) else told
+    beyond = gain > LIKELY and sized.free_gains and not _within(doubtful, LEAST, MOST)
+    size = [gain_finding(tree, sizes, LEAST, MOST)] if beyond else []
     outside = [] if clear else position_finding(tree, signals.position, OUTSIDE)
-    certain = [*outside, *(wrong if clear else [])]
+    certain = [*outside, *(wrong if clear else []), *size]
     likely = wrong if not clear and gain > LIKELY else []
     if not beyond and not _within(sizes, SMALL, LARGE):
         likely = [*likely, gain_finding(tree, sizes, SMALL, LARGE)]
@@ -126,12 +127,12 @@ def _likeliest(tree: Tree, given: Reading, rate: float) -> Reading:
     if given.rows.joints:
         freed = as_given(tree, given.signals, rate, free_gains=True)
     starts = [given] if freed is given else [given, freed]
-    if freed.fit.cost < given.fit.cost - CERTAIN:
+    if freed.fit.cost < given.fit.cost - LIKELY:
         starts = starts[::-1]  # torques of another size: looked at first
     for start in starts:
         reading = best_reading(tree, start, rate)
         other = reading.free_gains and not found.free_gains
-        margin = CERTAIN if other else 0.0
+        margin = LIKELY if other else 0.0
         if reading.fit.cost < found.fit.cost - margin:
             found = reading
         most = not found.free_gains or np.median(found.fit.left) < MOSTLY
@@ -150,10 +151,11 @@ def torque_sizes(reading: Reading) -> Array:
     sizes = np.full(rows.joints, np.nan)
     for joint in range(rows.joints):
         share = rows.bodies[:, joint] - rows.bodies[:, joint].mean(axis=0)
+        moved = (rows.shifts[:, joint] - rows.shifts[:, joint].mean(axis=0)) @ fit.shifts
         model = float(np.linalg.norm(share.sum(axis=1)))
         told = fit.rigid[joint] > max(CLEAR, TOLD * fit.left[joint])
         if told and model > 0:
-            sizes[joint] = fit.gains[joint] * np.linalg.norm(share @ fit.factors) / model
+            sizes[joint] = fit.gains[joint] * np.linalg.norm(share @ fit.factors + moved) / model
     return sizes
 
 

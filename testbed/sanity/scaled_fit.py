@@ -1,13 +1,14 @@
 """A model with rough masses fitted to rows: one factor a body, within bounds, and friction.
 
-Every body's inertia is the model file's times a factor between a quarter and four; joints rub,
+Every body's inertia is the model file's times a factor between a quarter and four, its centre of
+mass may be a few centimetres elsewhere; joints rub,
 never push; rotors have inertia; channels have a zero of their own. What is left says how well
 a reading of the data can be true at all.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -45,12 +46,14 @@ class ScaledFit:
 
     Attributes:
         factors: Of the bodies' inertias, (n,).
+        shifts: Of their centres of mass along x, y, z, in parts of what may be wrong, (3 n,).
         gains: Of the torques: measured ones are so many times what they should be, (n,).
         left: Part of each channel's variance that is not explained, (C,).
         rigid: Part of it that bodies explain beyond friction, rotor and zero, (C,).
     """
 
     factors: Array
+    shifts: Array
     gains: Array
     left: Array
     rigid: Array
@@ -73,11 +76,11 @@ def scaled_fit(rows: ModelRows, *, free_gains: bool = False) -> ScaledFit:
     for _ in range(ROUNDS if free_gains else 0):
         steps = np.ones(channels)
         for joint in range(rows.joints):
-            steps[joint] = _slope(rows, found.factors, joint) / gains[joint]
+            steps[joint] = _slope(rows, found, joint) / gains[joint]
         wanted = np.where(steps > 0, gains * steps, gains)
         gains = np.clip(wanted, 1 / MOST_GAIN, MOST_GAIN)
         found = _fitted(rows, gains)
-    return ScaledFit(found.factors, gains[:n], found.left, found.rigid)
+    return replace(found, gains=gains[:n])
 
 
 def _fitted(rows: ModelRows, gains: Array) -> ScaledFit:
@@ -86,8 +89,8 @@ def _fitted(rows: ModelRows, gains: Array) -> ScaledFit:
     parts = [_channel(rows, channel, gains[channel]) for channel in range(channels)]
     variance = np.array([max(right @ right, 1e-30) for _, right, _ in parts])
     weights = 1 / variance
-    low = np.concatenate([np.full(n, LEAST), np.zeros(OWN * n)])
-    high = np.concatenate([np.full(n, MOST), np.full(OWN * n, np.inf)])
+    low = np.repeat([LEAST, -1.0, 0.0], [n, 3 * n, OWN * n])
+    high = np.repeat([MOST, 1.0, np.inf], [n, 3 * n, OWN * n])
     left = variance
     for _ in range(ROUNDS):
         values = _bounded(parts, weights, low, high)
@@ -95,17 +98,17 @@ def _fitted(rows: ModelRows, gains: Array) -> ScaledFit:
         weights = 1 / np.maximum(left, FLOOR * variance)
     alone = [_without_bodies(a, right, n) for a, right, _ in parts]
     rigid = np.maximum(0.0, np.array(alone) - left) / variance
-    return ScaledFit(values[:n], gains[:n], left / variance, rigid)
+    return ScaledFit(values[:n], values[n : 4 * n], gains[:n], left / variance, rigid)
 
 
 def _channel(rows: ModelRows, channel: int, gain: float) -> Part:
     """Columns, measurement, and which unknowns the columns are, of one channel without its mean."""
     n = rows.bodies.shape[2]
-    columns, unknowns = [rows.bodies[:, channel]], [*range(n)]
+    columns, unknowns = [rows.bodies[:, channel], rows.shifts[:, channel]], [*range(4 * n)]
     if channel < rows.joints:
         own = (rows.sign, rows.speed, rows.acceleration)
         columns += [signal[:, channel, None] for signal in own]
-        unknowns += [n + OWN * channel + k for k in range(OWN)]
+        unknowns += [4 * n + OWN * channel + k for k in range(OWN)]
     matrix, right = np.hstack(columns), rows.measured[:, channel] / gain
     return matrix - matrix.mean(axis=0), right - right.mean(), np.array(unknowns)
 
@@ -129,14 +132,14 @@ def _bounded(parts: list[Part], weights: Array, low: Array, high: Array) -> Arra
 
 def _without_bodies(matrix: Array, right: Array, n: int) -> float:
     """What friction, rotor and zero leave of a channel without any bodies."""
-    own = matrix[:, n:]
+    own = matrix[:, 4 * n :]
     values = np.linalg.lstsq(own, right, rcond=1e-9)[0] if own.shape[1] else np.zeros(0)
     return float(np.sum((right - own @ values) ** 2))
 
 
-def _slope(rows: ModelRows, factors: Array, joint: int) -> float:
+def _slope(rows: ModelRows, fit: ScaledFit, joint: int) -> float:
     """How many times the bodies' torque a joint's measured one is, friction and zero aside."""
     matrix, right, _ = _channel(rows, joint, 1.0)
-    n = len(factors)
-    columns = np.column_stack([matrix[:, :n] @ factors, matrix[:, n:]])
+    rigid = np.concatenate([fit.factors, fit.shifts])
+    columns = np.column_stack([matrix[:, : len(rigid)] @ rigid, matrix[:, len(rigid) :]])
     return float(np.linalg.lstsq(columns, right, rcond=1e-9)[0][0])

@@ -33,6 +33,9 @@ CONCERNS = 0.3
 PUSHING = 0.9
 """Part that is left where friction would have to push."""
 
+GOOD = 0.2
+"""What may be left of a channel where rarer mistakes are not looked for."""
+
 STEP = 10.0
 """By how much the cost must fall for a mistake to be taken up."""
 
@@ -84,20 +87,34 @@ def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
         rate: Samples a second [Hz].
     """
     found = given
-    while len(found.mistakes) < MOST and (doubted := doubted_joints(tree, found)):
-        signals, better = found.signals, found
+    while len(found.mistakes) < MOST and (found is given or not _good(tree, found)):
+        signals, better, doubted = found.signals, found, doubted_joints(tree, found)
+        if not doubted:
+            break
         for mistakes in (
             mistakes_of_all(tree, signals),
             mistakes_of_joints(tree, signals, doubted),
             rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ()),
         ):
             better = _best(tree, found, rate, mistakes, better)
-            if better is not found and not doubted_joints(tree, better):
+            if better is not found and _good(tree, better) and not _of_zeros(better):
                 break
         if better is found:
             break
         found = _refined(tree, found, better, rate)
     return found
+
+
+def _of_zeros(reading: Reading) -> bool:
+    """Whether its last mistake is a zero: those of neighbours may hide behind one."""
+    return reading.mistakes[-1].kind == "zero"
+
+
+def _good(tree: Tree, reading: Reading) -> bool:
+    """Whether nothing is left that a rarer mistake would have to explain."""
+    doubted = doubted_joints(tree, reading)
+    allowed = GOOD + NOISY * reading.rows.noise_share
+    return not doubted or bool((reading.fit.left < allowed)[doubted].all())
 
 
 def _refined(tree: Tree, start: Reading, found: Reading, rate: float) -> Reading:
@@ -143,9 +160,16 @@ def _best(
     """The reading with one mistake less that is better than all others by a step, if any is."""
     for mistake in mistakes:
         tried = _without(tree, start, mistake, rate)
-        if tried.fit.cost < best.fit.cost - (STEP if best is start else 0.0):
+        if _price(tried) < _price(best):
             best = tried
     return best
+
+
+def _price(reading: Reading) -> float:
+    """Its cost, and that of its mistakes: of two joints or of odd angles they must explain more."""
+    odd = [not set(m.angles) <= set(QUARTERS) for m in reading.mistakes]
+    steps = sum(max(1, len(m.angles)) for m in reading.mistakes) + sum(odd)
+    return reading.fit.cost + STEP * steps
 
 
 def _without(tree: Tree, start: Reading, mistake: Mistake, rate: float) -> Reading:
