@@ -20,6 +20,9 @@ from testbed.errors import LONGEST_NAME, RecordingError, UnknownName
 MOST_NUMBERS = 100_000_000
 """That are held in memory at once: an import is made in memory."""
 
+MOST_COLUMNS = 10_000
+"""Of one array: what has more is a picture, or no table of samples."""
+
 NUMBERS = "fiub"
 """Kinds of NumPy's types that are real numbers."""
 
@@ -111,7 +114,9 @@ def is_column(shape: tuple[int, ...], kind: str) -> bool:
         shape: Of the array.
         kind: Of its type, as NumPy says it.
     """
-    return kind in NUMBERS and 1 <= len(shape) <= 2 and min(shape) > 0 and max(shape) > 1
+    columns = min(shape, default=0) if len(shape) == 2 else 1
+    fits = 1 <= len(shape) <= 2 and 1 <= columns <= MOST_COLUMNS
+    return kind in NUMBERS and fits and max(shape) > 1
 
 
 @contextmanager

@@ -95,6 +95,19 @@ def test_links_to_other_files_are_not_followed(tmp_path: Path) -> None:
     assert open_foreign(tmp_path / "log.h5").columns == ("q",)
 
 
+def test_arrays_that_are_larger_than_memory_are_not_read(tmp_path: Path) -> None:
+    """A small file may say that it holds much: zeros that nobody wrote."""
+    import h5py
+
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file.create_dataset("q", (10**9, 4), "f8", chunks=(1024, 4))
+        file.create_dataset("picture", (10**8, 10**8), "f8", chunks=(16, 16))
+    table = open_foreign(tmp_path / "log.h5")
+    assert table.columns == ("q[0]", "q[1]", "q[2]", "q[3]")
+    with pytest.raises(RecordingError, match="more than 1e.08 numbers"):
+        table.read(["q[0]"])
+
+
 def test_a_topic_or_column_that_is_not_there_is_named_with_those_that_are(tmp_path: Path) -> None:
     FORMATS["bag"](tmp_path, some_log())
     with pytest.raises(UnknownName, match="/joint_states, /plate"):
