@@ -91,14 +91,11 @@ def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
         signals, better, doubted = found.signals, found, doubted_joints(tree, found)
         if not doubted:
             break
-        for mistakes in (
-            mistakes_of_all(tree, signals),
-            mistakes_of_joints(tree, signals, doubted),
-            rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ()),
-        ):
-            better = _best(tree, found, rate, mistakes, better)
-            if better is not found and _good(tree, better) and not _of_zeros(better):
-                break
+        few = [*mistakes_of_all(tree, signals), *mistakes_of_joints(tree, signals, doubted)]
+        better = _best(tree, found, rate, few, better)
+        if better is found or _of_zeros(better) or not _good(tree, better):
+            rarer = rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ())
+            better = _best(tree, found, rate, rarer, better)
         if better is found:
             break
         found = _refined(tree, found, better, rate)
