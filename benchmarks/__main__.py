@@ -148,6 +148,7 @@ def mutation(
 def hostile(
     models: Annotated[int, typer.Option(help="Mutated model files.")] = 4000,
     recordings: Annotated[int, typer.Option(help="Mutated recordings.")] = 2500,
+    foreign: Annotated[int, typer.Option(help="Mutated files of other programs.")] = 2200,
     experiments: Annotated[int, typer.Option(help="Mutated experiments and settings.")] = 2000,
     listings: Annotated[int, typer.Option(help="Mutated listings.")] = 1500,
     kills: Annotated[int, typer.Option(help="Writers that are killed.")] = 60,
@@ -159,7 +160,7 @@ def hostile(
     from benchmarks.hostile.kills import kills as killed
     from benchmarks.hostile.program import MAKERS, campaign
 
-    counts = dict(zip(MAKERS, (models, recordings, experiments, listings), strict=True))
+    counts = dict(zip(MAKERS, (models, recordings, foreign, experiments, listings), strict=True))
     lines = (campaign(kind, n, seed, jobs, keep) for kind, n in counts.items() if n)
     found = False
     for line in itertools.chain(lines, (killed(n, seed) for n in (kills,) if n)):

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmarks.hostile import experiments, listings, models, recordings
+from benchmarks.hostile import experiments, foreign, listings, models, recordings
 from benchmarks.hostile.case import Case
 from benchmarks.hostile.judge import complaints
 from benchmarks.hostile.worker import SECONDS
@@ -26,6 +26,7 @@ from tests.helpers.paths import ROOT
 MAKERS = {
     "models": models.cases,
     "recordings": recordings.cases,
+    "foreign": foreign.cases,
     "experiments": experiments.cases,
     "listings": listings.cases,
 }

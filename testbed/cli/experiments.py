@@ -26,6 +26,7 @@ from testbed.cli.options import (
     RecordingSet,
     Set,
     Threads,
+    Unchecked,
     Weld,
     Zeros,
     app,
@@ -167,12 +168,14 @@ def identify(
     write: Write = None,
     fixed: FixedLinks = Fixed.lump,
     in_place: InPlace = False,
+    unchecked: Unchecked = False,
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from a recording, by bedplate and by torques.
 
-    The recording may be larger than memory. A method whose signal it lacks is left out.
+    The recording may be larger than memory. A method whose signal it lacks is left out. One that
+    was imported is held against the model first: signs, units, order, zeros, clocks.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 
@@ -190,10 +193,12 @@ def identify(
     writing.check(reading, model)
     table, tree = reading.tables().identification, reading.tree(model)
     source, doubt = reading.source(recording, tree), reading.doubt(tree)
+    accepted = reading.accepted(source, tree, unchecked=unchecked)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
     warnings = [said for m, said in zip(wanted, warnings, strict=True) if m not in there]
+    warnings += accepted
 
     def estimate_of(part: Source, name: Method) -> Estimate:
         """By one method, of the recording or of a part of it."""

@@ -89,6 +89,10 @@ LockMimic = Annotated[
 Accept = Annotated[
     bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
 ]
+Unchecked = Annotated[
+    bool,
+    typer.Option("--unchecked", help="Go on where an imported recording contradicts the model."),
+]
 Plate = Annotated[
     Path | None, typer.Option(help="The plate's file, as calibrate wrote it: it is corrected.")
 ]

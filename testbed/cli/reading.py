@@ -65,6 +65,17 @@ class Reading:
 
         return corrected_source(open_source(path), tree, self.plate)
 
+    def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
+        """What to doubt of an imported recording; nothing is said of others.
+
+        Raises:
+            RecordingError: It cannot be true of this robot, and that matters.
+        """
+        from testbed.sanity.accept import accept
+
+        imported = "mapping" in source.facts
+        return accept(tree, source, unchecked=unchecked).warnings if imported else ()
+
     def doubt(self, tree: Tree) -> PlateDoubt | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""
         from testbed.experiment.plate_file import read_plate

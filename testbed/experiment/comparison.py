@@ -20,11 +20,11 @@ from testbed.experiment.experiment_tables import Expectations, RunName, Table
 from testbed.experiment.results import nuisances_as_json
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
-from testbed.experiment.toml_text import checked, read_toml
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.finding import in_lines
 from testbed.identification.passes import Progress
 from testbed.instruments.chain import measured_again
+from testbed.toml_text import checked, read_toml
 
 PLAIN = "as it is"
 """The experiment itself among its variants."""

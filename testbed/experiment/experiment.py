@@ -18,7 +18,6 @@ from testbed.errors import ExperimentError
 from testbed.experiment.experiment_tables import (
     ExcitationTable,
     Expectations,
-    Finite,
     MotionTable,
     PriorTable,
     RobotTable,
@@ -26,10 +25,10 @@ from testbed.experiment.experiment_tables import (
     SimulationTable,
     Table,
 )
-from testbed.experiment.toml_text import checked, complaints, override, read_toml
 from testbed.identification.settings import Settings
 from testbed.identification.wishes import Wishes
 from testbed.instruments.chain import Instrument
+from testbed.toml_text import Finite, checked, complaints, override, read_toml
 
 
 class RecordingTables(Table):

@@ -9,16 +9,14 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.errors import UnknownName
 from testbed.kind_table import AsTable
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of
+from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Range = tuple[Finite, Finite]
 
 ALWAYS_JUDGED = (
@@ -57,9 +55,7 @@ METRICS = (
 class Table(BaseModel):
     """A table whose keys are all known."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True
-    )
+    model_config = KNOWN_KEYS
 
 
 class JointTable(Table):

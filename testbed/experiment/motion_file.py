@@ -12,7 +12,7 @@ from pydantic import Field
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.experiment.experiment_tables import Finite, Positive, Table
-from testbed.experiment.toml_text import checked, read_toml
+from testbed.toml_text import checked, read_toml
 from testbed.robot.tree import Tree
 
 

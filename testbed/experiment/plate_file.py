@@ -10,14 +10,13 @@ from pydantic import BaseModel, ConfigDict
 
 from testbed.arrays import Array
 from testbed.errors import ExperimentError
-from testbed.experiment.experiment_tables import Finite
-from testbed.experiment.toml_text import checked, read_toml
 from testbed.experiment.versions import versions
 from testbed.files import replacing
 from testbed.identification.calibration import Calibration
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.robot.tree import Tree
+from testbed.toml_text import Finite, checked, read_toml
 
 _HEAD = """\
 # A plate, calibrated by the motion of the robot on it (testbed {version}, calibrate).

@@ -18,15 +18,15 @@ from pydantic import BaseModel, ConfigDict
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
-from testbed.experiment.experiment_tables import Finite, Table
+from testbed.experiment.experiment_tables import Table
 from testbed.experiment.run_folder import EXPERIMENT, RESULT
-from testbed.experiment.toml_text import checked, override
 from testbed.files import fingerprint, read_text
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
+from testbed.toml_text import Finite, checked, override
 
 LARGEST_RESULT = 50_000_000
 """Bytes of a file with estimates; a thousand parameters have less."""

@@ -261,6 +261,26 @@ class Recording:
         check_columns(recording.columns(), str(path))
         return recording
 
+    @staticmethod
+    def from_mapping(path: str | Path) -> Recording:
+        """Made of other programs' files, as a mapping file says (docs/real-recordings.md).
+
+        What was found on the way is in `facts["import"]`, what to doubt in `facts["warnings"]`.
+
+        Args:
+            path: The mapping file, TOML; the files it names are relative to it.
+
+        Raises:
+            ExperimentError: The mapping is not understood.
+            RecordingError: A file is missing or damaged, or does not hold what the mapping says.
+        """
+        from testbed.recordings.importing.convert import imported
+
+        found = imported(Path(path))
+        recording = Recording.from_columns(found.columns, found.metadata, str(path))
+        check_columns(recording.columns(), str(path))
+        return recording
+
 
 def _split(signal: str, values: Array, joints: tuple[str, ...]) -> dict[str, Array]:
     """A signal's columns by name."""

@@ -15,7 +15,7 @@ from benchmarks.hostile.kills import kills
 from benchmarks.hostile.program import MAKERS, run
 from benchmarks.hostile.worker import MEGABYTES, SECONDS
 
-SHARES = {"models": 30, "recordings": 20, "experiments": 12, "listings": 20}
+SHARES = {"models": 30, "recordings": 20, "foreign": 33, "experiments": 12, "listings": 20}
 SEED = 1
 
 linux = pytest.mark.skipif(sys.platform != "linux", reason="memory is told by Linux only")

@@ -14,7 +14,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound
 from testbed.experiment.run_folder import default_folder, write_run
-from testbed.experiment.toml_text import checked, override
+from testbed.toml_text import checked, override
 from tests.helpers.paths import ROOT
 
 TABLE6 = ROOT / "experiments/table6.toml"

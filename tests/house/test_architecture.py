@@ -26,20 +26,23 @@ PLAN = {
     "keys": {"errors"},
     "kind_table": {"errors", "arrays", "keys"},
     "kind_words": {"kind_table"},
+    "toml_text": {"errors"},
     "robot": BASE,
     "parameters": BASE | {"robot"},
     "dynamics": BASE | {"robot", "parameters"},
     "kernel": BASE | {"robot", "parameters", "dynamics"},
     "symbolic": BASE | {"robot", "parameters", "dynamics"},
     "excitation": BASE | {"robot", "parameters", "dynamics", "kernel"},
-    "recordings": BASE | {"robot"},
+    "recordings": BASE | {"toml_text", "robot"},
     "instruments": BASE | KINDS | {"robot", "recordings"},
     "simulation": BASE | KINDS | {"robot", "dynamics", "excitation", "recordings"},
     "identification": BASE | {"robot", "parameters", "dynamics", "kernel", "recordings"},
+    "sanity": BASE
+    | {"robot", "parameters", "dynamics", "recordings", "identification"},
     "experiment": BASE
     | KINDS
     | {
-        "robot", "parameters", "dynamics", "excitation", "recordings", "instruments",
+        "toml_text", "robot", "parameters", "dynamics", "excitation", "recordings", "instruments",
         "simulation", "identification",
     },
     "report": BASE
@@ -69,8 +72,13 @@ GUESTS = {
     "numba": ("kernel/",),
     "llvmlite": ("kernel/compiler.py",),
     "threadpoolctl": ("blas.py",),
-    "pyarrow": ("recordings/formats/parquet.py",),
-    "pydantic": ("experiment/",),
+    "pyarrow": (
+        "recordings/formats/parquet.py",
+        "recordings/importing/readers/parquet_columns.py",
+    ),
+    "h5py": ("recordings/importing/readers/hdf5.py",),
+    "rosbags": ("recordings/importing/readers/ros_bag.py",),
+    "pydantic": ("experiment/", "recordings/importing/mapping.py", "toml_text.py"),
     "tomli_w": ("experiment/",),
     "typer": ("cli/",),
     "rich": ("report/",),

@@ -16,6 +16,7 @@ import pytest
 import testbed as tb
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import METRICS
+from testbed.recordings.importing.mapping import Mapping
 from tests.helpers.paths import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -54,6 +55,12 @@ def test_every_key_and_metric_is_documented() -> None:
         assert f"`{metric}`" in text
     for key in keys(Experiment):
         assert f"`{key}`" in text, key
+
+
+def test_every_key_of_a_mapping_is_documented() -> None:
+    text = (ROOT / "docs/real-recordings.md").read_text()
+    for key in keys(Mapping):
+        assert re.search(rf"`{key}`", text), key
 
 
 def keys(model: type) -> list[str]:

@@ -7,17 +7,25 @@ import tomllib
 from collections.abc import Iterable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from testbed.errors import ExperimentError, UnknownName
 
 LARGEST_FILE = 1_000_000
-"""Bytes of an experiment file."""
+"""Bytes of a TOML file."""
 
 LONGEST_KEY = 1000
 """Parts of a dotted key: the parser's memory grows with their square."""
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+
+
+KNOWN_KEYS = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_docstrings=True)
+"""Of a table whose keys are all known."""
 
 Checked = TypeVar("Checked", bound=BaseModel)
 

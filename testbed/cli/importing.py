@@ -1,0 +1,93 @@
+"""Commands about other people's recordings: import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from testbed.cli.options import Accept, Json, Lock, LockMimic, RecordingSet, Unchecked, Weld, app
+from testbed.cli.reading import Reading
+
+
+@app.command("import")
+def import_(
+    mapping: Annotated[
+        Path,
+        typer.Argument(metavar="MAPPING.toml", help="Mapping file; with --guess a foreign file."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Recording to write (Parquet); with --guess a mapping file."),
+    ] = None,
+    guess: Annotated[
+        bool, typer.Option("--guess", help="Write a mapping with what the file holds.")
+    ] = False,
+    model: Annotated[
+        Path | None,
+        typer.Option(help="MJCF or URDF file of the robot: the recording is held against it."),
+    ] = None,
+    align: Annotated[
+        bool, typer.Option("--align", help="Take delays of torques or plate back (--model).")
+    ] = False,
+    unchecked: Unchecked = False,
+    settings: RecordingSet = None,
+    weld_root: Weld = False,
+    accept_inertia: Accept = False,
+    lock: Lock = None,
+    lock_mimic: LockMimic = False,
+    as_json: Json = False,
+) -> None:
+    """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, C3D and others.
+
+    With --model, signs, units, order, zeros and clocks are held against the robot.
+
+    Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
+    """
+    from testbed.recordings.importing.import_report import ImportReport
+    from testbed.recordings.recording import Recording
+    from testbed.report import terminal
+    from testbed.sanity.accept import accepted_import
+
+    if guess:
+        _guess(mapping, out)
+        return
+    if out is None:
+        raise typer.BadParameter("--out is missing: the recording to write (Parquet)")
+    if model is None and align:
+        raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
+    lines, warnings = [], []
+    if model is None:
+        recording = Recording.from_mapping(mapping)
+    else:
+        reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic)
+        tree = reading.tree(model)
+        recording, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
+        taken = " (taken back)" if align else ""
+        lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
+        warnings = [*tree.warnings, *found.warnings]
+    recording.save(out)
+    report = ImportReport.from_dict(recording.facts["import"])
+    if as_json:
+        said = {"import": report.as_dict(), "clocks": lines, "warnings": warnings}
+        terminal.print_json(said)
+    else:
+        lines = [*report.lines(), *lines, f"recording: {out}"]
+        terminal.print_lines(lines, [*report.warnings(), *warnings])
+
+
+def _guess(file: Path, out: Path | None) -> None:
+    """A mapping file to start from, on standard output or where it is wanted."""
+    from testbed.files import replacing
+    from testbed.recordings.importing.guess import guessed
+
+    if out is None:
+        typer.echo(guessed(file, Path()), nl=False)
+        return
+    if out.exists():
+        raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
+    text = guessed(file, out.parent)
+    with replacing(out) as fresh:
+        fresh.write_text(text, encoding="utf-8")
+    typer.echo(f"{out}: fill in what is empty")

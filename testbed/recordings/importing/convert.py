@@ -1,0 +1,272 @@
+"""From a mapping file to a recording's columns: the room's front door.
+
+Each source is read with its own clock, each signal is brought onto one uniform grid as it was
+sampled, and then mapped to joints and bedplate, all in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from collections.abc import Mapping as Table
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.columns import AXES
+from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
+from testbed.recordings.importing.held_samples import held_share, slow_device
+from testbed.recordings.importing.import_report import ImportReport, SignalReport
+from testbed.recordings.importing.mapping import Mapping, SignalTable, WrenchTable, read_mapping
+from testbed.recordings.importing.readers import open_foreign
+from testbed.recordings.importing.resampling import SAME, low_pass_reach, onto_grid
+from testbed.recordings.importing.signal_maps import (
+    bedplate_wrench,
+    check_file_units,
+    joint_kinds,
+    joint_signal,
+)
+from testbed.recordings.importing.source_clock import (
+    ClockReport,
+    clock_report,
+    sample_times,
+    steady_times,
+    without_repeats,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """A recording's columns, made of other programs' files.
+
+    Attributes:
+        columns: By name, (M,) each.
+        metadata: `tare` and `facts`, as a recording's file keeps them.
+        report: What was found on the way.
+    """
+
+    columns: Table[str, Array]
+    metadata: Table[str, Any]
+    report: ImportReport
+
+
+@dataclass(frozen=True, eq=False)
+class _Source:
+    """Samples of one source: times, used columns by name, and its clock."""
+
+    time: Array
+    columns: Table[str, Array]
+    clock: ClockReport
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """A signal's columns, (M, k), and when and how they were sampled."""
+
+    time: Array
+    values: Array
+    rate: float
+    report: SignalReport
+
+
+def imported(path: Path) -> Imported:
+    """What a mapping file and the files that it names say.
+
+    Args:
+        path: The mapping file; files are relative to it.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
+    """
+    return converted(read_mapping(path), path.parent)
+
+
+def converted(mapping: Mapping, folder: Path) -> Imported:
+    """What the files that a mapping names say.
+
+    Args:
+        mapping: What their columns mean.
+        folder: To which the files are relative.
+
+    Raises:
+        RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
+    """
+    tables = {name: _open(folder, mapping, name) for name in _used(mapping)}
+    times = {name: _times(mapping, name, table) for name, table in tables.items()}
+    window = _window(mapping, times)
+    sources = {
+        name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
+    }
+    tables_of: dict[str, SignalTable | WrenchTable] = dict(mapping.signals.items())
+    if mapping.wrench is not None:
+        tables_of["wrench"] = mapping.wrench
+    samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
+    grid = _grid(mapping, samples.values(), window)
+    columns: dict[str, Array] = {"time": grid - grid[0]}
+    for label, each in tables_of.items():
+        _check_units(label, each, tables[each.source])
+        got = samples[label]
+        columns |= _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
+    reports = {label: got.report for label, got in samples.items()}
+    leads = {name: float(grid[0] - times[name][0]) for name in sources}
+    clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
+    report = ImportReport(mapping.rate, len(grid), clocks, reports)
+    return Imported(columns, _metadata(mapping, report), report)
+
+
+def _used(mapping: Mapping) -> dict[str, list[str]]:
+    """Columns that are needed, by source."""
+    found: dict[str, list[str]] = {}
+    for table in (*mapping.signals.values(), mapping.wrench):
+        if table is not None:
+            found.setdefault(table.source, []).extend(table.columns)
+    unused = [name for name in mapping.sources if name not in found]
+    if unused:
+        raise RecordingError(f"sources.{unused[0]}: no signal is of it")
+    return found
+
+
+def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
+    """A source's file, and whether its columns are of one length."""
+    source = mapping.sources[name]
+    table = open_foreign(folder / source.file, source.topic)
+    lengths = table.lengths
+    wanted = [*_used(mapping)[name], *([source.time] if source.time else [])]
+    counts = {column: lengths[column] for column in wanted if column in lengths}
+    if len(set(counts.values())) > 1:
+        said = ", ".join(f"'{column}' {count}" for column, count in list(counts.items())[:4])
+        raise RecordingError(f"sources.{name}: columns of different lengths: {said}")
+    return table
+
+
+def _times(mapping: Mapping, name: str, table: ForeignTable) -> Array:
+    """When a source's samples were taken by the common clock, (M,) [s]."""
+    source = mapping.sources[name]
+    if source.time is None:
+        first = _used(mapping)[name][0]
+        table.read([first])
+        time = sample_times(name, source, None, table.lengths[first], None)
+    else:
+        stamps = table.read([source.time])[source.time]
+        time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
+    if len(time) < 4:
+        raise RecordingError(f"sources.{name}: {len(time)} samples are no recording")
+    found: Array = time[0] + (time - time[0]) * (1 + source.skew) + source.offset
+    return found
+
+
+def _window(mapping: Mapping, times: Table[str, Array]) -> tuple[float, float]:
+    """First and last instant that are wanted and that all sources have [s]."""
+    first = max(float(time.min()) for time in times.values())
+    last = min(float(time.max()) for time in times.values())
+    if first >= last:
+        ranges = "; ".join(f"{n} {t.min():.9g} to {t.max():.9g} s" for n, t in times.items())
+        raise RecordingError(
+            f"the sources have no time in common: {ranges}; their clocks differ, say `offset`"
+        )
+    last = min(last, first + (mapping.stop or np.inf))
+    first += mapping.start
+    if first >= last:
+        raise RecordingError(f"start = {mapping.start:g} s leaves nothing of the recording")
+    return first, last
+
+
+def _read(
+    mapping: Mapping, name: str, table: ForeignTable, time: Array, window: tuple[float, float]
+) -> _Source:
+    """A source's samples in the window and one beyond at either end."""
+    source, wanted = mapping.sources[name], list(dict.fromkeys(_used(mapping)[name]))
+    columns = table.read(wanted)
+    low, high = np.searchsorted(np.maximum.accumulate(time), window)
+    part = slice(max(0, low - 1), high + 2)
+    values = np.stack([columns[each][part] for each in wanted], axis=1)
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        k, c = bad[0]
+        raise RecordingError(
+            f"sources.{name}: '{wanted[c]}' is {values[k, c]} at sample {k + part.start}, one of "
+            f"{len(bad)} such; cut them out by `start` and `stop`, or repair the file"
+        )
+    kept = without_repeats(name, time[part], values)
+    stamps, values = time[part][kept], values[kept]
+    used = steady_times(name, stamps) if source.steady else stamps
+    clock = clock_report(name, source, stamps, used, int(np.count_nonzero(~kept)))
+    return _Source(used, {c: values[:, k] for k, c in enumerate(wanted)}, clock)
+
+
+def _samples(
+    mapping: Mapping, table: SignalTable | WrenchTable, sources: Table[str, _Source]
+) -> _Samples:
+    """A signal's columns as they were sampled, those of a slow device once each."""
+    source = sources[table.source]
+    time, rate = source.time - table.delay, source.clock.rate
+    values = np.stack([source.columns[name] for name in table.columns], axis=1)
+    held, dropped = held_share(values), 0
+    if mapping.sources[table.source].drop_held:
+        news = slow_device(values)
+        dropped = int(np.count_nonzero(~news))
+        time, values = time[news], values[news]
+        rate = float(1 / np.median(np.diff(time)))
+    passed = low_pass_reach(rate, mapping.rate) > 0
+    return _Samples(time, values, rate, SignalReport(table.source, held, dropped, passed))
+
+
+def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, float]) -> Array:
+    """The recording's instants, (L,) [s]."""
+    first, last = window
+    for each in samples:
+        lost = low_pass_reach(each.rate, mapping.rate)
+        first, last = max(first, each.time[0] + lost), min(last, each.time[-1] - lost)
+    wanted = 1 + 6 * len(mapping.joints)
+    count = (last - first) * mapping.rate
+    if not count * wanted <= MOST_NUMBERS:
+        raise RecordingError(
+            f"rate = {mapping.rate:g} Hz makes {count:.2g} samples, too many for memory"
+        )
+    if count < 2:
+        raise RecordingError(f"at {mapping.rate:g} Hz {max(0, int(count))} samples are left")
+    found: Array = first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
+    return found
+
+
+def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
+    """A signal on the grid as the recording's columns."""
+    if label == "wrench" and mapping.wrench is not None:
+        found = bedplate_wrench(mapping.wrench, raw)
+        members: tuple[str, ...] = AXES
+    else:
+        (kind,) = (kind for kind in mapping.signals if kind == label)
+        found = joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
+        members = tuple(mapping.joints)
+    return {f"{label}/{member}": found[:, k] for k, member in enumerate(members)}
+
+
+def _check_units(label: str, table: SignalTable | WrenchTable, file: ForeignTable) -> None:
+    """Whether the file says the same units where it says any."""
+    columns = table.columns
+    if isinstance(table, SignalTable):
+        if table.gain is None:
+            units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
+            check_file_units(label, label, columns, units, file)
+    elif table.matrix is None:
+        check_file_units(label, "force", columns[:3], [table.units[0]] * 3, file)
+        check_file_units(label, "moment", columns[3:], [table.units[1]] * 3, file)
+
+
+def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
+    """What the recording's file keeps beside its columns."""
+    said = mapping.model_dump(mode="json", exclude_none=True)
+    facts: dict[str, Any] = {"import": report.as_dict(), "mapping": said}
+    if report.warnings():
+        facts["warnings"] = report.warnings()
+    kinds = joint_kinds(mapping.position, mapping.joints)
+    if kinds:
+        facts["geometry"] = kinds
+    if mapping.gravity is not None:
+        facts["gravity"] = list(mapping.gravity)
+    tare = None if mapping.wrench is None else mapping.wrench.tare
+    return {"tare": tare, "facts": facts}

@@ -1,0 +1,162 @@
+"""What a foreign file holds: columns by name, read when they are asked for.
+
+A reader knows a format and nothing of robots: it says which arrays there are and how to get
+one. Arrays of several columns are cut into columns here, the same for all formats.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import LONGEST_NAME, RecordingError, UnknownName
+
+MOST_NUMBERS = 100_000_000
+"""That are held in memory at once: an import is made in memory."""
+
+MOST_COLUMNS = 10_000
+"""Of one array: what has more is a picture, or no table of samples."""
+
+NUMBERS = "fiub"
+"""Kinds of NumPy's types that are real numbers."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForeignTable:
+    """Columns of a file, by name; they need not be of one length.
+
+    An array of one axis is a column of its name. Of an array of two axes the longer one is
+    that of the samples, and its columns are NAME[0], NAME[1], ...
+
+    Attributes:
+        path: The file.
+        shapes: Of the arrays that hold numbers, by name.
+        load: Gives an array by name.
+        units: What the file says of columns' or arrays' units, as it says it.
+    """
+
+    path: Path
+    shapes: Mapping[str, tuple[int, ...]]
+    load: Callable[[str], Any]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of all columns."""
+        return tuple(self._places())
+
+    @property
+    def lengths(self) -> dict[str, int]:
+        """Number of samples of every column, by name."""
+        return {name: max(self.shapes[array]) for name, (array, _) in self._places().items()}
+
+    def unit(self, column: str) -> str | None:
+        """What the file says of a column's unit; None if nothing."""
+        array = self._places()[column][0]
+        return self.units.get(column, self.units.get(array))
+
+    def read(self, columns: Iterable[str]) -> dict[str, Array]:
+        """Some columns, (M,) each.
+
+        Args:
+            columns: Their names.
+
+        Raises:
+            UnknownName: There is no such column.
+            RecordingError: The file is damaged there, or holds too much.
+        """
+        places, wanted = self._places(), list(columns)
+        for name in wanted:
+            if name not in places:
+                raise UnknownName(f"column of '{self.path}'", name, _some(places))
+        arrays = dict.fromkeys(places[name][0] for name in wanted)
+        if sum(int(np.prod(self.shapes[array])) for array in arrays) > MOST_NUMBERS:
+            raise RecordingError(
+                f"{self.path}: more than {MOST_NUMBERS:.0e} numbers; cut it into parts"
+            )
+        with readable(self.path):
+            loaded = {array: self._loaded(array) for array in arrays}
+        return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
+
+    def _loaded(self, name: str) -> Array:
+        """An array as columns, (k, M)."""
+        found = np.asarray(self.load(name))
+        if found.shape != self.shapes[name] or found.dtype.kind not in NUMBERS:
+            raise ValueError(f"'{name}' is not what the file says of it")
+        if min(found.shape) == 1 or found.ndim == 1:
+            found = found.reshape(1, -1)
+        elif found.shape[0] >= found.shape[1]:  # rows are samples
+            found = found.T
+        return np.array(found, dtype=np.float64)
+
+    def _places(self) -> dict[str, tuple[str, int]]:
+        """Array and row among its columns, by the column's name."""
+        found = {}
+        for name, shape in self.shapes.items():
+            count = min(shape) if len(shape) == 2 else 1
+            if count == 1:
+                found[name] = (name, 0)
+            else:
+                found |= {f"{name}[{k}]": (name, k) for k in range(count)}
+        return found
+
+
+def is_column(shape: tuple[int, ...], kind: str) -> bool:
+    """Whether an array can be columns.
+
+    Args:
+        shape: Of the array.
+        kind: Of its type, as NumPy says it.
+    """
+    columns = min(shape, default=0) if len(shape) == 2 else 1
+    fits = 1 <= len(shape) <= 2 and 1 <= columns <= MOST_COLUMNS
+    return kind in NUMBERS and fits and max(shape) > 1
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Whatever a library finds wrong with a file, as one error.
+
+    Raises:
+        RecordingError: Says what.
+    """
+    try:
+        yield
+    except (RecordingError, UnknownName, MemoryError):
+        raise
+    except Exception as error:  # libraries raise whatever a damaged file makes them
+        said = " ".join(str(error).split())
+        plain = isinstance(error, ValueError | OSError) and said
+        reason = said if plain else f"it is damaged ({type(error).__name__}: {said})"
+        raise RecordingError(f"{path}: not readable: {reason}") from None
+
+
+@contextmanager
+def library(name: str) -> Iterator[None]:
+    """What only some users need is said where it is missing.
+
+    Args:
+        name: The package.
+
+    Raises:
+        RecordingError: It is not installed.
+    """
+    try:
+        yield
+    except ImportError:
+        raise RecordingError(
+            f"this format needs the package {name}, which is not installed: "
+            "pip install 'testbed[import]'"
+        ) from None
+
+
+def _some(names: Iterable[str], most: int = 30) -> list[str]:
+    """Names for a message, the first of many."""
+    short = [name for name in names if len(name) <= LONGEST_NAME]
+    return short[:most] + ["..."] * (len(short) > most)

@@ -1,0 +1,175 @@
+"""A mapping file to start from: what a foreign file holds; what only a person knows is empty."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError, printable
+from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.foreign_units import KINDS, TIMES, UNITS
+from testbed.recordings.importing.readers import open_foreign, reader_of
+
+SHOWN = 100
+"""Most columns of a source that are listed."""
+
+WORDS = {
+    "position": ("pos", "angle", "enc", "/q", "q[", "joint"),
+    "velocity": ("vel", "speed", "qd", "dq"),
+    "acceleration": ("acc", "qdd", "ddq"),
+    "torque": ("torque", "tau", "effort", "cur", "trq"),
+    "wrench": ("force", "wrench", "moment", "fx", "fy", "fz", "mx", "my", "mz", "ft[", "w["),
+}
+"""Parts of names by which columns are told apart."""
+
+TIME_WORDS = ("stamp", "time", "received", "sec", "t")
+"""Names of times, or parts of them; the likeliest first."""
+
+HEAD = """\
+# What {file} holds, and how it becomes a recording. Fill in what is empty or 0, then
+#   testbed import THIS.toml --out recording.parquet
+# Units, the sense of the wrench and clocks have no defaults; see docs/real-recordings.md.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """One source: its name, the bag's topic, its columns, and its likely clock."""
+
+    name: str
+    topic: str | None
+    table: ForeignTable
+    time: str | None
+    rate: float
+
+
+def guessed(path: Path, folder: Path) -> str:
+    """A mapping in TOML with comments; as it is, `read_mapping` refuses it.
+
+    Args:
+        path: A file of another program.
+        folder: Where the mapping is to stand: files are named relative to it.
+
+    Raises:
+        RecordingError: It cannot be read, or holds no columns.
+        UnknownName: Its ending is that of no known format.
+    """
+    if "\0" in str(path) or not path.exists():
+        raise RecordingError(f"there is no file '{path}'")
+    seen = list(_sources(path))
+    if not seen:
+        raise RecordingError(f"'{path}' holds no columns of numbers")
+    file = json.dumps(os.path.relpath(path.resolve(), folder.resolve()))
+    rates = [each.rate for each in seen if each.rate]
+    lines = [HEAD.format(file=printable(path.name, 100))]
+    lines.append(f"rate = {max(rates, default=0.0):.6g}  # of the recording [Hz]")
+    lines.append('joints = [""]  # as in the model file, in the order of the columns below')
+    for each in seen:
+        lines += ["", *_listed(each.table), f"[sources.{each.name}]", f"file = {file}"]
+        lines += [f"topic = {json.dumps(each.topic)}"] if each.topic is not None else []
+        lines += _clock(each)
+    for kind in (*KINDS, "wrench"):
+        lines += _signal(kind, seen)
+    return "\n".join(lines) + "\n"
+
+
+def _sources(path: Path) -> Iterator[_Seen]:
+    """A file's tables: one, or of a bag one a topic of numbers."""
+    if reader_of(path) != "ros_bag":
+        yield from _seen("log", None, open_foreign(path))
+        return
+    from testbed.recordings.importing.readers.ros_bag import topics
+
+    for number, topic in enumerate(topics(path)):
+        try:
+            table = open_foreign(path, topic)
+        except RecordingError:
+            continue  # a topic of texts or pictures
+        yield from _seen(f"topic{number}", topic, table)
+
+
+def _seen(name: str, topic: str | None, table: ForeignTable) -> Iterator[_Seen]:
+    """A table with its likely clock, unless it is empty."""
+    if not table.columns:
+        return
+    stamps = dict.fromkeys(sorted(table.columns, key=_like_time))
+    for column in list(stamps)[:3]:
+        values = table.read([column])[column] if _like_time(column) < len(TIME_WORDS) else None
+        if values is not None and len(values) > 1 and (np.diff(values) > 0).mean() > 0.5:
+            steps = np.diff(values)
+            unit = TIMES.get(table.unit(column) or "", 1.0)
+            yield _Seen(name, topic, table, column, float(1 / (unit * np.median(steps[steps > 0]))))
+            return
+    yield _Seen(name, topic, table, None, 0.0)
+
+
+def _like_time(column: str) -> int:
+    """How little a name is one of times: its place among the words."""
+    last = column.lower().rpartition("/")[2]
+    for k, word in enumerate(TIME_WORDS):
+        if last == word or (len(word) > 1 and word in last):
+            return k
+    return len(TIME_WORDS)
+
+
+def _listed(table: ForeignTable) -> list[str]:
+    """What the columns hold, as comments."""
+    lines = ["# column, samples, from .. to, unit by the file"]
+    lengths = table.lengths
+    for column in table.columns[:SHOWN]:
+        values = table.read([column])[column]
+        lines.append(
+            f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {_range(values)}  "
+            f"{printable(table.unit(column) or '-', 20)}"
+        )
+    more = len(table.columns) - SHOWN
+    return lines + [f"#   and {more} more"] * (more > 0)
+
+
+def _range(values: Array) -> str:
+    finite = values[np.isfinite(values)]
+    missing = f" ({len(values) - len(finite)} no numbers)" if len(finite) < len(values) else ""
+    return (f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing") + missing
+
+
+def _clock(seen: _Seen) -> list[str]:
+    """Keys of a source's clock."""
+    if seen.time is None:
+        return ["rate = 0  # no column looks like times: samples a second [Hz]"]
+    unit = seen.table.unit(seen.time)
+    said = [] if unit in TIMES else [f'time_unit = ""  # {", ".join(TIMES)}']
+    rate = f"  # {seen.rate:.6g} a second, by the median" if unit in TIMES else ""
+    return [f"time = {json.dumps(seen.time)}{rate}", *said]
+
+
+def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
+    """A signal's table, if columns look like one."""
+    for each in seen:
+        columns = [c for c in each.table.columns if _kind(c) == kind and c != each.time]
+        if not columns:
+            continue
+        lines = ["", f"[{kind}]", f'source = "{each.name}"', f"columns = {json.dumps(columns)}"]
+        if kind == "wrench":
+            forces, moments = ", ".join(UNITS["force"]), ", ".join(UNITS["moment"])
+            return [
+                *lines,
+                f'units = ["", ""]  # {forces}; {moments}',
+                'sense = ""  # on_robot (at rest upwards) or on_plate',
+                "# place = { xyz = [0, 0, 0], rpy = [0, 0, 0] }  # of the sensor [m, rad]",
+            ]
+        raw = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
+        return [*lines, f'unit = ""  # {", ".join(UNITS[kind])}{raw}']
+    return ["", f"# [{kind}]  no column looks like it"] if kind in ("position", "torque") else []
+
+
+def _kind(column: str) -> str | None:
+    """What a column looks like, by its name."""
+    name = column.lower()
+    order = ("wrench", "torque", "acceleration", "velocity", "position")
+    return next((kind for kind in order if any(w in name for w in WORDS[kind])), None)

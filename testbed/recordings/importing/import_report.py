@@ -1,0 +1,118 @@
+"""What an import found: every source's clock, every signal's samples, and what to doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from testbed.recordings.importing.source_clock import ClockReport
+
+JITTER = 0.1
+"""Of sampling times, relative, from which stamps are doubted."""
+
+HELD = 0.05
+"""Part of samples that do not change from which the device is taken to be slower."""
+
+
+@dataclass(frozen=True)
+class SignalReport:
+    """How a signal came onto the grid.
+
+    Attributes:
+        source: Of which source.
+        held: Part of the samples in which no channel changed.
+        dropped: Samples left out as held.
+        low_pass: Whether it was low-passed, the source being faster than the grid.
+        notes: What else a person should know.
+    """
+
+    source: str
+    held: float
+    dropped: int
+    low_pass: bool
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ImportReport:
+    """What an import found.
+
+    Attributes:
+        rate: Of the recording [Hz].
+        samples: Its samples.
+        clocks: By source.
+        signals: By signal.
+    """
+
+    rate: float
+    samples: int
+    clocks: Mapping[str, ClockReport]
+    signals: Mapping[str, SignalReport]
+
+    def as_dict(self) -> dict[str, Any]:
+        """As JSON takes it."""
+        found = asdict(self)
+        for signal in found["signals"].values():
+            signal["notes"] = list(signal["notes"])
+        return found
+
+    @staticmethod
+    def from_dict(said: Mapping[str, Any]) -> ImportReport:
+        """Of `as_dict`, as a recording keeps it under the fact "import"."""
+        clocks = {name: ClockReport(**each) for name, each in said["clocks"].items()}
+        signals = {
+            name: SignalReport(**{**each, "notes": tuple(each["notes"])})
+            for name, each in said["signals"].items()
+        }
+        return ImportReport(said["rate"], said["samples"], clocks, signals)
+
+    def lines(self) -> list[str]:
+        """All of it for a person, a line each."""
+        return [
+            f"{self.samples} samples at {self.rate:g} Hz ({(self.samples - 1) / self.rate:.4g} s)",
+            *(_clock(name, clock) for name, clock in self.clocks.items()),
+            *(_signal(name, signal) for name, signal in self.signals.items()),
+        ]
+
+    def warnings(self) -> list[str]:
+        """What to doubt, each with its cure."""
+        return [*self._of_clocks(), *self._of_signals()]
+
+    def _of_clocks(self) -> Iterator[str]:
+        for name, clock in self.clocks.items():
+            if clock.jitter > JITTER:
+                yield (
+                    f"the stamps of source '{name}' jitter by {clock.jitter:.0%} of the sampling "
+                    f"time; if the device samples at a constant rate, say `steady = true` in "
+                    f"[sources.{name}]"
+                )
+            if clock.gaps:
+                yield (
+                    f"source '{name}' has {clock.gaps} gaps, the longest {clock.longest_gap:.3g} "
+                    "s, bridged by splines"
+                )
+
+    def _of_signals(self) -> Iterator[str]:
+        for name, signal in self.signals.items():
+            if signal.held > HELD and not signal.dropped:
+                yield (
+                    f"in {signal.held:.0%} of its samples nothing of the {name} changes; if the "
+                    "device is slower than its logger, say `drop_held = true` in "
+                    f"[sources.{signal.source}]"
+                )
+            yield from signal.notes
+
+
+def _clock(name: str, clock: ClockReport) -> str:
+    gaps = f"{clock.gaps} gaps, the longest {clock.longest_gap:.3g} s" if clock.gaps else "no gaps"
+    return (
+        f"source '{name}': {clock.samples} samples at {clock.rate:.6g} Hz, jitter "
+        f"{clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
+    )
+
+
+def _signal(name: str, signal: SignalReport) -> str:
+    filtered = "low-pass and spline" if signal.low_pass else "spline"
+    dropped = f", {signal.dropped} left out" if signal.dropped else ""
+    return f"{name} of '{signal.source}': {filtered}, {signal.held:.1%} held{dropped}"

@@ -1,0 +1,186 @@
+"""C3D files of motion laboratories: analog channels (force plates) and points.
+
+Columns are analog/LABEL and point/LABEL/x, y, z, with times analog/time and point/time [s]
+from the rates in the file. Points that were not seen are no numbers.
+
+Source    The C3D File Format User Guide, Motion Lab Systems
+"""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable, readable
+
+BLOCK = 512
+"""Bytes; all places are counted in such."""
+
+ORDERS = {84: "<", 86: ">"}
+"""Of bytes, by the kind of processor; numbers of the third kind, DEC's, are not IEEE's."""
+
+TYPES = {-1: "S1", 1: "i1", 2: "i2", 4: "f4"}
+"""Of parameters' values."""
+
+MOST_FRAMES = 65535
+"""That the header can tell."""
+
+Parameters = dict[str, Any]
+"""Values by GROUP:NAME: arrays of numbers, or lists of texts."""
+
+
+def read_file(path: Path, topic: str | None) -> ForeignTable:
+    """Columns of a C3D file.
+
+    Args:
+        path: The file.
+        topic: None.
+
+    Raises:
+        RecordingError: It is damaged, or ends early.
+    """
+    del topic
+    with readable(path):
+        data = path.read_bytes()
+        if len(data) < 2 * BLOCK or data[1] != 80:
+            raise RecordingError(f"{path}: no C3D file")
+        said, order = _parameters(data)
+        points, analog, rates, missing = _frames(data, said, order)
+        columns = _points(points, said, missing) | _analog(analog, said)
+        times = {}
+        for kind, rate, count in zip(
+            ("point", "analog"), rates, (len(points), len(analog)), strict=True
+        ):
+            if rate > 0 and count:
+                times[f"{kind}/time"] = np.arange(count) / rate
+    columns = {name: values for name, values in (times | columns).items() if len(values) > 1}
+    units = dict.fromkeys(times, "s")
+    for kind in ("point", "analog"):
+        units |= _units(kind, said)
+    return ForeignTable(path, {n: v.shape for n, v in columns.items()}, columns.__getitem__, units)
+
+
+def _parameters(data: bytes) -> tuple[Parameters, str]:
+    """What the file says of itself, and the order of its bytes."""
+    place = (data[0] - 1) * BLOCK
+    order = ORDERS.get(data[place + 3])
+    if order is None:
+        raise RecordingError("numbers of an old processor's kind; convert the file")
+    place += 4
+    groups: dict[int, str] = {}
+    found: dict[tuple[int, str], Any] = {}
+    while True:
+        length, group = struct.unpack_from("bb", data, place)
+        length, here = abs(length), place + 2 + abs(length)
+        if length == 0:
+            break
+        name = data[place + 2 : here].decode("latin-1").strip().upper()
+        (step,) = struct.unpack_from(order + "H", data, here)
+        if group < 0:
+            groups[-group] = name
+        else:
+            found[group, name] = _value(data, here + 2, order)
+        if step == 0:
+            break
+        place = here + step  # always ahead
+    return {f"{groups.get(g, g)}:{name}": value for (g, name), value in found.items()}, order
+
+
+def _value(data: bytes, place: int, order: str) -> Any:
+    """A parameter's value: numbers in a row, or texts."""
+    kind, count = struct.unpack_from("bB", data, place)
+    shape = tuple(data[place + 2 : place + 2 + count])
+    size = int(np.prod(shape)) if shape else 1
+    values = np.frombuffer(data, order + TYPES[kind], size, place + 2 + count)
+    if kind != -1:
+        return values
+    width = shape[0] if shape else 1
+    text = values.tobytes().decode("latin-1")
+    return [text[k : k + width].strip() for k in range(0, size, width)] if width else []
+
+
+def _frames(
+    data: bytes, said: Parameters, order: str
+) -> tuple[Array, Array, tuple[float, float], NDArray[np.bool_]]:
+    """Points (M, P, 3), analog (m, C), both rates [Hz], and which points are missing (M, P)."""
+    count, per_frame, first, last = struct.unpack_from(order + "4H", data, 2)
+    scale, begin, samples, rate = struct.unpack_from(order + "fHHf", data, 12)
+    frames = last - first + 1
+    if last == MOST_FRAMES and "POINT:FRAMES" in said:
+        frames = int(np.float64(said["POINT:FRAMES"][0]) % 2**16) or frames
+        ends = [said.get(f"TRIAL:ACTUAL_{end}_FIELD") for end in ("START", "END")]
+        numbers = [end.view(order + "u2") for end in ends if end is not None]
+        if len(numbers) == 2:
+            low, high = (int(end[0]) + 65536 * int(end[1]) for end in numbers)
+            frames = high - low + 1
+    width = 4 * count + per_frame
+    if frames < 1 or width < 1 or frames * width > MOST_NUMBERS or per_frame % max(samples, 1):
+        raise ValueError("its header makes no sense")
+    kind = order + ("f4" if scale < 0 else "i2")
+    table = np.frombuffer(data, kind, frames * width, (begin - 1) * BLOCK)
+    table = table.reshape(frames, width).astype(np.float64)
+    points = table[:, : 4 * count].reshape(frames, count, 4)
+    analog = table[:, 4 * count :]
+    if scale > 0 and any("UNSIGNED" in word.upper() for word in said.get("ANALOG:FORMAT", [])):
+        analog = analog % 2**16
+    channels = per_frame // max(samples, 1)
+    analog = analog.reshape(frames * max(samples, 1), channels) if channels else np.empty((0, 0))
+    size = 1.0 if scale < 0 else scale
+    return points[..., :3] * size, analog, (rate, rate * samples), points[..., 3] < 0
+
+
+def _points(points: Array, said: Parameters, missing: NDArray[np.bool_]) -> dict[str, Array]:
+    labels = _labels("point", said, points.shape[1])
+    seen = np.where(missing[..., None], np.nan, points)
+    return {
+        f"point/{label}/{axis}": seen[:, k, a]
+        for k, label in enumerate(labels)
+        for a, axis in enumerate("xyz")
+    }
+
+
+def _analog(analog: Array, said: Parameters) -> dict[str, Array]:
+    channels = analog.shape[1]
+    scale, zero = (
+        np.resize(np.append(np.asarray(said.get(f"ANALOG:{what}", []), float), rest), channels)
+        for what, rest in (("SCALE", 1.0), ("OFFSET", 0.0))
+    )
+    scale = scale * float(np.append(said.get("ANALOG:GEN_SCALE", []), 1.0)[0])
+    labels = _labels("analog", said, channels)
+    return {
+        f"analog/{label}": (analog[:, k] - zero[k]) * scale[k] for k, label in enumerate(labels)
+    }
+
+
+def _labels(kind: str, said: Parameters, count: int) -> list[str]:
+    """A name for each channel or point, each once."""
+    given = _texts(kind, "LABELS", said)
+    names: list[str] = []
+    for k in range(count):
+        name = given[k] if k < len(given) and given[k] else str(k)
+        names.append(name if name not in names else f"{name} ({k})")
+    return names
+
+
+def _units(kind: str, said: Parameters) -> dict[str, str]:
+    """What the file says of units, by column."""
+    given = _texts(kind, "UNITS", said)
+    labels = _texts(kind, "LABELS", said)
+    if kind == "point":
+        axes = [f"point/{label}/{axis}" for label in labels for axis in "xyz"]
+        return dict.fromkeys(axes, given[0]) if given else {}
+    return {f"analog/{label}": unit for label, unit in zip(labels, given, strict=False) if unit}
+
+
+def _texts(kind: str, what: str, said: Parameters) -> list[str]:
+    """A list of texts, which goes on under LABELS2, LABELS3 where there are many."""
+    found: list[str] = []
+    for more in ("", "2", "3", "4"):
+        found += list(said.get(f"{kind.upper()}:{what}{more}", []))
+    return found

@@ -1,0 +1,112 @@
+"""Numbers in lines of text: CSV and its relatives, plain or packed by gzip.
+
+Lines before the first one of numbers are a preamble; the last of them that has as many fields
+names the columns, else they are called 0, 1, .... Columns of text are left out.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_table import ForeignTable, readable
+
+MOST_TEXT = 500_000_000
+"""Bytes of text, unpacked."""
+
+LONGEST_PREAMBLE = 1000
+"""Lines before the first one of numbers."""
+
+SEPARATORS = (";", "\t", ",", None)
+"""Between fields, in the order of trying; None is blanks."""
+
+
+def read_file(path: Path, topic: str | None) -> ForeignTable:
+    """Columns of a text file.
+
+    Args:
+        path: The file.
+        topic: None.
+
+    Raises:
+        RecordingError: It holds no table of numbers.
+    """
+    del topic
+    with readable(path):
+        lines = _text(path).splitlines()
+        first, separator, decimal = _first_numbers(lines)
+        wanted = [k for k, x in enumerate(_fields(lines[first], separator)) if _number(x, decimal)]
+        names = _names(lines[:first], _fields(lines[first], separator), separator)
+        body = "\n".join(line for line in lines[first:] if not _comment(line))
+        if decimal == ",":
+            body = body.replace(",", ".")
+        table = np.loadtxt(
+            io.StringIO(body), delimiter=separator, usecols=wanted, comments=None, ndmin=2
+        )
+    columns = {names[k]: table[:, place] for place, k in enumerate(wanted)}
+    return ForeignTable(path, {name: c.shape for name, c in columns.items()}, columns.__getitem__)
+
+
+def _text(path: Path) -> str:
+    """What stands in a file."""
+    opened = gzip.open if path.suffix.lower() == ".gz" else open
+    with opened(path, "rb") as stream:
+        data = stream.read(MOST_TEXT + 1)
+    if len(data) > MOST_TEXT:
+        raise ValueError(f"it has more than {MOST_TEXT:.0e} bytes of text")
+    if b"\0" in data:
+        raise ValueError("it is no text")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _first_numbers(lines: list[str]) -> tuple[int, str | None, str]:
+    """Number of the first line of numbers, what separates its fields, and the decimal point."""
+    for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
+        if _comment(line):
+            continue
+        for separator in SEPARATORS:
+            fields = _fields(line, separator)
+            if len(fields) < 2 and separator is not None:
+                continue
+            for decimal in (".", ",") if separator != "," else (".",):
+                numbers = [_number(field, decimal) for field in fields]
+                if numbers and 2 * sum(numbers) > len(numbers):
+                    return k, separator, decimal
+    raise RecordingError("there is no line of numbers in it")
+
+
+def _names(before: list[str], like: list[str], separator: str | None) -> list[str]:
+    """Names of the columns, each once."""
+    headers = [_fields(line.lstrip("#% "), separator) for line in before]
+    fitting = [fields for fields in headers if len(fields) == len(like)]
+    given = fitting[-1] if fitting else []
+    names: list[str] = []
+    for k in range(len(like)):
+        name = given[k].strip().strip("\"'").strip() if given else ""
+        name = name or str(k)
+        names.append(name if name not in names else f"{name} ({k})")
+    return names
+
+
+def _fields(line: str, separator: str | None) -> list[str]:
+    return line.strip().split(separator)
+
+
+def _comment(line: str) -> bool:
+    return not line.strip() or line.lstrip()[0] in "#%"
+
+
+def _number(field: str, decimal: str) -> bool:
+    try:
+        value = float(field.replace(",", ".") if decimal == "," else field)
+    except ValueError:
+        return False
+    return "_" not in field and not math.isinf(value)

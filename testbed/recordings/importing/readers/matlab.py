@@ -1,0 +1,89 @@
+"""MATLAB's files: version 5 through SciPy, version 7.3, which is HDF5, through h5py.
+
+Fields of structs are named by their path, as log/q[0].
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_table import ForeignTable, is_column, readable
+from testbed.recordings.importing.readers import hdf5
+
+MOST_BYTES = 800_000_000
+"""Of a file's content, unpacked."""
+
+HEADER, PACKED = 128, 15
+"""Bytes before the first element; the kind of an element that is packed."""
+
+
+def read_file(path: Path, topic: str | None) -> ForeignTable:
+    """Columns of a MATLAB file.
+
+    Args:
+        path: The file.
+        topic: None.
+
+    Raises:
+        RecordingError: It is damaged, or of version 7.3 and h5py is not installed.
+    """
+    with readable(path):
+        with path.open("rb") as stream:
+            head = stream.read(HEADER)
+        if head.startswith(b"MATLAB 7.3"):
+            return hdf5.read_file(path, topic)
+        if not head.startswith(b"MATLAB 5.0"):
+            raise RecordingError(f"{path}: no MATLAB file of version 5 or 7.3")
+        _check_size(path)
+        from scipy.io import loadmat
+
+        found = _nested(loadmat(path, simplify_cells=True, verify_compressed_data_integrity=True))
+    arrays = {
+        name: array for name, array in found.items() if is_column(array.shape, array.dtype.kind)
+    }
+    return ForeignTable(path, {n: a.shape for n, a in arrays.items()}, arrays.__getitem__)
+
+
+def _nested(content: dict[str, Any], before: str = "") -> dict[str, np.ndarray[Any, Any]]:
+    """Arrays of structs in structs, by path."""
+    found: dict[str, np.ndarray[Any, Any]] = {}
+    for name, value in content.items():
+        if isinstance(value, dict):
+            found |= _nested(value, f"{before}{name}/")
+        elif isinstance(value, np.ndarray) and not name.startswith("__"):
+            found[before + name] = value
+    return found
+
+
+def _check_size(path: Path) -> None:
+    """Whether what is packed in a file would fit into memory.
+
+    Raises:
+        RecordingError: It would not.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        order = "<" if stream.read(HEADER)[-2:] == b"IM" else ">"
+        total, place = 0, HEADER
+        while place + 8 <= size:
+            stream.seek(place)
+            kind, length = struct.unpack(f"{order}II", stream.read(8))
+            total += _unpacked(stream.read(length)) if kind == PACKED else length
+            place += 8 + length
+            if total > MOST_BYTES:
+                raise RecordingError(f"{path}: more than {MOST_BYTES:.0e} bytes, unpacked")
+
+
+def _unpacked(data: bytes) -> int:
+    """How many bytes packed data are; the count stops soon after `MOST_BYTES`."""
+    unpacker, total, rest = zlib.decompressobj(), 0, data
+    while rest and not unpacker.eof and total <= MOST_BYTES:
+        total += len(unpacker.decompress(rest, 1_000_000))
+        rest = unpacker.unconsumed_tail
+    return total

@@ -1,0 +1,172 @@
+"""When the samples of a source were taken, and what is odd about its clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_units import TIMES
+from testbed.recordings.importing.mapping import SourceTable
+
+BRIDGED, BRIDGED_SAMPLES = 0.1, 3.0
+"""Longest gap that is bridged unless the mapping says otherwise [s], in samples if that is more."""
+
+GAP = 1.5
+"""Sampling times from which a step is a gap."""
+
+STRAY = 0.5
+"""Sampling times by which stamps, smoothed, may stray from a line if the device is steady."""
+
+SMOOTHED = 101
+"""Stamps over which jitter is averaged out."""
+
+LONGEST, SHORTEST = 1e9, 1e-9
+"""Sampling times beyond these are a mistake [s]."""
+
+
+@dataclass(frozen=True)
+class ClockReport:
+    """What a source's stamps look like.
+
+    Attributes:
+        samples: Number of samples used.
+        rate: Samples a second, by the median step [Hz].
+        jitter: Standard deviation of the steps within gaps' limits, in steps.
+        gaps: Steps of more than 1.5 sampling times.
+        longest_gap: Longest step [s].
+        repeated: Samples left out because stamp and values were those of the one before.
+        lead: From its first sample to the recording's first instant [s].
+    """
+
+    samples: int
+    rate: float
+    jitter: float
+    gaps: int
+    longest_gap: float
+    repeated: int
+    lead: float = 0.0
+
+
+def sample_times(
+    name: str, table: SourceTable, stamps: Array | None, samples: int, unit: str | None
+) -> Array:
+    """When samples were taken by the common clock, (M,) [s], without offset and skew.
+
+    Args:
+        name: Of the source.
+        table: What the mapping says of it.
+        stamps: Its column of times, (M,), if it has one.
+        samples: M.
+        unit: What the file says of the times' unit; None if nothing.
+
+    Raises:
+        RecordingError: The times are none, or their unit is not said or another.
+    """
+    if stamps is None:
+        return np.arange(samples) / float(table.rate or 1.0)
+    known = unit if unit in TIMES else None
+    if table.time_unit is None and known is None:
+        raise RecordingError(f"sources.{name}: say `time_unit`: s, ms, us, ns or min")
+    if known is not None and table.time_unit not in (None, known):
+        raise RecordingError(
+            f"sources.{name}: the file says its times are in {known}, time_unit is "
+            f"{table.time_unit}"
+        )
+    if not np.isfinite(stamps).all():
+        bad = int(np.argmin(np.isfinite(stamps)))
+        raise RecordingError(f"sources.{name}: '{table.time}' is no number at sample {bad}")
+    found: Array = stamps * TIMES[table.time_unit or known or "s"]
+    return found
+
+
+def without_repeats(name: str, time: Array, values: Array) -> NDArray[np.bool_]:
+    """Which samples are not the one before once more, (M,) of bool.
+
+    Args:
+        name: Of the source.
+        time: (M,) [s].
+        values: All used columns, (M, k).
+
+    Raises:
+        RecordingError: Time stands or runs back, and it is no repetition.
+    """
+    steps = np.diff(time)
+    again = (steps == 0) & (values[1:] == values[:-1]).all(axis=1)
+    bad = ~again & ~(steps > 0)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise RecordingError(
+            f"sources.{name}: time does not increase after sample {k} ({time[k]:.9g} s, then "
+            f"{time[k + 1]:.9g} s), {int(bad.sum())} such; if the device samples at a constant "
+            "rate, say `rate` instead of `time`"
+        )
+    return np.append(True, ~again)
+
+
+def steady_times(name: str, time: Array) -> Array:
+    """Times of the line through stamps that jitter, (M,) [s].
+
+    Args:
+        name: Of the source.
+        time: The stamps, (M,) [s].
+
+    Raises:
+        RecordingError: The stamps do not lie along a line: samples are missing.
+    """
+    number = np.arange(len(time), dtype=np.float64)
+    number -= number.mean()
+    slope = float(number @ (time - time.mean()) / (number @ number))
+    line: Array = time.mean() + slope * number
+    width = min(SMOOTHED, len(time))
+    stray = np.convolve(time - line, np.ones(width) / width, mode="valid")
+    if slope <= 0 or np.abs(stray).max() > STRAY * slope:
+        k = int(np.argmax(np.abs(stray)))
+        raise RecordingError(
+            f"sources.{name}: its stamps stray from those of a steady device by "
+            f"{np.abs(stray).max():.3g} s near sample {k}: samples are missing, or leave out "
+            "`steady`"
+        )
+    return line
+
+
+def clock_report(
+    name: str, table: SourceTable, stamps: Array, time: Array, repeated: int
+) -> ClockReport:
+    """What stamps look like; their gaps are checked.
+
+    Args:
+        name: Of the source.
+        table: What the mapping says of it.
+        stamps: Before they were made steady, (M,) [s].
+        time: As they are used, (M,) [s].
+        repeated: Samples that were left out.
+
+    Raises:
+        RecordingError: There is no clock in it, or a gap is too long.
+    """
+    if len(time) < 4:
+        raise RecordingError(f"sources.{name}: {len(time)} samples are no recording")
+    steps, used = np.diff(stamps), np.diff(time)
+    typical = float(np.median(used))
+    if not SHORTEST < typical < LONGEST:
+        raise RecordingError(
+            f"sources.{name}: {typical:.3g} s from sample to sample is no sampling time; "
+            "check `time_unit`"
+        )
+    longest = float(used.max())
+    most = table.max_gap or max(BRIDGED, BRIDGED_SAMPLES * typical)
+    if longest > most:
+        k = int(np.argmax(used))
+        raise RecordingError(
+            f"sources.{name}: nothing was recorded for {longest:.3g} s after "
+            f"{time[k] - time[0]:.6g} s; cut it out by `start` and `stop`, or say "
+            f"`max_gap` = {longest:.3g} to bridge it"
+        )
+    near = steps[steps <= GAP * typical]
+    jitter = float(np.std(near) / typical) if len(near) else 0.0
+    gaps = int(np.count_nonzero(used > GAP * typical))
+    return ClockReport(len(time), 1 / typical, jitter, gaps, longest, repeated)

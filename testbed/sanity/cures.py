@@ -1,0 +1,202 @@
+"""What is wrong with a recording in words, and the line of the mapping file that would cure it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.finding import Finding, few
+from testbed.robot.tree import Tree
+from testbed.sanity.mistakes import Mistake
+from testbed.sanity.search import Reading
+
+WHAT = {
+    "position_sign": "the opposite sign of the position",
+    "torque_sign": "the opposite sign of the torque",
+    "wrench_sense": "the opposite sense of the wrench",
+    "degrees": "degrees taken for radians",
+    "zero": "another zero of the position",
+    "position_order": "positions in another order of joints",
+    "torque_order": "torques in another order of joints",
+    "joint_order": "joints in another order",
+}
+"""By the kind of mistake."""
+
+
+def mistake_finding(
+    tree: Tree, mistake: Mistake, given: Reading, found: Reading, mapping: Mapping[str, Any]
+) -> Finding:
+    """A mistake as a person reads it.
+
+    Args:
+        tree: The robot.
+        mistake: What is wrong.
+        given: The data as they are.
+        found: The data without their mistakes.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    names = [tree.names[k] for k in mistake.joints]
+    subject = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
+    if not names:
+        subject = "the plate"
+    elif len(names) == tree.n > 1:
+        subject = "all joints"
+    worst = int(np.argmax(given.fit.left - found.fit.left))
+    before, after = float(given.fit.left[worst]), float(found.fit.left[worst])
+    return Finding(
+        subject,
+        f"cannot be as recorded: whatever the masses, {min(before, 1):.0%} of a channel is "
+        f"unexplained, {after:.0%} without the mistake",
+        before,
+        (WHAT[mistake.kind],),
+        f"in the mapping: {_line(tree, mistake, mapping)}",
+    )
+
+
+def gain_finding(tree: Tree, sizes: Array, least: float, most: float) -> Finding:
+    """Torques that are far from what masses of that order make.
+
+    Args:
+        tree: The robot.
+        sizes: Times what the model file's masses say, (n,).
+        least: Below this they are doubted.
+        most: Above this.
+    """
+    told = [k for k in range(tree.n) if np.isfinite(sizes[k])]
+    odd = [k for k in told if not least < sizes[k] < most]
+    said = ", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6])
+    needed = _numbers([1 / sizes[k] if k in told else 0.0 for k in range(tree.n)])
+    small = all(sizes[k] < 1 for k in odd)
+    causes = (
+        ("torques on the motors' side of the gears", "currents taken for torques")
+        if small
+        else ("a unit such as N mm", "masses of another robot")
+    )
+    cure = (
+        f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" with '
+        f"gain about {needed}"
+        if small
+        else "[torque] unit"
+    )
+    return Finding(
+        "the torque",
+        f"is too {'small' if small else 'large'}: it is so many times what the model's masses "
+        f"make: {said}",
+        float(sizes[odd[0]]),
+        causes,
+        f"in the mapping: {cure}",
+    )
+
+
+def position_finding(tree: Tree, position: Array, outside: float) -> Iterator[Finding]:
+    """Positions that no joint of this robot can have.
+
+    Args:
+        tree: The robot.
+        position: (M, n) [rad or m].
+        outside: Ranges by which they leave the joint's range.
+    """
+    said, turning = [], False
+    for joint, q in zip(tree.joints, position.T, strict=True):
+        low, high = joint.position_range
+        room = outside * (high - low)
+        if q.min() < low - room or q.max() > high + room:
+            turning |= joint.revolute
+            said.append(
+                f"'{joint.name}' {q.min():.4g} to {q.max():.4g} (its range is {low:.4g} to "
+                f"{high:.4g} {'rad' if joint.revolute else 'm'})"
+            )
+    if said:
+        more = f" and {len(said) - 2} more" if len(said) > 2 else ""
+        unit = "deg" if turning else "mm"
+        yield Finding(
+            "positions",
+            f"are such as no joint has: {', '.join(said[:2])}{more}",
+            float(len(said)),
+            (f"positions in {unit}", "positions on the motors' side of the gears"),
+            f'in the mapping: [position] unit = "{unit}", or side = "motor" and a table [gear]',
+        )
+
+
+def _line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
+    """What to write, in terms of what is written if that is known."""
+    n = tree.n
+    signal = "torque" if mistake.kind.startswith("torque") else "position"
+    table = mapping.get(signal, {})
+    if mistake.kind == "wrench_sense":
+        said = mapping.get("wrench", {}).get("sense")
+        return f'[wrench] sense = "{"on_plate" if said == "on_robot" else "on_robot"}"'
+    if mistake.kind.endswith("sign"):
+        if "matrix" in table:
+            return f"turn the signs of these joints' rows in the matrix of [{signal}]"
+        return "; ".join(_turned(tree, mistake, key, signal, mapping) for key in _keys(table))
+    if mistake.kind == "degrees":
+        units = ["deg" if k in mistake.joints else "rad" for k in range(n)]
+        every = all(unit == "deg" for unit in units)
+        return f"[position] unit = {json.dumps('deg' if every else units)}"
+    if mistake.kind == "zero":
+        offsets = _by_name(tree, table.get("offset"), mapping, 0.0)
+        for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
+            offsets[joint] += angle
+        return f"[position] offset = {_numbers(_by_mapping(tree, offsets, mapping))}"
+    return _order_line(tree, mistake, mapping)
+
+
+def _keys(table: Mapping[str, Any]) -> tuple[str, ...]:
+    """What turns with a signal's sign."""
+    return ("sign", "offset") if any(table.get("offset", ())) else ("sign",)
+
+
+def _turned(tree: Tree, mistake: Mistake, key: str, signal: str, mapping: Mapping[str, Any]) -> str:
+    """A list of a signal's table with the signs of some joints turned."""
+    default = 1.0 if key == "sign" else 0.0
+    before = _by_name(tree, mapping.get(signal, {}).get(key), mapping, default)
+    after = [-x if k in mistake.joints and x else x for k, x in enumerate(before)]
+    return f"[{signal}] {key} = {_numbers(_by_mapping(tree, after, mapping))}"
+
+
+def _order_line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
+    """Columns in their right order, if the mapping says which there are."""
+    moved = {
+        "torque_order": ("torque",),
+        "position_order": ("position",),
+        "joint_order": ("position", "torque"),
+    }[mistake.kind]
+    said = []
+    for signal in moved:
+        columns = mapping.get(signal, {}).get("columns", [])
+        plain = "matrix" not in mapping.get(signal, {}) and len(columns) == tree.n
+        if plain:
+            found = _by_name(tree, columns, mapping, "")
+            ordered = _by_mapping(tree, [found[k] for k in mistake.order], mapping)
+            text = ", ".join(f'"{name}"' for name in ordered)
+            said.append(f"[{signal}] columns = [{text}]")
+        else:
+            pairs = ", ".join(
+                f"{tree.names[k]} is in the column of {tree.names[mistake.order[k]]}"
+                for k in mistake.joints
+            )
+            said.append(f"[{signal}] columns: {pairs}")
+    return "; ".join(said)
+
+
+def _by_name(tree: Tree, values: Sequence[Any] | None, mapping: Mapping[str, Any],
+             default: Any) -> list[Any]:  # fmt: skip
+    """A mapping's list in the order of the tree's joints."""
+    joints = mapping.get("joints", list(tree.names))
+    found = dict(zip(joints, values or [default] * len(joints), strict=False))
+    return [found.get(name, default) for name in tree.names]
+
+
+def _by_mapping(tree: Tree, values: Sequence[Any], mapping: Mapping[str, Any]) -> list[Any]:
+    """A list in the order of the tree's joints, in the mapping's own order."""
+    found = dict(zip(tree.names, values, strict=True))
+    return [found[name] for name in mapping.get("joints", tree.names)]
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"

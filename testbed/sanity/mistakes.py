@@ -1,0 +1,193 @@
+"""Mistakes that mappings hold: what the data would be without each, and which to try."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.robot.tree import Tree
+
+Kind = Literal[
+    "position_sign", "torque_sign", "wrench_sense", "degrees", "zero",
+    "position_order", "torque_order", "joint_order",
+]  # fmt: skip
+
+QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
+"""Zeros that model files and controllers put elsewhere [rad]."""
+
+SCANNED = tuple(np.deg2rad(angle) for angle in range(-165, 180, 15) if angle % 90)
+"""Other zeros to try [rad]."""
+
+BEYOND = 2 * np.pi
+"""Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
+
+MERGED = ("position_sign", "torque_sign", "degrees", "zero")
+"""Kinds of which there is one line in a mapping for all joints."""
+
+MOST_JOINTS = 12
+"""Joints of a robot up to which orders and zeros are tried: their number grows fast."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """What a recording's estimates are made of.
+
+    Attributes:
+        position: (M, n) [rad or m].
+        torque: (M, n) [N m or N], if measured.
+        wrench: (M, 6) [N, N m], if measured.
+    """
+
+    position: Array
+    torque: Array | None
+    wrench: Array | None
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake that a mapping may hold.
+
+    Attributes:
+        kind: What is wrong.
+        joints: Indices of the joints that it is about.
+        angles: Of zeros that are missing, one a joint [rad].
+        order: Of orders: the k-th joint's column stands in place order[k].
+    """
+
+    kind: Kind
+    joints: tuple[int, ...] = ()
+    angles: tuple[float, ...] = ()
+    order: tuple[int, ...] = ()
+
+    def undone(self, signals: Signals) -> Signals:
+        """What the data would be without it.
+
+        Args:
+            signals: As they were read.
+        """
+        position, torque, wrench = signals.position, signals.torque, signals.wrench
+        here = list(self.joints)
+        if self.kind in ("position_order", "joint_order"):
+            position = position[:, list(self.order)]
+        if self.kind in ("torque_order", "joint_order") and torque is not None:
+            torque = torque[:, list(self.order)]
+        if self.kind == "torque_sign" and torque is not None:
+            torque = _times(torque, here, -1.0)
+        if self.kind == "wrench_sense" and wrench is not None:
+            wrench = -wrench
+        if self.kind == "position_sign":
+            position = _times(position, here, -1.0)
+        if self.kind == "degrees":
+            position = _times(position, here, np.pi / 180)
+        if self.kind == "zero":
+            position = position.copy()
+            position[:, here] += self.angles
+        return replace(signals, position=position, torque=torque, wrench=wrench)
+
+
+def merged(mistakes: Sequence[Mistake]) -> list[Mistake]:
+    """Signs and zeros of several joints, each kind as one mistake.
+
+    Args:
+        mistakes: In any order; those of columns' orders stay as they are.
+    """
+    found: list[Mistake] = []
+    for kind in ("position_sign", "torque_sign", "degrees"):
+        alike = [m for m in mistakes if m.kind == kind]
+        joints = sorted({j for m in alike for j in m.joints})
+        odd = [j for j in joints if sum(j in m.joints for m in alike) % 2]
+        found += [replace(alike[0], joints=tuple(odd))] if odd else []
+    zeros: dict[int, float] = {}
+    for mistake in mistakes:
+        if mistake.kind == "zero":
+            for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
+                zeros[joint] = zeros.get(joint, 0.0) + angle
+    if zeros:
+        found.append(Mistake("zero", tuple(zeros), tuple(zeros.values())))
+    return found + [m for m in mistakes if m.kind not in MERGED]
+
+
+def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
+    """Mistakes that concern all joints alike.
+
+    Args:
+        tree: The robot.
+        signals: What there is.
+    """
+    everyone = tuple(range(tree.n))
+    large = [k for k in _turning(tree, everyone) if np.abs(signals.position[:, k]).max() > BEYOND]
+    if signals.torque is not None:
+        yield Mistake("torque_sign", everyone)
+    if signals.wrench is not None:
+        yield Mistake("wrench_sense")
+    if large:
+        yield Mistake("degrees", tuple(_turning(tree, everyone)))
+    orders = [tuple(np.roll(everyone, k).tolist()) for k in range(1, tree.n)] + [everyone[::-1]]
+    for order in orders:
+        if 2 < tree.n <= MOST_JOINTS:
+            yield from _orders(tree, signals, order)
+
+
+def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> Iterator[Mistake]:
+    """Mistakes that concern a joint or two.
+
+    Args:
+        tree: The robot.
+        signals: What there is.
+        doubted: Joints about which something is odd.
+    """
+    near = range(tree.n) if tree.n <= MOST_JOINTS else doubted
+    for joint in near:  # a position shows in the torques of its carriers
+        yield Mistake("position_sign", (joint,))
+        if signals.torque is not None and joint in doubted:
+            yield Mistake("torque_sign", (joint,))
+        if _turning(tree, [joint]) and tree.n <= MOST_JOINTS:
+            if np.abs(signals.position[:, joint]).max() > BEYOND:
+                yield Mistake("degrees", (joint,))
+            yield from (Mistake("zero", (joint,), (angle,)) for angle in QUARTERS)
+        for other in range(tree.n) if tree.n <= MOST_JOINTS and joint in doubted else ():
+            if other < joint or (other > joint and other not in doubted):
+                order = list(range(tree.n))
+                order[joint], order[other] = other, joint
+                yield from _orders(tree, signals, tuple(order))
+
+
+def rarer_mistakes(tree: Tree, doubted: Sequence[int]) -> Iterator[Mistake]:
+    """Zeros of neighbours that are wrong together, and zeros by any angle.
+
+    Args:
+        tree: The robot.
+        doubted: Joints about which something is odd.
+    """
+    for joint in _turning(tree, doubted):
+        beside = (tree.parents[joint], *tree.children(joint))
+        for other in _turning(tree, [k for k in beside if k >= 0]):
+            for angles in product(QUARTERS, repeat=2):
+                yield Mistake("zero", (joint, other), angles)
+        yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def _orders(tree: Tree, signals: Signals, order: tuple[int, ...]) -> Iterator[Mistake]:
+    """An order of columns, of positions, torques, or both."""
+    joints = tuple(k for k, place in enumerate(order) if place != k)
+    if any(tree.joints[k].kind != tree.joints[order[k]].kind for k in joints):
+        return
+    if signals.torque is not None:
+        yield Mistake("torque_order", joints, order=order)
+        yield Mistake("joint_order", joints, order=order)
+    yield Mistake("position_order", joints, order=order)
+
+
+def _turning(tree: Tree, joints: Sequence[int]) -> list[int]:
+    return [k for k in joints if tree.joints[k].revolute]
+
+
+def _times(signal: Array, columns: list[int], factor: float) -> Array:
+    changed = signal.copy()
+    changed[:, columns] *= factor
+    return changed

@@ -1,0 +1,210 @@
+"""The same joints and channels in every foreign format, each by the format's own library."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import ezc3d
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+from testbed.arrays import Array
+
+JOINTS = ("j1", "j2")
+EPOCH = 1_700_000_000_000_000_000
+"""Of the clocks of ROS in these files [ns]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """What was measured, at 100 Hz."""
+
+    t: Array
+    q: Array
+    tau: Array
+    w: Array
+
+
+def some_log(samples: int = 60, seed: int = 0) -> Log:
+    """Two joints and a plate that mean nothing."""
+    rng = np.random.default_rng(seed)
+    q = np.cumsum(rng.normal(size=(samples, 2)), axis=0) * 0.01
+    tau, w = rng.normal(size=(samples, 2)), rng.normal(size=(samples, 6))
+    return Log(np.arange(samples) / 100, q, tau, w)
+
+
+def mapping(
+    sources: str, position: Sequence[str], torque: Sequence[str], wrench: Sequence[str],
+    plate: str = "log",
+) -> str:  # fmt: skip
+    """A mapping file of columns by name."""
+    return (
+        f'rate = 100\njoints = ["j1", "j2"]\n{sources}\n'
+        f'[position]\nsource = "log"\nunit = "rad"\ncolumns = {json.dumps(position)}\n'
+        f'[torque]\nsource = "log"\nunit = "N m"\ncolumns = {json.dumps(torque)}\n'
+        f'[wrench]\nsource = "{plate}"\nunits = ["N", "N m"]\nsense = "on_robot"\n'
+        f"columns = {json.dumps(wrench)}\n"
+    )
+
+
+def by_arrays(file: str, before: str = "", unit: str = 'time_unit = "s"') -> str:
+    """Of a file that holds t, q, tau, w."""
+    names = [f"{before}{name}" for name in ("q[0]", "q[1]", "tau[0]", "tau[1]")]
+    plate = [f"{before}w[{k}]" for k in range(6)]
+    source = f'[sources.log]\nfile = "{file}"\ntime = "{before}t"\n{unit}'
+    return mapping(source, names[:2], names[2:], plate)
+
+
+def csv(folder: Path, log: Log) -> str:
+    """Lines of text."""
+    names = ["t", "q1", "q2", "t1", "t2", *"abcdef"]
+    table = np.column_stack([log.t, log.q, log.tau, log.w])
+    lines = [",".join(names), *(",".join(repr(float(x)) for x in row) for row in table)]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    source = '[sources.log]\nfile = "log.csv"\ntime = "t"\ntime_unit = "s"'
+    return mapping(source, names[1:3], names[3:5], names[5:])
+
+
+def npz(folder: Path, log: Log) -> str:
+    """NumPy's archive."""
+    np.savez(folder / "log.npz", **vars(log))
+    return by_arrays("log.npz")
+
+
+def mat(folder: Path, log: Log) -> str:
+    """MATLAB 5, packed, in a struct."""
+    savemat(folder / "log.mat", {"log": dict(vars(log))}, do_compression=True)
+    return by_arrays("log.mat", "log/")
+
+
+def mat73(folder: Path, log: Log) -> str:
+    """MATLAB 7.3: HDF5 with a head of its own, axes the other way round."""
+    path = folder / "log.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in vars(log).items():
+            made = file.create_dataset(f"log/{name}", data=np.atleast_2d(values.T))
+            made.attrs["MATLAB_class"] = np.bytes_("double")
+    data = bytearray(path.read_bytes())
+    data[:128] = b"MATLAB 7.3 MAT-file".ljust(116) + b"\0" * 8 + b"\0\2IM"
+    path.write_bytes(data)
+    return by_arrays("log.mat", "log/")
+
+
+def hdf5(folder: Path, log: Log) -> str:
+    """HDF5."""
+    with h5py.File(folder / "log.h5", "w") as file:
+        for name, values in vars(log).items():
+            file.create_dataset(f"log/{name}", data=values)
+    return by_arrays("log.h5", "log/")
+
+
+def parquet(folder: Path, log: Log) -> str:
+    """Parquet, with lists and instants."""
+    columns: dict[str, Any] = {
+        "t": pa.array((log.t * 1e9).round().astype("int64"), "timestamp[ns]")
+    }
+    for name in ("q", "tau", "w"):
+        values = getattr(log, name)
+        columns[name] = pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+    pq.write_table(pa.table(columns), folder / "log.parquet")
+    return by_arrays("log.parquet", unit="")
+
+
+def mcap(folder: Path, log: Log) -> str:
+    """A ROS 2 bag, in a folder."""
+    return _bag(folder / "log", log, StoragePlugin.MCAP)
+
+
+def bare_mcap(folder: Path, log: Log) -> str:
+    """Its file alone."""
+    mcap(folder, log)
+    (file,) = (folder / "log").glob("*.mcap")
+    file.rename(folder / "log.mcap")
+    return _topics("log.mcap")
+
+
+def db3(folder: Path, log: Log) -> str:
+    """A ROS 2 bag as it was kept before."""
+    _bag(folder / "log", log, StoragePlugin.SQLITE3)
+    (file,) = (folder / "log").glob("*.db3")
+    file.rename(folder / "log.db3")
+    return _topics("log.db3")
+
+
+def bag(folder: Path, log: Log) -> str:
+    """A ROS 1 bag."""
+    return _bag(folder / "log.bag", log, None)
+
+
+def c3d(folder: Path, log: Log) -> str:
+    """C3D, whose numbers are of single precision."""
+    made = ezc3d.c3d()
+    names = ("q1", "q2", "t1", "t2", *"abcdef")
+    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
+    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    made["parameters"]["ANALOG"]["LABELS"]["value"] = names
+    made["data"]["points"] = np.zeros((4, 0, len(log.t)))
+    made["data"]["analogs"] = np.column_stack([log.q, log.tau, log.w]).T[None]
+    made.write(str(folder / "log.c3d"))
+    columns = [f"analog/{name}" for name in names]
+    source = '[sources.log]\nfile = "log.c3d"\ntime = "analog/time"'
+    return mapping(source, columns[:2], columns[2:4], columns[4:])
+
+
+FORMATS: dict[str, Callable[[Path, Log], str]] = {
+    "csv": csv, "npz": npz, "mat": mat, "mat73": mat73, "hdf5": hdf5, "parquet": parquet,
+    "mcap": mcap, "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
+}  # fmt: skip
+"""Each writes its file into a folder and returns the mapping."""
+
+SINGLE = ("c3d",)
+"""Formats of single precision."""
+
+
+def _topics(file: str) -> str:
+    sources = "\n".join(
+        f'[sources.{name}]\nfile = "{file}"\ntopic = "{topic}"\ntime = "stamp"'
+        for name, topic in (("log", "/joint_states"), ("plate", "/plate"))
+    )
+    plate = [f"wrench/{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
+    position, torque = ([f"{what}/{j}" for j in JOINTS] for what in ("position", "effort"))
+    return mapping(sources, position, torque, plate, plate="plate")
+
+
+def _bag(path: Path, log: Log, plugin: StoragePlugin | None) -> str:
+    """Joint states whose names change places from message to message, and wrenches."""
+    store = get_typestore(Stores.ROS1_NOETIC if plugin is None else Stores.ROS2_HUMBLE)
+    kinds = store.types
+    state, wrench = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
+    vector = kinds["geometry_msgs/msg/Vector3"]
+    pack = store.serialize_ros1 if plugin is None else store.serialize_cdr
+    writer: Any = (
+        Writer1(path) if plugin is None else Writer(path, version=9, storage_plugin=plugin)
+    )
+    with writer:
+        states = writer.add_connection("/joint_states", state, typestore=store)
+        wrenches = writer.add_connection("/plate", wrench, typestore=store)
+        for k, t in enumerate(log.t):
+            when = EPOCH + round(t * 1e9)
+            stamp = kinds["builtin_interfaces/msg/Time"](when // 10**9, when % 10**9)
+            number = {"seq": k} if plugin is None else {}
+            head = kinds["std_msgs/msg/Header"](stamp=stamp, frame_id="base", **number)
+            order = [0, 1] if k % 2 else [1, 0]
+            told = kinds[state](
+                header=head, name=[JOINTS[j] for j in order], position=log.q[k, order],
+                velocity=np.zeros(2), effort=log.tau[k, order],
+            )  # fmt: skip
+            felt = kinds["geometry_msgs/msg/Wrench"](vector(*log.w[k, :3]), vector(*log.w[k, 3:]))
+            writer.write(states, when, pack(told, state))
+            writer.write(wrenches, when, pack(kinds[wrench](header=head, wrench=felt), wrench))
+    return _topics(path.name)
