@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
-from testbed.cli import calibrations, catalogues, excitations, experiments, importing, models, pictures
+from testbed.cli import (
+    calibrations,
+    catalogues,
+    excitations,
+    experiments,
+    importing,
+    models,
+    pictures,
+)
 from testbed.cli.options import app
 
-__all__ = ["app", "calibrations", "catalogues", "excitations", "experiments", "importing", "models", "pictures"]
+__all__ = [
+    "app",
+    "calibrations",
+    "catalogues",
+    "excitations",
+    "experiments",
+    "importing",
+    "models",
+    "pictures",
+]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -196,23 +196,20 @@ def identify(
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in wanted]
-    warnings = [said for m, said in zip(wanted, warnings, strict=True) if m not in there]
+    lacking = [name for name in wanted if name not in there]
+    warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in lacking]
     warnings += accepted
 
     def estimate_of(part: Source, name: Method) -> Estimate:
         """By one method, of the recording or of a part of it."""
+        how: dict[str, Any] = {
+            "gravity": gravity,
+            "settings": table,
+            "doubt": doubt,
+            "threads": threads,
+        }
         with terminal.Progress(f"identifying, {name}") as progress:
-            return identified(
-                tree,
-                part,
-                name,
-                gravity=gravity,
-                settings=table,
-                doubt=doubt,
-                threads=threads,
-                progress=progress,
-            )
+            return identified(tree, part, name, progress=progress, **how)
 
     estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
     bodies = None
@@ -221,8 +218,9 @@ def identify(
         warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recording)]
     if as_json:
         content = identified_as_json(estimates, reading.model_file(model), reading.tables())
-        more = {} if bodies is None else {"consistent": consistent_as_json(bodies)}
-        terminal.print_json(content | more)
+        if bodies is not None:
+            content["consistent"] = consistent_as_json(bodies)
+        terminal.print_json(content)
     else:
         warnings += warnings_between(estimates)
         terminal.print_estimates(estimates, [*tree.warnings, *warnings], bodies)

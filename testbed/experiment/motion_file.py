@@ -11,9 +11,9 @@ from pydantic import Field
 
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
-from testbed.experiment.experiment_tables import Finite, Positive, Table
-from testbed.toml_text import checked, read_toml
+from testbed.experiment.experiment_tables import Table
 from testbed.robot.tree import Tree
+from testbed.toml_text import Finite, Positive, checked, read_toml
 
 
 class _Joint(Table):
