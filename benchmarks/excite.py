@@ -15,20 +15,26 @@ import numpy as np
 
 import testbed as tb
 from testbed.errors import InfeasibleMotion
+from testbed.excitation.clearance import DistanceMeter
 from testbed.excitation.design import Wish, criterion, design
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import motor_efforts
 from testbed.excitation.proof import Rules, prove, seems_to_hold
 from testbed.excitation.random_motion import random_motion
-from testbed.experiment.evaluate import robot_of
+from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.excite import excite, wish_of
 from testbed.kernel.numba_engine import warm_up
+from testbed.simulation.build import build_plant
+from testbed.simulation.rollout import Sampling, simulate_motion
 
 ROOT = Path(__file__).parents[1]
 PUMA = ROOT / "models/puma562.xml"
 SEVEN = ROOT / "tests/golden/robots/kuka_lwr4.urdf"
 SHARES = 0.95 ** np.arange(60)
 """Of the swing of random motions, until one is proven."""
+
+LOOP_STEP = 1e-3
+"""Of simulations in closed loop [s]."""
 
 PLATE = ("measurement.force_noise=0.5", "measurement.moment_noise=0.1", "motion.duration=10")
 
@@ -139,7 +145,7 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
     """
     rng = np.random.default_rng([count, *model.name.encode()])
     tree = tb.load_tree(model)
-    done, refused, violated, unproven = 0, 0, 0, 0
+    done, refused, violated, unproven, in_the_loop = 0, 0, 0, 0, 0
     for number in range(count):
         speeds = {n: float(10 ** rng.uniform(-1, 0.5)) for n in tree.names}
         accelerations = {n: float(10 ** rng.uniform(-0.5, 1)) for n in tree.names}
@@ -162,6 +168,7 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
         done += 1
         unproven += not found.proof.holds
         violated += not _respected(found.motion, wish.rules)
+        in_the_loop += not _respected_in_the_loop(found.motion, wish.rules, experiment)
     return {
         "robot": model.stem,
         "sets": count,
@@ -169,7 +176,26 @@ def limit_sets(model: Path, count: int) -> dict[str, Any]:
         "refused": refused,
         "unproven": unproven,
         "violated": violated,
+        "violated_in_the_loop": in_the_loop,
     }
+
+
+def _respected_in_the_loop(motion: Fourier, rules: Rules, experiment: tb.Experiment) -> bool:
+    """By what a drive makes of it in simulation, within all of each limit: for one period."""
+    tree, limits = rules.tree, rules.limits
+    plant = build_plant(
+        model_of(experiment), tree, LOOP_STEP, changed=experiment.robot.joint, friction=True
+    )
+    sampling = Sampling(1 / LOOP_STEP, 1, averaged=False, warm_up=1.0)
+    truth = simulate_motion(plant, tree, motion, motion.period, 60.0, sampling).truth
+    inside = (truth.position >= limits.low).all() and (truth.position <= limits.high).all()
+    slow = (np.abs(truth.velocity) <= limits.velocity).all()
+    strong = (np.abs(truth.torque) <= limits.effort).all()
+    clear = True
+    if rules.collision is not None:
+        meter = DistanceMeter(rules.collision)
+        clear = all((meter.measure(q).values > 0).all() for q in truth.position[::20])
+    return bool(inside and slow and strong and clear)
 
 
 def _still(tree: tb.Tree) -> tb.Motion:

@@ -58,7 +58,12 @@ def _sigma_figure(found: Excitation) -> dict[str, Any]:
         curves = {"measured": (number, np.log10(100 * random.relative))} | curves
     label = f"parameter, 1 ({names[0]}) to {len(names)} ({names[-1]})"
     panel = Panel(
-        "log10 of sigma as % of the value", curves, label, points=tuple(curves), whole=True
+        "log10 of sigma as % of the value",
+        curves,
+        label,
+        points=tuple(curves),
+        bars={kind: np.zeros(len(names)) for kind in curves},  # larger points
+        whole=True,
     )
     others = ["" if random is None else f"{value:.3%}" for value in _relative(found)]
     return {
@@ -139,9 +144,9 @@ def _limit_figure(found: Excitation) -> dict[str, Any]:
         panels.append(_left(f"of {kind} limits", times, -term.values(here).max(axis=0)))
     if rules.collision is not None and rules.collision.pairs:
         meter = DistanceMeter(rules.collision)
-        least = np.array([meter.measure(q).values.min() for q in motion.q])
-        curve = {"external": (times, 1000 * least)}
-        panels.append(Panel("least distance of bodies [mm]", curve, "time [s]"))
+        left = np.array([(meter.measure(q).values - rules.clearance).min() for q in motion.q])
+        curve = {"external": (times, 1000 * left)}
+        panels.append(Panel("left of clearances [mm]", curve, "time [s]"))
     return {
         "id": "limits",
         "title": "What it leaves of its limits",
@@ -163,7 +168,7 @@ def _allowed(found: Excitation) -> str:
     said = f"{rules.margin:.0%} of each limit may be used."
     if rules.collision is not None and rules.collision.pairs:
         least = 1000 * float(rules.clearance.max())
-        said += f" Distances are of shapes that no joint joins; {least:g} mm have to be kept."
+        said += f" Distances are of shapes that no joint joins; {least:g} mm are to be kept."
     return " ".join([said, *rules.notes])
 
 

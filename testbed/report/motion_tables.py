@@ -42,7 +42,9 @@ def print_excitation(console: Console, found: Excitation, out: Path) -> None:
 
 def _promise(found: Excitation) -> str:
     text = f"predicted: rms relative sigma {found.predicted.rms:.3g}"
-    if found.random_predicted is not None and found.gain is not None:
+    if found.random_predicted is None or found.gain is None:
+        text += "; no random motion could be proven, to compare with"
+    else:
         candidates = found.experiment.motion.candidates
         text += (
             f", {found.gain:.2f} times smaller than the best of {candidates} random motions "
