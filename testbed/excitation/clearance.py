@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -59,6 +58,13 @@ class DistanceMeter:
         self._data = mujoco.MjData(collision.model)
         self._points = np.zeros(6)
         self._jacobian = np.zeros((2, 3, collision.model.nv))
+        nothing = np.zeros((2, 0), dtype=np.int64)
+        self._first, self._second = np.concatenate([nothing, *collision.geoms], axis=1)
+        counts = [geoms.shape[1] for geoms in collision.geoms]
+        self._start = np.cumsum([0, *counts])
+        radius, kind = collision.model.geom_rbound, collision.model.geom_type
+        self._radii = radius[self._first] + radius[self._second]
+        self._planes = np.flatnonzero(kind[self._first] == int(mujoco.mjtGeom.mjGEOM_PLANE))
 
     def measure(
         self, q: Array, pairs: NDArray[np.bool_] | None = None, *, slopes: bool = False
@@ -75,33 +81,39 @@ class DistanceMeter:
         mujoco.mj_kinematics(model, data)
         if slopes:
             mujoco.mj_comPos(model, data)  # which Jacobians need
-        least = self._least_of_pairs()
+        every = self._least()
+        least = np.full(0, self._far)
+        if len(every):
+            least = np.minimum.reduceat(every, self._start[:-1])
         values, found = np.full(len(least), self._far), np.zeros((len(least), len(q)))
-        for k in np.flatnonzero(
-            least < self._far if pairs is None else pairs & (least < self._far)
-        ):
-            values[k], nearest = self._pair(collision.geoms[k])
+        near = least < self._far
+        for k in np.flatnonzero(near if pairs is None else pairs & near).tolist():
+            values[k], nearest = self._pair(k, every[self._start[k] : self._start[k + 1]])
             least[k] = values[k]
             if slopes and nearest is not None:
                 found[k] = self._slope(values[k], nearest)
         return Distances(values, found, least)
 
-    def _pair(self, geoms: NDArray[np.int64]) -> tuple[float, NDArray[np.int64] | None]:
-        """Distance of two bodies, and the shapes that are nearest; their points are kept."""
+    def _pair(self, pair: int, least: Array) -> tuple[float, tuple[int, int] | None]:
+        """Distance of two bodies, and the shapes that are nearest; their points are kept.
+
+        Args:
+            pair: Its number.
+            least: Bounds from below for its pairs of shapes.
+        """
         best, nearest, kept = self._far, None, self._points
-        least = self._least(geoms)
-        for k in np.argsort(least):
+        geoms, points = self.collision.geoms[pair], np.zeros(6)
+        for k in np.argsort(least).tolist():
             if least[k] >= best:
                 break
-            points = np.zeros(6)
-            a, b = (int(each) for each in geoms[:, k])
+            a, b = geoms[:, k].tolist()
             found = mujoco.mj_geomDistance(self.collision.model, self._data, a, b, best, points)
             if found < best:
-                best, nearest, kept = found, geoms[:, k], points
+                best, nearest, kept = found, (a, b), points.copy()
         self._points = kept
         return best, nearest
 
-    def _slope(self, distance: float, geoms: NDArray[np.int64]) -> Array:
+    def _slope(self, distance: float, geoms: tuple[int, int]) -> Array:
         """Derivative of a distance: how its two points move along the line between them."""
         here, there = self._points[:3], self._points[3:]
         length = float(np.linalg.norm(there - here))
@@ -113,31 +125,13 @@ class DistanceMeter:
         found = along @ (self._jacobian[1] - self._jacobian[0])
         return np.asarray(found[self.collision.order])
 
-    def _least(self, geoms: NDArray[np.int64]) -> Array:
-        """Bounds of distances from below: by spheres around the shapes, (k,)."""
-        model, x = self.collision.model, self._data.geom_xpos
-        radius = model.geom_rbound
-        a, b = geoms
-        apart = np.linalg.norm(x[a] - x[b], axis=-1) - radius[a] - radius[b]
-        above = x[b, 2] - x[a, 2] - radius[b]
-        return np.asarray(np.where(self._planes[a], above, apart))
-
-    def _least_of_pairs(self) -> Array:
-        """The same for all pairs of bodies."""
-        every = self._least(self._all_geoms)
-        return np.minimum.reduceat(every, self._first) if len(every) else np.zeros(0)
-
-    @cached_property
-    def _all_geoms(self) -> NDArray[np.int64]:
-        return np.concatenate([np.zeros((2, 0), dtype=np.int64), *self.collision.geoms], axis=1)
-
-    @cached_property
-    def _first(self) -> NDArray[np.int64]:
-        return np.cumsum([0, *(geoms.shape[1] for geoms in self.collision.geoms)])[:-1]
-
-    @cached_property
-    def _planes(self) -> NDArray[np.bool_]:
-        return np.asarray(self.collision.model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE))
+    def _least(self) -> Array:
+        """Bounds of all distances from below: by spheres around the shapes."""
+        x, first, second = self._data.geom_xpos, self._first, self._second
+        away = x[second] - x[first]
+        found = np.sqrt(np.einsum("ka,ka->k", away, away)) - self._radii
+        found[self._planes] = away[self._planes, 2] - self._radii[self._planes]
+        return np.asarray(found)
 
 
 class ClearanceTerm:
