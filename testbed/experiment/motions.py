@@ -8,7 +8,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import InfeasibleMotion
+from testbed.errors import ExperimentError, InfeasibleMotion
 from testbed.excitation.clearance import Watched, watched
 from testbed.excitation.collision_model import Obstacle, collision_model
 from testbed.excitation.fourier import Fourier
@@ -29,6 +29,9 @@ QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""
 
 
+FAST = 10
+"""Samples of the fastest harmonic that a controller needs."""
+
 HANGS = 0.1
 """Part of a robot's reach by which its joints may lie below its floor."""
 
@@ -42,7 +45,7 @@ def motion_of(experiment: Experiment, tree: Tree) -> Fourier:
 
     Raises:
         InfeasibleMotion: The file's motion exceeds a limit, or no random one respects all.
-        ExperimentError: The file is none, or of another robot.
+        ExperimentError: The file is none, of another robot, or too fast for the controller.
     """
     table = experiment.motion
     if table.file:
@@ -71,6 +74,12 @@ def _of_file(experiment: Experiment, tree: Tree) -> Fourier:
     """A file's motion, proven again: robot and limits may be others than it was made for."""
     path = Path(experiment.motion.file)
     motion = read_motion(path).motion_for(tree)
+    fastest, rate = motion.fundamental * motion.harmonics, experiment.measurement.rate
+    if FAST * fastest > rate:
+        raise ExperimentError(
+            f"{path}: a motion of up to {fastest:g} Hz is too fast for measurement.rate = {rate:g} "
+            "Hz"
+        )
     proof = prove(motion, rules_of(experiment, tree, designed=True))
     if not proof.holds:
         raise InfeasibleMotion(f"{path} does not suit this experiment: {proof.worst.words}")

@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.motions import motion_of
+from testbed.experiment.motions import FAST, motion_of
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.passes import Progress
@@ -144,13 +144,13 @@ def _check_rates(experiment: Experiment) -> None:
             f"simulation.bandwidth = {experiment.simulation.bandwidth:g} rad/s is too fast for a "
             f"controller at measurement.rate = {rate:g} Hz; lower it to {rate / 2:g} or less"
         )
-    if 10 * motion.fundamental * motion.harmonics > rate:
+    if not motion.file and FAST * motion.fundamental * motion.harmonics > rate:
         raise ExperimentError(
             f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
             f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
         )
     periods = motion.fundamental * motion.duration
-    if periods < LEAST_PERIODS:
+    if not motion.file and periods < LEAST_PERIODS:
         raise ExperimentError(
             f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of "
             "motion.fundamental: the robot would hardly move"

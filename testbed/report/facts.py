@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 
@@ -59,11 +61,7 @@ def _of_experiment(experiment: Experiment) -> Facts:
     motion, plate, plant = experiment.motion, experiment.measurement, experiment.simulation
     errors = ", ".join(f"{k} {v:+.0%}" for k, v in plate.torque_constant_error.items())
     return [
-        (
-            "motion",
-            f"{motion.duration:g} s, repeats at {motion.fundamental:g} Hz with {motion.harmonics} "
-            f"harmonics, the best of {motion.candidates}",
-        ),
+        ("motion", _motion(motion)),
         (
             "encoders",
             f"{plate.rate:g} samples a second, resolution {plate.encoder_resolution:g}, noise "
@@ -121,3 +119,12 @@ def origin(run: Run) -> Facts:
         facts.append(("seed", str(run.experiment.seed)))
         facts.append(("again", "testbed run experiment.toml, with the file of the run folder"))
     return facts
+
+
+def _motion(motion: MotionTable) -> str:
+    if motion.file:
+        return f"{motion.duration:g} s of the one in {Path(motion.file).name}"
+    return (
+        f"{motion.duration:g} s, repeats at {motion.fundamental:g} Hz with {motion.harmonics} "
+        f"harmonics, the best of {motion.candidates}"
+    )

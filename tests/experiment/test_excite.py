@@ -66,6 +66,9 @@ def test_a_file_s_motion_is_proven_again(found: Excitation, tmp_path: Path) -> N
     slower = asked("puma", f'motion.file="{file}"', "motion.max_velocity={waist=0.2}")
     with pytest.raises(InfeasibleMotion, match="velocity of 'waist': exceeded by .* at t = "):
         motion_of(slower, robot_of(slower))
+    coarse = asked("puma", f'motion.file="{file}"', "measurement.rate=5", "simulation.bandwidth=2")
+    with pytest.raises(ExperimentError, match="too fast for measurement.rate = 5 Hz"):
+        motion_of(coarse, robot_of(coarse))
     other = asked("ur5", f'motion.file="{file}"')
     with pytest.raises(ExperimentError, match="moves waist, shoulder, elbow; the robot has"):
         motion_of(other, robot_of(other))
