@@ -94,6 +94,9 @@ def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
         tree: Its robot.
         designed: Whether the motion is made for this plate; a random one may use all of the
             limits, and the plate's ranges only where they are said.
+
+    Raises:
+        ExperimentError: Obstacles are given, and the model file has no shapes to keep clear.
     """
     table, motion = experiment.excitation, experiment.motion
     limits = limits_of(tree, motion.max_velocity, motion.max_acceleration)
@@ -121,6 +124,11 @@ def _surroundings(
     table, model = experiment.excitation, model_of(experiment)
     drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
     if not any(shape.body >= 0 for shape in drawn.shapes):
+        if table.obstacle:
+            raise ExperimentError(
+                f"{model.path} has no shapes: whether it keeps clear of excitation.obstacle cannot "
+                "be told; give the file collision or visual geometry"
+            )
         return None, ("the model file has no shapes: nothing is known of collisions",)
     boxes = [Obstacle(np.array(o.centre), np.array(o.size) / 2) for o in table.obstacle]
     floor = None if isinstance(table.floor, str) else table.floor

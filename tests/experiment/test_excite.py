@@ -145,6 +145,13 @@ def test_random_motions_keep_clear_of_a_box() -> None:
         motion_of(asked("puma", "motion.candidates=2", everywhere), tree)
 
 
+def test_obstacles_need_shapes_that_keep_clear() -> None:
+    box = "excitation.obstacle=[{centre=[0.5, 0.0, 1.0], size=[0.3, 0.3, 0.3]}]"
+    bare = asked("gantry", box)
+    with pytest.raises(ExperimentError, match="has no shapes"):
+        motion_of(bare, robot_of(bare))
+
+
 def test_frequencies_are_within_the_band() -> None:
     for low, high, most in ((0.1, 1.6, 8), (0.2, 1.0, 5), (0.05, 0.5, 3)):
         settings = [
