@@ -23,6 +23,7 @@ from testbed.parameters.prior import prior_of
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
 from tests.helpers.measured import measured
+from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import random_robot, random_states
@@ -202,7 +203,7 @@ def prediction(seed: int) -> dict[str, Any]:
             if ending == "urdf":
                 theirs = by_pinocchio(path.read_text(), wanted, states).forces
             else:
-                theirs = _inverse(path, wanted, states)
+                theirs = by_mj_inverse(path, wanted, states)
                 ours = ours + _losses(wanted, states[1])
             gaps[ending] = float(f"{np.abs(theirs - ours).max() / np.abs(ours).max():.1e}")
     return {
@@ -215,17 +216,3 @@ def prediction(seed: int) -> dict[str, Any]:
 def _losses(tree: tb.Tree, speed: Array) -> Array:
     """Of the joints, as mj_inverse counts them: damping; rotors are in the masses."""
     return np.asarray(speed * np.array([joint.viscous for joint in tree.joints]))
-
-
-def _inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:
-    """Joint forces by mj_inverse, friction aside, which needs the solver's velocities."""
-    model = mujoco.MjModel.from_xml_path(str(path))
-    model.dof_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    at = [int(model.joint(name).qposadr[0]) for name in tree.names]
-    found = []
-    for q, qd, qdd in zip(*states, strict=True):
-        data.qpos[at], data.qvel[at], data.qacc[at] = q, qd, qdd
-        mujoco.mj_inverse(model, data)
-        found.append(data.qfrc_inverse[at].copy())
-    return np.array(found)

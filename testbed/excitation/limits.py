@@ -42,6 +42,16 @@ class Limits:
             object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
 
     @property
+    def middle(self) -> Array:
+        """Of the ranges of positions, (n,) [rad or m]."""
+        return (self.low + self.high) / 2
+
+    @property
+    def half(self) -> Array:
+        """Half the ranges of positions, (n,) [rad or m]."""
+        return (self.high - self.low) / 2
+
+    @property
     def home(self) -> Array:
         """The posture of zeros, or what is nearest to it within the limits, (n,) [rad or m]."""
         return np.clip(np.zeros(len(self.low)), self.low, self.high)
@@ -91,9 +101,8 @@ def motor_efforts(tree: Tree, motion: Motion) -> Array:
 
 def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:
     """Share of each limit that a motion uses, (n,) each; above 1 it is exceeded."""
-    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
     return {
-        "position": np.abs(motion.q - middle).max(axis=0) / half,
+        "position": np.abs(motion.q - limits.middle).max(axis=0) / limits.half,
         "velocity": np.abs(motion.qd).max(axis=0) / limits.velocity,
         "acceleration": np.abs(motion.qdd).max(axis=0) / limits.acceleration,
         "effort": np.abs(motor_efforts(tree, motion)).max(axis=0) / limits.effort,

@@ -173,13 +173,13 @@ def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
     """Positions, velocities, accelerations."""
     limits = rules.limits
     count = max(spans_of(motion.period), DENSE * motion.harmonics)
-    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
     slack = np.cos(np.pi * motion.harmonics / count)
     times = np.arange(count) * motion.period / count
     kinds = ("position", "velocity", "acceleration")
-    centres = (middle, np.zeros_like(middle), np.zeros_like(middle))
+    still = np.zeros(rules.tree.n)
+    centres = (limits.middle, still, still)
     found = []
-    for order, largest in enumerate((half, limits.velocity, limits.acceleration)):
+    for order, largest in enumerate((limits.half, limits.velocity, limits.acceleration)):
         share = np.abs(motion.derivative(times, order) - centres[order]) / largest
         for name, used in zip(rules.tree.names, share.T, strict=True):
             worst = int(used.argmax())

@@ -15,6 +15,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
+from testbed.excitation.information import relative_scale
 from testbed.excitation.limits import Limits, usage
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.parameters.barycentric import barycentric
@@ -26,7 +27,6 @@ MARGIN = 0.95
 
 _CHECK = 500  # samples of a period on which limits are checked
 _SCORE = 100  # samples of a period on which a motion is scored
-_SMALL = 0.05  # parameters below this share of the largest of their unit count as that large
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
 """Of the swing of random motions, tried one after the other until one can be proven."""
@@ -48,8 +48,7 @@ class Draw:
 
     def sized(self, share: float) -> Fourier:
         """The motion with a share of its swing, as near to its wish as the limits allow."""
-        low, high = self.limits.low, self.limits.high
-        middle, half = (low + high) / 2, (high - low) / 2
+        middle, half = self.limits.middle, self.limits.half
         times = np.linspace(0, self.motion.period, _CHECK, endpoint=False)
         swing = np.abs(self.motion.derivative(times, 0)).max(axis=0)
         room = MARGIN * half - share * swing  # how far the offset may stray from the middle
@@ -69,11 +68,10 @@ def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Gen
     """
     n, decay = len(limits.low), 1 / np.arange(1, harmonics + 1)
     sine, cosine = (rng.normal(size=(n, harmonics)) * decay for _ in range(2))
-    middle, half = (limits.low + limits.high) / 2, (limits.high - limits.low) / 2
-    wish = middle + rng.uniform(-0.5, 0.5, n) * half
+    wish = limits.middle + rng.uniform(-0.5, 0.5, n) * limits.half
     times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
     shape = Fourier(fundamental, np.zeros(n), sine, cosine)
-    largest = (half, limits.velocity, limits.acceleration)
+    largest = (limits.half, limits.velocity, limits.acceleration)
     room = [
         limit / np.abs(shape.derivative(times, order)).max(axis=0)
         for order, limit in enumerate(largest)
@@ -174,11 +172,8 @@ def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Arra
     """
     times = np.linspace(0, motion.period, _SCORE, endpoint=False)
     phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
-    delta = np.abs(minimal.values(barycentric(tree)))
-    for unit in set(minimal.units):
-        same = np.array([u == unit for u in minimal.units])
-        delta[same] = np.maximum(delta[same], _SMALL * delta[same].max())
-    scaled = phi.reshape(-1, minimal.count) * delta
+    scale = relative_scale(minimal, minimal.values(barycentric(tree)))
+    scaled = phi.reshape(-1, minimal.count) * scale
     spread = np.linalg.svd(scaled, compute_uv=False)
     if spread[-1] <= 1e-12 * spread[0]:
         return float("inf")

@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.kernel import numba_engine
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Signals, Work
 from testbed.parameters.barycentric import barycentric
@@ -37,6 +36,8 @@ class SampledRows:
 
     def slots(self, q: Array, qd: Array, qdd: Array) -> Array:
         """All slots, (slots, M), of a motion of M samples, (M, n) each."""
+        from testbed.kernel import numba_engine  # a second to import: random motions do not need it
+
         samples = len(q)
         signals = Signals(
             position=q,

@@ -53,22 +53,12 @@ class Series:
         """Unknowns p of a joint."""
         return 2 * self.harmonics + 1
 
-    @property
-    def middle(self) -> Array:
-        """Of the ranges, (n,) [rad or m]."""
-        return (self.limits.low + self.limits.high) / 2
-
-    @property
-    def half(self) -> Array:
-        """Half the ranges, (n,) [rad or m]."""
-        return (self.limits.high - self.limits.low) / 2
-
     @cached_property
     def units(self) -> Array:
         """What an unknown of one is as a coefficient, (n, p) [rad or m]."""
         pulses = 2 * np.pi * self.fundamental * np.arange(1, self.harmonics + 1)
         swing = np.tile(self.limits.velocity[:, None] / pulses, 2)
-        return np.hstack([self.half[:, None], np.minimum(swing, self.half[:, None])])
+        return np.hstack([self.limits.half[:, None], np.minimum(swing, self.limits.half[:, None])])
 
     @cached_property
     def motion_of(self) -> Array:
@@ -79,14 +69,14 @@ class Series:
     @cached_property
     def linear(self) -> Array:
         """Shares of position, velocity and acceleration limits, (n, 3 G, p), the middle aside."""
-        limit = np.stack([self.half, self.limits.velocity, self.limits.acceleration], axis=1)
+        limit = np.stack([self.limits.half, self.limits.velocity, self.limits.acceleration], axis=1)
         return (self.motion_of / limit[:, :, None, None]).reshape(self.joints, -1, self.width)
 
     @cached_property
     def linear_offset(self) -> Array:
         """What the middle of the ranges takes off them, (n, 3 G)."""
         found = np.zeros((self.joints, 3, self.instants))
-        found[:, 0] = (self.middle / self.half)[:, None]
+        found[:, 0] = (self.limits.middle / self.limits.half)[:, None]
         return found.reshape(self.joints, -1)
 
     @property

@@ -91,7 +91,7 @@ def excite(
     with one_blas_thread():
         found = design(wish, relative, interrupted)
         forecast = _forecaster(experiment, wish)
-        random = _random(experiment, tree)
+        random = _random(experiment, tree, wish.rules)
         return Excitation(
             experiment=experiment,
             tree=tree,
@@ -197,10 +197,10 @@ def _forecaster(experiment: Experiment, wish: Wish) -> Callable[[Fourier], Predi
     return forecast
 
 
-def _random(experiment: Experiment, tree: Tree) -> Fourier | None:
+def _random(experiment: Experiment, tree: Tree, rules: Rules) -> Fourier | None:
     """What the experiment would run without a design."""
     motion = experiment.motion.model_copy(update={"file": ""})
     try:
-        return motion_of(experiment.model_copy(update={"motion": motion}), tree)
+        return motion_of(experiment.model_copy(update={"motion": motion}), tree, rules)
     except TestbedError:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,12 +37,13 @@ HANGS = 0.1
 """Part of a robot's reach by which its joints may lie below its floor."""
 
 
-def motion_of(experiment: Experiment, tree: Tree) -> Fourier:
+def motion_of(experiment: Experiment, tree: Tree, like: Rules | None = None) -> Fourier:
     """The motion that an experiment runs, proven to respect its limits.
 
     Args:
         experiment: Names a motion file, or how random motions are drawn.
         tree: Its robot.
+        like: Rules of the same experiment that have been made: their shapes are taken over.
 
     Raises:
         InfeasibleMotion: The file's motion exceeds a limit, or no random one respects all.
@@ -50,7 +52,7 @@ def motion_of(experiment: Experiment, tree: Tree) -> Fourier:
     table = experiment.motion
     if table.file:
         return _of_file(experiment, tree)
-    rules = rules_of(experiment, tree, designed=False)
+    rules = rules_of(experiment, tree, designed=False, like=like)
     zeros = experiment.identification.zeros
     motion, _ = best_motion(
         rules,
@@ -86,7 +88,9 @@ def _of_file(experiment: Experiment, tree: Tree) -> Fourier:
     return motion
 
 
-def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
+def rules_of(
+    experiment: Experiment, tree: Tree, *, designed: bool, like: Rules | None = None
+) -> Rules:
     """What a motion of an experiment's robot must respect.
 
     Args:
@@ -94,6 +98,7 @@ def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
         tree: Its robot.
         designed: Whether the motion is made for this plate; a random one may use all of the
             limits, and the plate's ranges only where they are said.
+        like: Rules of the same experiment that have been made: their shapes are taken over.
 
     Raises:
         ExperimentError: Obstacles are given, and the model file has no shapes to keep clear.
@@ -109,6 +114,8 @@ def rules_of(experiment: Experiment, tree: Tree, *, designed: bool) -> Rules:
         terms.append(PlateTerm(PlateRange(wrench, area), pedestal_wrench(tree), margin))
     if np.isfinite(limits.effort).any():
         terms.append(EffortTerm(tree, limits, margin))
+    if like is not None:
+        return replace(like, margin=margin, terms=tuple(terms))
     if isinstance(table.clearance, str):
         return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0))
     seen, notes = _surroundings(experiment, tree, limits, table.clearance)

@@ -9,7 +9,7 @@ Source    [WKS18] for the condition, [LWP20] for the distance
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from testbed.identification.consistent_program import Scaled, scaled, solve
 from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
-from testbed.identification.stated import Stated
+from testbed.identification.stated import Stated, stated
 from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior
@@ -251,15 +251,7 @@ def stated_by(found: Consistent, estimate: Estimate) -> Stated:
         estimate: With its residuals.
     """
     own = next(each for each in found.bent if each.method == estimate.method)
-    return Stated(
-        method=estimate.method,
-        names=estimate.names,
-        values=own.values,
-        covariance=own.covariance,
-        gravity=estimate.gravity,
-        residual=estimate.residual,
-        nuisances={each.name: each.value for each in estimate.nuisances},
-    )
+    return replace(stated(estimate), values=own.values, covariance=own.covariance)
 
 
 def _doubt(problem: Scaled, z: Array, metric: Metric, weight: float) -> tuple[Array, Array]:

@@ -127,12 +127,8 @@ def _limit_figure(found: Excitation) -> dict[str, Any]:
     rules, times = found.rules, _times(found)
     motion = found.design.motion.at(times)
     here = Computed(found.tree, motion)
-    middle, half = (
-        (rules.limits.low + rules.limits.high) / 2,
-        (rules.limits.high - rules.limits.low) / 2,
-    )
     kinds = (
-        ("position", np.abs(motion.q - middle) / half),
+        ("position", np.abs(motion.q - rules.limits.middle) / rules.limits.half),
         ("velocity", np.abs(motion.qd) / rules.limits.velocity),
         ("acceleration", np.abs(motion.qdd) / rules.limits.acceleration),
     )

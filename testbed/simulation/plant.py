@@ -73,7 +73,7 @@ def check_plant(plant: Plant, tree: Tree, path: Path) -> None:
     """
     rng = np.random.default_rng(0)
     limits = limits_of(tree)
-    q = (limits.low + limits.high) / 2 + rng.uniform(-0.1, 0.1, tree.n) * (limits.high - limits.low)
+    q = limits.middle + rng.uniform(-0.1, 0.1, tree.n) * (limits.high - limits.low)
     qd = _SPEED * rng.choice([-1.0, 1.0], tree.n) * rng.uniform(0.5, 1.0, tree.n)
     data = mujoco.MjData(plant.model)
     data.qpos[plant.order], data.qvel[plant.order] = q, qd

@@ -12,7 +12,6 @@ import pinocchio as pin
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.robot.friction import drive_torque
 from testbed.robot.inertia import Inertia
@@ -20,6 +19,7 @@ from testbed.robot.links import Fixed
 from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
+from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import random_robot, random_states
@@ -130,19 +130,6 @@ def test_torques_of_the_written_file_in_other_engines(tmp_path: Path) -> None:
 
 
 FREE_OF_DRY = {f"j{k}": {"coulomb": 0.0} for k in range(1, 7)}
-
-
-def by_mj_inverse(path: Path, tree: tb.Tree, states: tuple[Array, ...]) -> Array:
-    model = mujoco.MjModel.from_xml_path(str(path))
-    model.dof_frictionloss[:] = 0.0
-    data = mujoco.MjData(model)
-    at = [int(model.joint(name).qposadr[0]) for name in tree.names]
-    found = []
-    for q, qd, qdd in zip(*states, strict=True):
-        data.qpos[at], data.qvel[at], data.qacc[at] = q, qd, qdd
-        mujoco.mj_inverse(model, data)
-        found.append(data.qfrc_inverse[at].copy())
-    return np.asarray(found, dtype=float)
 
 
 CARRYING = """<?xml version='1.0'?>\r
