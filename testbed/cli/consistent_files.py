@@ -101,12 +101,14 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
+        from testbed.identification.counted import open_counted
         from testbed.identification.prior_choice import consistent_by_held_out
 
         tree, wishes = reading.tree(model), reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
-        return consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
+        part = open_counted(source, reading.tables().identification)
+        return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recording: Path

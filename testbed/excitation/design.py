@@ -2,7 +2,8 @@
 
 Several searches from random motions inside all limits, each with one of the frequencies that are
 allowed; the best result that can be proven. A proof that fails by a little between the samples of
-the search is had by a slightly smaller swing.
+the search is had by a slightly smaller swing; by more, from a search with more samples and more
+room, which goes on from there.
 """
 
 from __future__ import annotations
@@ -33,8 +34,12 @@ DRAWS = 60
 """Random motions tried for a start inside the limits."""
 SHARES = 0.8 ** np.arange(1, 16)
 """Of their swing, largest first."""
-SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98, 0.96, 0.93, 0.88, 0.8)
-"""Shares of the swing for which a proof is tried."""
+SMALLER = (1.0, 0.998, 0.995, 0.99, 0.98)
+"""Shares of the swing for which a proof is tried before anything else."""
+MUCH_SMALLER = (0.96, 0.93, 0.88, 0.8)
+"""Shares that are tried in the end."""
+FINER = (2, 4)
+"""Times as many samples, and as much room, in a search that goes on where a proof failed."""
 ROOM, LEAST_ROOM = 0.25, 2e-4
 """What a search keeps beyond the clearance that is to be proven: a share of it, at least [m]."""
 INSTANTS, DENSITY = 80, 16
@@ -131,7 +136,8 @@ def design(
         found.append((value, series.motion(reached.x)))
         records.append(SearchRecord(series.fundamental, series.harmonics, start, value))
         clock.finish(value)
-    motion, proof = _proven(wish, [each for _, each in sorted(found, key=lambda pair: pair[0])])
+    best_first = [each for _, each in sorted(found, key=lambda pair: pair[0])]
+    motion, proof = _proven(wish, best_first, lambda value: clock.over)
     return Design(motion, criterion(wish, motion), proof, tuple(records), not clock.late)
 
 
@@ -151,10 +157,15 @@ class _Clock:
         self._best, self._done = np.inf, 0
         self.late = False
 
+    @property
+    def over(self) -> bool:
+        """Whether the time is up, or somebody has interrupted."""
+        return self._interrupted() or time.monotonic() > self._end
+
     def step(self, level: float, value: float) -> bool:
         """Whether a search that has reached a value, above a level, must stop."""
         self._watch(self._done, self._starts, min(self._best, level + value))
-        self.late = self._interrupted() or time.monotonic() > self._end
+        self.late = self.over
         return self.late
 
     def finish(self, value: float) -> None:
@@ -163,14 +174,14 @@ class _Clock:
         self._watch(self._done, self._starts, self._best)
 
 
-def _problem(wish: Wish, fundamental: float, harmonics: int) -> Problem:
-    """The search with these frequencies."""
+def _problem(wish: Wish, fundamental: float, harmonics: int, finer: int = 1) -> Problem:
+    """The search with these frequencies, with so many times the usual samples and room."""
     rules = wish.rules
     terms: list[LimitTerm] = list(rules.terms)
     if rules.collision is not None and rules.collision.pairs:
-        room = np.maximum(ROOM * rules.clearance, LEAST_ROOM)
+        room = finer * np.maximum(ROOM * rules.clearance, LEAST_ROOM)
         terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance + room))
-    instants = max(INSTANTS, DENSITY * harmonics)
+    instants = finer * max(INSTANTS, DENSITY * harmonics)
     asked = wish.information
     return Problem(
         series=Series(rules.limits, fundamental, harmonics, instants, rules.margin),
@@ -223,20 +234,48 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
     )
 
 
-def _proven(wish: Wish, motions: Sequence[Fourier]) -> tuple[Fourier, Proof]:
-    """The first motion that can be proven, if need be a little smaller.
+def _proven(
+    wish: Wish, motions: Sequence[Fourier], stop: Callable[[float], bool]
+) -> tuple[Fourier, Proof]:
+    """The first motion that can be proven: refined if need be, or a little smaller.
 
     Raises:
         InfeasibleMotion: None can be.
     """
     proof: Proof | None = None
     for motion in motions:
-        for share in SMALLER:
-            smaller = motion.scaled(share, motion.offset)
-            proof = prove(smaller, wish.rules)
+        tried = motion
+        for finer in (*FINER, 0):
+            smaller, proof = _smaller(wish, tried, SMALLER)
             if proof.holds:
                 return smaller, proof
+            if finer:
+                tried = _refined(wish, tried, finer, stop)
+        smaller, proof = _smaller(wish, tried, MUCH_SMALLER)
+        if proof.holds:
+            return smaller, proof
     assert proof is not None
     raise InfeasibleMotion(
         f"a motion was found, but not proven between its samples: {proof.worst.words}"
     )
+
+
+def _smaller(wish: Wish, motion: Fourier, shares: Sequence[float]) -> tuple[Fourier, Proof]:
+    """The motion with the largest of some shares of its swing that is proven, else the least."""
+    for share in shares:
+        smaller = motion.scaled(share, motion.offset)
+        proof = prove(smaller, wish.rules)
+        if proof.holds:
+            break
+    return smaller, proof
+
+
+def _refined(wish: Wish, motion: Fourier, finer: int, stop: Callable[[float], bool]) -> Fourier:
+    """What a finer search makes of a motion; the motion where that has no start inside limits."""
+    problem = _problem(wish, motion.fundamental, motion.harmonics, finer)
+    shrunk = (motion.scaled(share, motion.offset) for share in (*SMALLER, *MUCH_SMALLER))
+    starts = (problem.series.unknowns(each) for each in shrunk)
+    inside = next((x for x in starts if problem.inside(x).holds), None)
+    if inside is None:
+        return motion
+    return problem.series.motion(minimise(problem, inside, stop=stop).x)

@@ -73,6 +73,10 @@ class Fourier:
         """The motion at times t, (M,) [s]; derivatives are exact."""
         return Motion(t, *(self.derivative(t, order) for order in range(3)))
 
+    def place(self, t: Array) -> Array:
+        """Where on its path at times t, (M,), as a time [s]: it runs through it as it is."""
+        return t
+
     def scaled(self, share: float, rest: Array) -> Fourier:
         """The same motion, smaller, about a posture, (n,): share 0 stays there."""
         offset = rest + share * (self.offset - rest)

@@ -44,7 +44,7 @@ class Start:
     def derivative(self, t: Array, order: int) -> Array:
         """A derivative of the positions, of order 0 to 4, at times t, (M, n)."""
         rates = [self._rate(t, k)[:, None] for k in range(order)]
-        place = self._place(t)
+        place = self.place(t)
         parts = [self.motion.derivative(place, k) for k in range(order + 1)]
         return _chain(parts, rates, order)
 
@@ -61,6 +61,10 @@ class Start:
         back = Fourier(motion.fundamental, motion.offset, -motion.sine, motion.cosine)
         return Start(back, self.duration)
 
+    def place(self, t: Array) -> Array:
+        """Where on the path at times t, as a time of the motion, not after 0 [s]."""
+        return np.asarray(self.duration * (_RATE.integ()(t / self.duration) - 0.5))
+
     @cached_property
     def _largest(self) -> Array:
         """Bounds of the motion's own derivatives of order 0 to 5, (6, n)."""
@@ -71,13 +75,69 @@ class Start:
         found[0] += np.abs(motion.offset)
         return np.stack(found)
 
-    def _place(self, t: Array) -> Array:
-        """Where on the path, as a time of the motion [s]."""
-        return np.asarray(self.duration * (_RATE.integ()(t / self.duration) - 0.5))
-
     def _rate(self, t: Array, order: int) -> Array:
         """The rate at which the path is run, or a derivative of it [1/s^order]."""
         return np.asarray(_RATE.deriv(order)(t / self.duration) / self.duration**order)
+
+
+@dataclass(frozen=True, eq=False)
+class RestToRest:
+    """Whole periods of a motion between two rests; t = 0 is where the periodic part begins.
+
+    Attributes:
+        start: The way into the motion; the way out is its mirror image.
+        periods: Of the motion between.
+    """
+
+    start: Start
+    periods: int
+
+    @property
+    def period(self) -> float:
+        """Of the motion [s]."""
+        return self.start.motion.period
+
+    @property
+    def end(self) -> float:
+        """Of the periodic part [s]."""
+        return self.periods * self.period
+
+    def at(self, t: Array) -> Motion:
+        """The motion at times t, (M,) [s]; at rest before and after all of it."""
+        into, out = self._sides(t)
+        before, after = t < 0, t > self.end
+        parts = [self.start.motion.derivative(t, order) for order in range(3)]
+        back = self.start.backwards
+        for order, part in enumerate(parts):
+            part[before] = self.start.derivative(into[before], order)
+            part[after] = (-1) ** order * back.derivative(out[after], order)
+        return Motion(t, *parts)
+
+    def place(self, t: Array) -> Array:
+        """Where on the motion's path, (M,), as a time of the motion [s]."""
+        into, out = self._sides(t)
+        beyond = np.where(t > self.end, self.end - self.start.place(out), t)
+        return np.where(t < 0, self.start.place(into), beyond)
+
+    def _sides(self, t: Array) -> tuple[Array, Array]:
+        """Times of the start and of its mirror image, (M,) each [s]."""
+        lead = self.start.duration
+        return np.clip(t + lead, 0, lead), np.clip(self.end + lead - t, 0, lead)
+
+
+def rest_to_rest(motion: Fourier, rules: Rules, duration: float) -> RestToRest:
+    """A proven motion with a proven start and end, as many periods as come nearest to a time.
+
+    Args:
+        motion: A proven periodic motion.
+        rules: What it respects.
+        duration: Wished for the periodic part [s].
+
+    Raises:
+        InfeasibleMotion: The robot cannot rest where the motion begins.
+    """
+    start, _ = start_of(motion, rules)
+    return RestToRest(start, max(1, round(duration / motion.period)))
 
 
 def start_of(motion: Fourier, rules: Rules) -> tuple[Start, list[Margin]]:

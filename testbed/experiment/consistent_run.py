@@ -13,6 +13,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, root_mean_square
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.consistency import Consistent
+from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.identify import identify
 from testbed.identification.prior_choice import consistent_by_held_out
@@ -60,7 +61,7 @@ def with_consistent(run: Run) -> Run:
         return identify(run.tree, part, method, settings=run.settings)
 
     estimates = list(run.estimates.values())
-    blind = run.recording.blind()
+    blind = open_counted(run.recording.blind(), run.settings)
     try:
         found = consistent_by_held_out(run.tree, estimates, prior, wishes, blind, identified)
     except TestbedError as error:

@@ -112,6 +112,9 @@ class MotionTable(Table):
     `fundamental`, `harmonics` and `candidates` do not count."""
     duration: Positive = 60.0
     """Of the recording [s]."""
+    at_rest: bool = False
+    """The robot sets out from rest and comes to rest along the motion's own path, proven as well.
+    Both are recorded; the whole periods between, nearest to `duration`, are for the estimate."""
     fundamental: Positive = 0.1
     """Frequency at which the motion repeats [Hz]."""
     harmonics: Annotated[int, Field(ge=1, le=100)] = 5

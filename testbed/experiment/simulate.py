@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +10,21 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ExperimentError
+from testbed.excitation.rest_to_rest import rest_to_rest
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.motions import FAST, motion_of
+from testbed.experiment.motions import FAST, motion_of, rules_of
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.passes import Progress
 from testbed.instruments.chain import measure
 from testbed.instruments.stage import stream
+from testbed.recordings.checks import COUNTED
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
+from testbed.simulation.controller import Reference
 from testbed.simulation.drive_model import believed
 from testbed.simulation.effect import StepForces
 from testbed.simulation.rollout import Rollout, Sampling, Watch, simulate_motion
@@ -54,7 +58,7 @@ def simulate(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     instrument, simulation = experiment.measurement, experiment.simulation
     instrument.stages(tree.names)  # refuses what speaks of other joints before work is done
-    motion = motion_of(experiment, tree)
+    course = _course(experiment, tree)
     plant = build_plant(
         model_of(experiment),
         tree,
@@ -66,16 +70,46 @@ def simulate(
     run = simulate_motion(
         plant,
         _drives_model(experiment, tree),
-        motion,
-        experiment.motion.duration,
+        course.reference,
+        course.end,
         simulation.bandwidth,
         sampling,
         progress,
         watch,
         _forces(experiment, tree, forces),
+        course.begin,
     )
-    facts, seed = _facts(experiment, tree, run), experiment.seed
+    facts, seed = _facts(experiment, tree, run) | course.facts, experiment.seed
     return measure(instrument, tree.names, run.time, run.truth, plant.tare, facts, seed, installed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """What is run and recorded.
+
+    Attributes:
+        reference: What the drive follows.
+        begin: Of the recording [s].
+        end: Of the recording [s].
+        facts: What the recording says of it.
+    """
+
+    reference: Reference
+    begin: float
+    end: float
+    facts: dict[str, Any]
+
+
+def _course(experiment: Experiment, tree: Tree) -> _Course:
+    """A periodic motion that is under way, or the same from rest to rest."""
+    table = experiment.motion
+    motion = motion_of(experiment, tree)
+    if not table.at_rest:
+        return _Course(motion, 0.0, table.duration, {})
+    rules = rules_of(experiment, tree, designed=bool(table.file))
+    whole = rest_to_rest(motion, rules, table.duration)
+    lead = whole.start.duration
+    return _Course(whole, -lead, whole.end + lead, {COUNTED: [0.0, whole.end]})
 
 
 def _forces(experiment: Experiment, tree: Tree, more: StepForces | None) -> StepForces | None:

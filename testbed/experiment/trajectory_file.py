@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
 from testbed.errors import ExperimentError
-from testbed.excitation.rest_to_rest import Start, start_of
+from testbed.excitation.rest_to_rest import RestToRest, rest_to_rest
 from testbed.experiment.excite import Excitation
 from testbed.experiment.versions import versions
 from testbed.files import replacing
@@ -24,7 +24,7 @@ MOST_SAMPLES = 5e6
 _SIGNALS = {"position": "q", "velocity": "qd", "acceleration": "qdd"}
 
 
-def write_trajectory(path: Path, found: Excitation, rate: float) -> Start:
+def write_trajectory(path: Path, found: Excitation, rate: float) -> RestToRest:
     """Write a motion's samples: columns time, position/JOINT, velocity/JOINT, acceleration/JOINT.
 
     Time is zero where the periodic motion begins: what is recorded from there on, whole periods,
@@ -36,23 +36,22 @@ def write_trajectory(path: Path, found: Excitation, rate: float) -> Start:
         rate: Samples a second [Hz].
 
     Returns:
-        How the motion begins.
+        The motion with its start and end.
 
     Raises:
         ExperimentError: Neither of the two formats, or too many samples.
         InfeasibleMotion: The motion cannot begin from rest.
     """
     check_ending(path)
-    motion, tree = found.design.motion, found.tree
-    start, _ = start_of(motion, found.rules)
-    periods = max(1, round(found.experiment.motion.duration / motion.period))
-    length = periods * motion.period + 2 * start.duration
+    tree, duration = found.tree, found.experiment.motion.duration
+    motion = rest_to_rest(found.design.motion, found.rules, duration)
+    length = motion.end + 2 * motion.start.duration
     if rate * length > MOST_SAMPLES:
         raise ExperimentError(
             f"{length:g} s at {rate:g} Hz are {rate * length:.1e} samples, more than "
             f"{MOST_SAMPLES:.0e}; choose a lower --rate or a shorter motion.duration"
         )
-    samples = rest_to_rest(start, periods, rate)
+    samples = samples_of(motion, rate)
     units = {"time": "s"} | {
         f"{signal}/{joint.name}": UNITS[joint.kind][signal]
         for signal in _SIGNALS
@@ -65,7 +64,7 @@ def write_trajectory(path: Path, found: Excitation, rate: float) -> Start:
         else:
             facts = {"robot": tree.name, "period": motion.period, "versions": versions()}
             write_table(fresh, units, facts, [columns])
-    return start
+    return motion
 
 
 def check_ending(path: Path) -> None:
@@ -81,25 +80,17 @@ def check_ending(path: Path) -> None:
         raise ExperimentError(f"'{path}': samples are written as .csv or .parquet")
 
 
-def rest_to_rest(start: Start, periods: int, rate: float) -> Motion:
+def samples_of(motion: RestToRest, rate: float) -> Motion:
     """Samples from rest to rest; time is zero where the periodic motion begins.
 
     Args:
-        start: The way into the motion; the way out is its mirror image.
-        periods: Of the motion between.
+        motion: From rest to rest.
         rate: Samples a second [Hz].
     """
-    lead, end = start.duration, periods * start.motion.period
+    lead = motion.start.duration
     first = -int(np.floor(lead * rate + 1e-9))
-    last = int(np.floor((end + lead) * rate + 1e-9))
-    time = np.arange(first, last + 1) / rate
-    before, after = time < 0, time > end
-    parts = [start.motion.derivative(time, order) for order in range(3)]
-    back = start.backwards
-    for order, part in enumerate(parts):
-        part[before] = start.derivative(time[before] + lead, order)
-        part[after] = (-1) ** order * back.derivative(end + lead - time[after], order)
-    return Motion(time, *parts)
+    last = int(np.floor((motion.end + lead) * rate + 1e-9))
+    return motion.at(np.arange(first, last + 1) / rate)
 
 
 def _columns(samples: Motion, tree: Tree) -> dict[str, Array]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from testbed.identification.combined import Combined, combined
+from testbed.identification.counted import open_counted
 from testbed.identification.drive_laws import choices, offered
 from testbed.identification.drive_regression import regressions, torques_beside
 from testbed.identification.estimate import Estimate
@@ -15,7 +16,7 @@ from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.identification.torque_constants import ChosenTerms, DriveEstimate
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
 
@@ -67,7 +68,8 @@ def identify_drives(
         RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    settings, source = settings or Settings(), open_source(recording)
+    settings = settings or Settings()
+    source = open_counted(recording, settings)
     choose = choose or settings.open_speed  # which is chosen with the terms
     torques = torques_beside(
         tree,

@@ -15,6 +15,7 @@ from scipy.linalg import block_diag
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.errors import SettingsError
+from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.noise.autoregression import HIGHEST
@@ -32,7 +33,7 @@ from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source
 from testbed.robot.friction import JointLaw
 from testbed.robot.tree import Tree
 
@@ -139,7 +140,8 @@ def torques_beside(
         RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    source, settings = open_source(recording), settings or Settings()
+    settings = settings or Settings()
+    source = open_counted(recording, settings)
     check_source(source, tree, "internal")
     tree = in_its_gravity(tree, source, gravity)
     drives = with_joint_terms(tree, minimal_set(tree, "dynamic", zeros=settings.zeros), laws)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from testbed.blas import one_blas_thread
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
+from testbed.identification.counted import open_counted
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import (
@@ -54,7 +56,7 @@ from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 
@@ -97,9 +99,9 @@ def identify(
     """
     if method not in METHODS:
         raise UnknownName("method", method, METHODS)
-    source, settings = open_source(recording), settings or Settings()
-    if zeros is not None:
-        settings = replace(settings, zeros=zeros)
+    said: dict[str, Any] = {} if zeros is None else {"zeros": zeros}
+    settings = replace(settings or Settings(), **said)
+    source = open_counted(recording, settings)
     check_source(source, tree, method)
     tree = in_its_gravity(tree, source, gravity)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)

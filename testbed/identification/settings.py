@@ -70,6 +70,10 @@ class Settings:
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
 
+    span: Sequence[float] | None = None
+    """Samples from the first to before the second time count [s]. Default: those that the recording
+    says are for an estimate, as one from rest to rest does; else all."""
+
     drives: Literal["off", "given", "chosen"] = "off"
     """Whether joint torques are held against the plate's estimate: torque constants, friction
     curves, both methods combined; with the given terms, or with those that held-out data choose
@@ -88,6 +92,7 @@ class Settings:
             "weights": _weights(self.weights),
             "noise": _one_of("noise", self.noise, ("ar", "white")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
+            "span": _span(self.span),
             "nuisances": _nuisances(self.nuisances),
             "known": stated_values(self.known),
         }
@@ -174,6 +179,16 @@ def _reach(given: object) -> float | None:
     if given is not None and (number is None or number < 0):
         raise SettingsError(f"reversal_reach is a time [s], found {given!r}")
     return number
+
+
+def _span(given: object) -> tuple[float, float] | None:
+    if given is None:
+        return None
+    listed = given if isinstance(given, Sequence) else []
+    numbers = [x for x in map(finite_number, listed) if x is not None]
+    if len(listed) != 2 or len(numbers) != 2 or not numbers[0] < numbers[1]:
+        raise SettingsError(f"span is two times [s], the earlier one first; found {given!r}")
+    return numbers[0], numbers[1]
 
 
 def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
+from testbed.identification.counted import open_counted
 from testbed.identification.estimate import (
     Estimate,
     Method,
@@ -34,7 +35,7 @@ from testbed.identification.stated import Stated, as_estimated, rows_of, stated
 from testbed.identification.windows import make_plan
 from testbed.kernel.records import products_wanted
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
 LIMIT = 2.0
@@ -140,7 +141,8 @@ def validate(
         SettingsError: Robot and settings have other parameters than the estimate.
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
-    source, settings = open_source(recording), settings or Settings()
+    settings = settings or Settings()
+    source = open_counted(recording, settings)
     check_source(source, tree, said.method)
     tree = in_its_gravity(tree.with_gravity(said.gravity), source, gravity)
     rows = rows_of(tree, said, settings)

@@ -17,6 +17,9 @@ LARGEST = 1e12
 UNIFORM = 0.01
 """Greatest deviation of a sampling time from the others, relative."""
 
+COUNTED = "counted"
+"""Fact of a recording: from when to when its samples are for an estimate [s]."""
+
 EARLIEST, LATEST = 1e-9, 1e6
 """Sampling times that are no mistake [s]."""
 
@@ -126,6 +129,8 @@ def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, An
         raise ValueError("its 'facts' are not a table")
     if facts.get("gravity") is not None:
         _numbers(facts["gravity"], (3,), "'gravity'")
+    if facts.get(COUNTED) is not None:
+        _numbers(facts[COUNTED], (2,), f"'{COUNTED}'")
     warnings = facts.get("warnings", [])
     if not (isinstance(warnings, list) and all(isinstance(line, str) for line in warnings)):
         raise ValueError("its 'warnings' are not a list of texts")

@@ -8,13 +8,13 @@ heavy and light ones alike; it is taken from the a-priori model once for a perio
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
-from testbed.excitation.fourier import Fourier
 from testbed.robot.friction import ROTOR, drive_torque
 from testbed.robot.tree import Tree
 
@@ -23,6 +23,20 @@ DAMPING = 0.9
 
 _PERIOD_GRID = 500  # postures of a period at which M is known
 _SMOOTH = 0.05  # speed below which the expected dry friction fades out [rad/s or m/s]
+
+
+class Reference(Protocol):
+    """What a drive follows: a path that closes, run through in some time."""
+
+    @property
+    def period(self) -> float:
+        """In which the path closes, where it is run through as it is [s]."""
+
+    def at(self, t: Array) -> Motion:
+        """The motion at times t, (M,) [s]; from 0 to one period, along all of the path."""
+
+    def place(self, t: Array) -> Array:
+        """Where on the path at times t, (M,), as a time of it [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +68,8 @@ class Controller:
         return limited
 
 
-def computed_torque(tree: Tree, motion: Fourier, times: Array, bandwidth: float) -> Controller:
-    """A drive that follows a periodic motion.
+def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:
+    """A drive that follows a motion along a path that closes.
 
     Args:
         tree: The drive's own model of the robot and its friction.
@@ -65,7 +79,7 @@ def computed_torque(tree: Tree, motion: Fourier, times: Array, bandwidth: float)
     """
     reference = motion.at(times)
     grid = motion.at(np.linspace(0, motion.period, _PERIOD_GRID, endpoint=False)).q
-    phase = times / motion.period
+    phase = motion.place(times) / motion.period
     besides = drive_torque(tree, reference.qd, reference.qdd, _SMOOTH)
     return Controller(
         reference=reference,

@@ -17,11 +17,10 @@ from mujoco.batch import Batch
 
 from testbed.arrays import Array
 from testbed.errors import TestbedError
-from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.formats.mjcf_compile import unwarned_steps
 from testbed.robot.tree import Tree
-from testbed.simulation.controller import Controller, computed_torque
+from testbed.simulation.controller import Controller, Reference, computed_torque
 from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant
 
@@ -77,33 +76,35 @@ class Sampling:
 def simulate_motion(
     plant: Plant,
     tree: Tree,
-    motion: Fourier,
+    motion: Reference,
     duration: float,
     bandwidth: float,
     sampling: Sampling,
     progress: Callable[[int, int], None] = lambda done, total: None,
     watch: Watch = lambda time, truth: None,
     forces: StepForces | None = None,
+    begin: float = 0.0,
 ) -> Rollout:
-    """Follow a periodic motion in closed loop.
+    """Follow a motion in closed loop.
 
     Args:
         plant: The robot on its bedplate.
         tree: The drive's own model of the robot and its friction.
         motion: The reference.
-        duration: Of the recording [s].
+        duration: Of the recording, from t = 0 to its end [s].
         bandwidth: Of the drive [rad/s].
         sampling: How the run is cut into samples.
         progress: Called with samples done and samples in all.
         watch: Called with every second or so of what happens, times before 0 included.
         forces: Asked before every step; what they take counts as friction. The drive does
             not know of them.
+        begin: When the recording begins, 0 or earlier [s].
 
     Raises:
         SimulationDiverged: The robot did not follow.
     """
     lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
-    times = np.arange(-lead, samples) / sampling.rate
+    times = np.arange(round(begin * sampling.rate) - lead, samples) / sampling.rate
     drive = computed_torque(tree, motion, times, bandwidth)
     loop = _Loop(plant, drive, sampling, forces)
     logs: list[Truth] = []

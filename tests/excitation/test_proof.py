@@ -16,7 +16,7 @@ from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm
 from testbed.excitation.limits import Limits, limits_of, motor_efforts
 from testbed.excitation.proof import SPANS, Rules, prove, spans_of, suprema
 from testbed.excitation.random_motion import random_motion
-from testbed.excitation.rest_to_rest import Start, start_of
+from testbed.excitation.rest_to_rest import RestToRest, Start, start_of
 from tests.excitation.test_clearance import ball
 from tests.helpers.robots import random_robot
 
@@ -169,3 +169,18 @@ def test_a_start_keeps_all_limits_and_takes_no_longer_than_it_must(puma: tb.Tree
     fine = start.at(np.linspace(0, start.duration, 20_001))
     assert (np.abs(fine.qdd) <= limits.acceleration).all()
     assert (np.abs(motor_efforts(puma, fine)) <= limits.effort).all()
+
+
+def test_from_rest_to_rest_the_path_is_the_motion_s_own(puma: tb.Tree) -> None:
+    motion = random_motion(puma, limits_of(puma), 0.2, 4, np.random.default_rng(0))
+    whole = RestToRest(Start(motion, 1.5), 3)
+    assert whole.end == pytest.approx(15.0)
+    times = np.linspace(-3.0, 20.0, 2001)
+    samples = whole.at(times)
+    np.testing.assert_allclose(samples.q, motion.at(whole.place(times)).q, atol=1e-12)
+    h = 1e-5
+    near = (whole.at(times + h).q - whole.at(times - h).q) / (2 * h)
+    np.testing.assert_allclose(samples.qd, near, atol=1e-6)
+    still = (times < -1.5) | (times > 16.5)
+    assert np.abs(samples.qd[still]).max() < 1e-9
+    assert np.abs(samples.qdd[still]).max() < 1e-9

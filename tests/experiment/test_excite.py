@@ -12,14 +12,14 @@ import testbed as tb
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.design import Design
 from testbed.excitation.proof import prove
-from testbed.excitation.rest_to_rest import Start
+from testbed.excitation.rest_to_rest import RestToRest, Start
 from testbed.experiment.earlier_estimate import prior_covariance
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.motion_file import read_motion
 from testbed.experiment.motions import motion_of, rules_of
 from testbed.experiment.read_result import KeptResult
-from testbed.experiment.trajectory_file import rest_to_rest, write_trajectory
+from testbed.experiment.trajectory_file import samples_of, write_trajectory
 from testbed.experiment.write_motion import write_motion
 from testbed.identification.stated import Stated
 from testbed.recordings.formats.parquet import open_table
@@ -174,7 +174,7 @@ def test_samples_for_a_controller_lead_from_rest_to_rest(
     found: Excitation, tmp_path: Path, ending: str
 ) -> None:
     file = tmp_path / f"samples{ending}"
-    start = write_trajectory(file, found, 500.0)
+    start = write_trajectory(file, found, 500.0).start
     if ending == ".csv":
         with file.open(newline="") as opened:
             head, *rows = csv.reader(opened)
@@ -199,8 +199,7 @@ def test_samples_for_a_controller_lead_from_rest_to_rest(
 
 
 def test_samples_are_of_whole_periods(found: Excitation, tmp_path: Path) -> None:
-    start = Start(found.design.motion, 1.0)
-    samples = rest_to_rest(start, 3, 100.0)
+    samples = samples_of(RestToRest(Start(found.design.motion, 1.0), 3), 100.0)
     assert samples.t[0] == -1.0
     assert samples.t[-1] == pytest.approx(3 * found.design.motion.period + 1)
     with pytest.raises(ExperimentError, match="as .csv or .parquet"):
@@ -239,3 +238,32 @@ def test_other_robots_are_excited_too(model: Path) -> None:
     found = excite(experiment)
     assert found.design.proof.holds
     assert np.isfinite(found.predicted.sigma).all()
+
+
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle(name: str) -> None:
+    """Against the same experiment under way, whose periodic part is the same motion."""
+    settings = ["motion.fundamental=0.5", "motion.duration=4.9", "simulation.friction=false"]
+    settings += ["measurement.rate=1000", "simulation.step=1e-3", "motion.candidates=2"]
+    resting = tb.Experiment.of_model(MODELS[name], [*settings, "motion.at_rest=true"])
+    recording = tb.simulate(resting)
+    under_way = tb.simulate(tb.Experiment.of_model(MODELS[name], settings))
+    step = 1 / recording.rate
+    lead = -recording.time[0]
+    assert lead > 0
+    assert recording.time[-1] == pytest.approx(4.0 + lead - step)  # two periods come nearest
+    assert recording.facts["counted"] == [0.0, 4.0]
+    speed = np.abs(np.gradient(recording.position, step, axis=0)).max(axis=1)
+    assert max(speed[:20].max(), speed[-20:].max()) < 5e-3 * speed.max()
+    inner = recording.time >= 1.0
+    inner &= recording.time < 4.0
+    same = np.searchsorted(under_way.time, recording.time[inner] - step / 2)
+    swing = np.ptp(under_way.position, axis=0)
+    gap = np.abs(recording.position[inner] - under_way.position[same]).max(axis=0)
+    assert (gap < 1e-3 * swing).all()
+    found = tb.identify(robot_of(resting), recording)
+    alone = tb.identify(
+        robot_of(resting),
+        recording.part(*np.searchsorted(recording.time, [-step / 2, 4 - step / 2])),
+    )
+    assert (np.abs(found.values - alone.values) < 1e-3 * alone.sigma).all()
