@@ -77,7 +77,7 @@ def excite(
     if as_json:
         terminal.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
-        note([*found.tree.warnings, *found.rules.notes])
+        note([*found.tree.warnings, *found.rules.notes, *found.warnings])
         print_excitation(terminal.console(), found, out)
 
 

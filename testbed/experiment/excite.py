@@ -55,10 +55,39 @@ class Excitation:
 
     @property
     def gain(self) -> float | None:
-        """How many times smaller the rms of relative sigmas is than the random motion's."""
-        if self.random_predicted is None:
+        """How many times smaller the rms of relative sigmas is than the random motion's.
+
+        None where there is no random motion, or one that does not tell all parameters.
+        """
+        if self.random_predicted is None or not np.isfinite(self.random_predicted.rms):
             return None
         return self.random_predicted.rms / self.predicted.rms
+
+    @property
+    def beside_random(self) -> str:
+        """The gain in words."""
+        drawn = f"the best of {self.experiment.motion.candidates} random motions"
+        if self.random_predicted is None:
+            return "no random motion could be proven, to compare with"
+        if self.gain is None:
+            return f"{drawn} does not tell all parameters"
+        return f"{self.gain:.2f} times smaller than of {drawn} ({self.random_predicted.rms:.3g})"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the motion hardly tells, in a line."""
+        poor = [
+            name
+            for name, relative in zip(self.predicted.names, self.predicted.relative, strict=True)
+            if relative > 1
+        ]
+        if not poor:
+            return ()
+        more = f" and {len(poor) - 3} more" if len(poor) > 3 else ""
+        return (
+            f"the motion hardly tells {', '.join(poor[:3])}{more}: sigma is as large as they are; "
+            "a longer motion.duration, more excitation.harmonics or wider limits tell more",
+        )
 
 
 def excite(

@@ -34,12 +34,12 @@ def write_motion_page(path: Path, found: Excitation) -> None:
 def motion_contents(found: Excitation) -> dict[str, Any]:
     """All that the page shows."""
     motion, proof = found.design.motion, found.design.proof
-    gain = "" if found.gain is None else f", {found.gain:.2f} times smaller than at random"
     return {
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{motion.harmonics} harmonics of {motion.fundamental:g} Hz; predicted rms of the "
-            f"relative sigmas {found.predicted.rms:.2g}{gain}."
+            f"relative sigmas {found.predicted.rms:.2g}, {found.beside_random}.",
+            *(f"Warning: {line}." for line in found.warnings),
         ],
         "holds": proof.holds,
         "verdict": f"all {len(proof.margins)} limits proven at every moment"
@@ -53,7 +53,7 @@ def _sigma_figure(found: Excitation) -> dict[str, Any]:
     names, promised = found.predicted.names, found.predicted.relative
     number = np.arange(1.0, len(names) + 1)
     curves = {"external": (number, np.log10(100 * promised))}
-    random = found.random_predicted
+    random = None if found.gain is None else found.random_predicted
     if random is not None:
         curves = {"measured": (number, np.log10(100 * random.relative))} | curves
     label = f"parameter, 1 ({names[0]}) to {len(names)} ({names[-1]})"
@@ -65,7 +65,7 @@ def _sigma_figure(found: Excitation) -> dict[str, Any]:
         bars={kind: np.zeros(len(names)) for kind in curves},  # larger points
         whole=True,
     )
-    others = ["" if random is None else f"{value:.3%}" for value in _relative(found)]
+    others = [""] * len(names) if random is None else [f"{v:.3%}" for v in random.relative]
     return {
         "id": "sigma",
         "title": "What it promises",
@@ -84,11 +84,6 @@ def _sigma_figure(found: Excitation) -> dict[str, Any]:
     }
 
 
-def _relative(found: Excitation) -> Array:
-    random = found.random_predicted
-    return found.predicted.relative if random is None else random.relative
-
-
 def _times(found: Excitation) -> Array:
     return np.linspace(0, found.design.motion.period, INSTANTS)
 
@@ -99,7 +94,7 @@ def _motion_figure(found: Excitation) -> dict[str, Any]:
     for j, joint in enumerate(found.tree.joints):
         q, qd, qdd = (motion.derivative(times, order)[:, j] for order in range(3))
         unit = "rad" if joint.revolute else "m"
-        title = f"{joint.name}: position [{unit}], velocity, acceleration"
+        title = f"{joint.name} [{unit}]"
         curves = {"internal": (times, qdd), "external": (times, qd), "measured": (times, q)}
         panels.append(Panel(title, curves, "time [s]"))
         rows.append(

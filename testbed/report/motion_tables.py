@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -41,16 +42,10 @@ def print_excitation(console: Console, found: Excitation, out: Path) -> None:
 
 
 def _promise(found: Excitation) -> str:
-    text = f"predicted: rms relative sigma {found.predicted.rms:.3g}"
-    if found.random_predicted is None or found.gain is None:
-        text += "; no random motion could be proven, to compare with"
-    else:
-        candidates = found.experiment.motion.candidates
-        text += (
-            f", {found.gain:.2f} times smaller than the best of {candidates} random motions "
-            f"({found.random_predicted.rms:.3g})"
-        )
-    return f"{text}; condition number {found.predicted.condition:.3g}"
+    return (
+        f"predicted: rms relative sigma {found.predicted.rms:.3g}, {found.beside_random}; "
+        f"condition number {found.predicted.condition:.3g}"
+    )
 
 
 def _sigma_table(found: Excitation) -> Table:
@@ -63,7 +58,8 @@ def _sigma_table(found: Excitation) -> Table:
     for k, name in enumerate(found.predicted.names):
         row = [name, f"{found.predicted.sigma[k]:.2g}", f"{found.predicted.relative[k]:.2%}"]
         if found.random_predicted is not None:
-            row.append(f"{found.random_predicted.relative[k]:.2%}")
+            random = found.random_predicted.relative[k]
+            row.append(f"{random:.2%}" if np.isfinite(random) else "-")
         table.add_row(*row)
     return table
 

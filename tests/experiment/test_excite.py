@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -267,3 +268,16 @@ def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle(name
         recording.part(*np.searchsorted(recording.time, [-step / 2, 4 - step / 2])),
     )
     assert (np.abs(found.values - alone.values) < 1e-3 * alone.sigma).all()
+
+
+def test_what_a_motion_hardly_tells_is_said(found: Excitation) -> None:
+    relative = found.predicted.relative.copy()
+    assert found.warnings == ()
+    assert f"{found.gain:.2f} times smaller" in found.beside_random
+    blind = replace(found.predicted, relative=relative * np.inf)
+    assert replace(found, random_predicted=blind).gain is None
+    assert "does not tell all" in replace(found, random_predicted=blind).beside_random
+    assert "no random motion" in replace(found, random_predicted=None).beside_random
+    poor = replace(found, predicted=replace(found.predicted, relative=relative * 1e4))
+    (line,) = poor.warnings
+    assert f"hardly tells {', '.join(found.predicted.names[:3])} and " in line
