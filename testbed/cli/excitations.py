@@ -109,23 +109,17 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
 
 def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
-    from testbed.excitation.proof import prove
-    from testbed.experiment.evaluate import robot_of
-    from testbed.experiment.motion_file import read_motion
     from testbed.experiment.motion_results import proof_as_json
-    from testbed.experiment.motions import rules_of
+    from testbed.experiment.motions import checked_motion
     from testbed.report import terminal
     from testbed.report.motion_tables import print_proof
 
-    motion = read_motion(file)
-    experiment = _experiment(motion.model, settings)
-    tree = robot_of(experiment)
-    rules = rules_of(experiment, tree, designed=True)
-    proof = prove(motion.motion_for(tree), rules)
+    found = checked_motion(file, settings)
+    proof = found.proof
     if as_json:
         terminal.print_json(proof_as_json(proof))
     else:
-        note([*tree.warnings, *rules.notes])
+        note([*found.rules.tree.warnings, *found.rules.notes])
         print_proof(terminal.console(), proof)
     raise typer.Exit(0 if proof.holds else 1)
 

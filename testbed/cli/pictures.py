@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 def view(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="RUN...", help="Run folders, or recordings (with --model)."),
+        typer.Argument(
+            metavar="RUN...", help="Run folders, recordings (with --model), or a motion (.toml)."
+        ),
     ],
     model: Annotated[
         Path | None, typer.Option(help="MJCF or URDF file of the robot, for recordings.")
@@ -41,16 +43,21 @@ def view(
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
 
+    Of a motion that `testbed excite` wrote: the robot on its path, and what is left of every limit.
+
     Example: testbed view runs/table6-286a25ef
     """
     from testbed.experiment.growth import growth
     from testbed.report import terminal
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
-    from testbed.viewer.show import open_viewer
-    from testbed.viewer.show import serve as served
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
+    if [path.suffix.lower() for path in runs] == [".toml"]:
+        path = save or _beside(runs[0], ".rrd")
+        warnings = _write_motion(runs[0], settings or [], path)
+        _show(path, warnings, serve, save is None, port)
+        return
     _check_said(runs, model, reading)
     scenes = []
     with terminal.Progress("looking") as progress:
@@ -60,14 +67,38 @@ def view(
             scenes.append(scene_of(run, growth(run)))
     path = save or _beside(runs[0], ".rrd")
     write_rrd(scenes, path)
+    _show(path, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
+
+
+def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int) -> None:
+    """Say what was written, and show it as is wished."""
+    from testbed.report import terminal
+    from testbed.viewer.show import open_viewer
+    from testbed.viewer.show import serve as served
+
     out = terminal.console()
-    for scene in scenes:
-        terminal.print_warnings(out, scene.warnings)
+    terminal.print_warnings(out, warnings)
     out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
-    elif save is None:
+    elif opened:
         open_viewer(path)
+
+
+def _write_motion(file: Path, settings: list[str], path: Path) -> list[str]:
+    """Write what there is to see of a file's motion; what to know of it."""
+    from testbed.experiment.evaluate import model_of
+    from testbed.experiment.motions import checked_motion, obstacles_of
+    from testbed.robot.visuals.appearance import load_appearance
+    from testbed.viewer.motion_log import write_motion_rrd
+
+    found = checked_motion(file, settings)
+    tree = found.rules.tree
+    look = load_appearance(tree, model_of(found.experiment))
+    boxes = obstacles_of(found.experiment)
+    write_motion_rrd(path, found.motion, found.rules, found.proof, look, boxes)
+    lines = [] if found.proof.holds else [f"not proven: {found.proof.worst.words}"]
+    return list(dict.fromkeys([*lines, *tree.warnings, *look.warnings, *found.rules.notes]))
 
 
 @app.command()
@@ -116,7 +147,7 @@ def report(
 def _beside(run: Path, ending: str) -> Path:
     """A file of the run's name beside it."""
     whole = Path(os.path.realpath(run))  # links in a circle are no error yet
-    name = whole.name.removesuffix(".parquet") + ending
+    name = whole.name.removesuffix(".parquet").removesuffix(".toml") + ending
     return (run.parent if run.name else whole.parent) / name
 
 

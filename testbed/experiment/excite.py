@@ -71,7 +71,8 @@ class Excitation:
             return "no random motion could be proven, to compare with"
         if self.gain is None:
             return f"{drawn} does not tell all parameters"
-        return f"{self.gain:.2f} times smaller than of {drawn} ({self.random_predicted.rms:.3g})"
+        theirs = self.random_predicted.rms
+        return f"{self.gain:.2f} times smaller than that of {drawn} ({theirs:.3g})"
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -72,8 +72,14 @@ class MotionFile:
             ExperimentError: It has other joints.
         """
         if set(self.names) != set(tree.names):
+            hint = ""
+            if set(self.names) < set(tree.names):
+                hint = (
+                    "; hold those which the motion leaves out, by --set robot.lock.JOINT=POSITION"
+                )
             raise ExperimentError(
-                f"{self.path} moves {', '.join(self.names)}; the robot has {', '.join(tree.names)}"
+                f"{self.path} moves {', '.join(self.names)}; the robot has "
+                f"{', '.join(tree.names)}{hint}"
             )
         order = [self.names.index(name) for name in tree.names]
         return Fourier.of(self.motion.fundamental, self.motion.coefficients[order])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +16,9 @@ from testbed.excitation.collision_model import Obstacle, collision_model
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import Limits, limits_of
-from testbed.excitation.proof import Rules, prove
+from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.evaluate import model_of
+from testbed.experiment.evaluate import model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motion_file import read_motion
 from testbed.parameters.minimal_set import minimal_set
@@ -137,14 +138,13 @@ def _surroundings(
                 "be told; give the file collision or visual geometry"
             )
         return None, ("the model file has no shapes: nothing is known of collisions",)
-    boxes = [Obstacle(np.array(o.centre), np.array(o.size) / 2) for o in table.obstacle]
     floor = None if isinstance(table.floor, str) else table.floor
     notes: tuple[str, ...] = drawn.warnings
     if table.floor is None:
         floor = _floor(tree, drawn.shapes)
         if floor is None:
             notes += ("the robot reaches below what stands on the bedplate: no floor is assumed",)
-    every = collision_model(tree, drawn.shapes, boxes, floor)
+    every = collision_model(tree, drawn.shapes, obstacles_of(experiment), floor)
     found = watched(every, limits, clearance, np.random.default_rng(0))
     return found, (*notes, *found.notes)
 
@@ -159,3 +159,43 @@ def _floor(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:
     origins = np.array([place for _, place in poses_at_zero(tree)])
     reach = float(np.linalg.norm(origins, axis=1).max())
     return None if origins[:, 2].min() < floor - HANGS * reach else floor
+
+
+@dataclass(frozen=True, eq=False)
+class CheckedMotion:
+    """A file's motion, held against limits.
+
+    Attributes:
+        experiment: What it is held against.
+        motion: Columns in the order of the robot's joints.
+        rules: What it must respect.
+        proof: What it leaves of that.
+    """
+
+    experiment: Experiment
+    motion: Fourier
+    rules: Rules
+    proof: Proof
+
+
+def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
+    """Prove the motion of a file, made here or elsewhere; the file names its model.
+
+    Args:
+        path: The file.
+        settings: Of the experiment, as "excitation.clearance=0.05".
+
+    Raises:
+        ExperimentError: It is no motion, or of another robot.
+    """
+    said = read_motion(path)
+    experiment = Experiment.of_model(said.model, settings)
+    tree = robot_of(experiment)
+    motion, rules = said.motion_for(tree), rules_of(experiment, tree, designed=True)
+    return CheckedMotion(experiment, motion, rules, prove(motion, rules))
+
+
+def obstacles_of(experiment: Experiment) -> tuple[Obstacle, ...]:
+    """The boxes around an experiment's robot."""
+    boxes = experiment.excitation.obstacle
+    return tuple(Obstacle(np.array(box.centre), np.array(box.size) / 2) for box in boxes)

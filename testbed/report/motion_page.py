@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.excitation.clearance import DistanceMeter
-from testbed.excitation.samples import Computed
+from testbed.excitation.slack import slack
 from testbed.experiment.excite import Excitation
 from testbed.files import replacing
 from testbed.report.figures import Panel
@@ -119,25 +118,11 @@ def _motion_figure(found: Excitation) -> dict[str, Any]:
 
 
 def _limit_figure(found: Excitation) -> dict[str, Any]:
-    rules, times = found.rules, _times(found)
-    motion = found.design.motion.at(times)
-    here = Computed(found.tree, motion)
-    kinds = (
-        ("position", np.abs(motion.q - rules.limits.middle) / rules.limits.half),
-        ("velocity", np.abs(motion.qd) / rules.limits.velocity),
-        ("acceleration", np.abs(motion.qdd) / rules.limits.acceleration),
-    )
+    times = _times(found)
     panels = [
-        _left(f"of {kind} limits", times, rules.margin - used.max(axis=1)) for kind, used in kinds
+        Panel(f"left of {kind.label} [{kind.unit}]", {"external": (times, kind.left)}, "time [s]")
+        for kind in slack(found.design.motion, found.rules, times)
     ]
-    for term in rules.terms:
-        kind = term.labels[0].split()[0]
-        panels.append(_left(f"of {kind} limits", times, -term.values(here).max(axis=0)))
-    if rules.collision is not None and rules.collision.pairs:
-        meter = DistanceMeter(rules.collision)
-        left = np.array([(meter.measure(q).values - rules.clearance).min() for q in motion.q])
-        curve = {"external": (times, 1000 * left)}
-        panels.append(Panel("left of clearances [mm]", curve, "time [s]"))
     return {
         "id": "limits",
         "title": "What it leaves of its limits",
@@ -161,7 +146,3 @@ def _allowed(found: Excitation) -> str:
         least = 1000 * float(rules.clearance.max())
         said += f" Distances are of shapes that no joint joins; {least:g} mm are to be kept."
     return " ".join([said, *rules.notes])
-
-
-def _left(title: str, times: Array, left: Array) -> Panel:
-    return Panel(f"left {title} [%]", {"external": (times, 100 * left)}, "time [s]")

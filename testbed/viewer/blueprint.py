@@ -19,6 +19,9 @@ from testbed.viewer.scene import CUTOFF, Scene, root, safe
 MOST_ROWS = 8
 """Plots one below the other that can still be read."""
 
+RATES = ("position", "velocity", "acceleration")
+"""What is plotted of a motion's joints."""
+
 Range = tuple[float, float]
 
 SETTLED = 1 / 3
@@ -61,6 +64,35 @@ def live_blueprint(name: str, tree: Tree, size: float) -> rrb.Blueprint:
     return _page(_robot(name, size, ""), tabs, name, None)
 
 
+def motion_blueprint(
+    name: str, tree: Tree, size: float, kinds: Sequence[str], period: float
+) -> rrb.Blueprint:
+    """A motion: the robot on its path, what is left of the limits, the joints, notes.
+
+    Args:
+        name: Of the motion.
+        tree: The robot.
+        size: A length that fits it [m].
+        kinds: Of limits, as their plots are called.
+        period: Of the motion [s].
+    """
+    seen = (0.0, period)
+    left = [_plot(f"/left/{k}", f"left of {kind}", seen, False) for k, kind in enumerate(kinds)]
+    joints = [
+        rrb.Horizontal(
+            *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)
+        )
+        for j in tree.joints
+    ]
+    tabs = rrb.Tabs(
+        _stack(left, "limits"),
+        _stack(joints, "joints"),
+        rrb.TextDocumentView(origin="/notes", name="notes"),
+        name=name,
+    )
+    return _page(_robot(name, size, "", "robot and the paths of its tips"), tabs, name, seen)
+
+
 def _page(
     left: rrb.View | rrb.Container, right: rrb.Container, name: str, window: Range | None
 ) -> rrb.Blueprint:
@@ -81,15 +113,13 @@ def _page(
     )
 
 
-def _robot(name: str, size: float, at: str) -> rrb.Spatial3DView:
+def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(
         position=(1.0 * size, -1.65 * size, 1.0 * size),
         look_target=(0, 0, 0.35 * size),
         eye_up=(0, 0, 1),
     )
-    return rrb.Spatial3DView(
-        origin=f"{at}/world", name=f"{name}: robot and reaction", eye_controls=eye
-    )
+    return rrb.Spatial3DView(origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye)
 
 
 def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:

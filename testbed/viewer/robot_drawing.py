@@ -33,7 +33,20 @@ def log_robot(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     look = scene.appearance
     log_appearance(stream, look, at)
     shown = scene.motion[scene.frames]
-    placed = send_poses(stream, look, shown.t, shown.q, at)
+    log_paths(stream, look, send_poses(stream, look, shown.t, shown.q, at), at)
+
+
+def log_paths(
+    stream: rr.RecordingStream, look: Appearance, placed: list[tuple[Array, Array]], at: str
+) -> None:
+    """The paths of the robot's tips.
+
+    Args:
+        stream: Where to.
+        look: The robot.
+        placed: Its bodies' rotations and positions over time.
+        at: The world's place among the entities.
+    """
     for j, point in look.tips.items():
         rotation, position = placed[j]
         path = position + rotation @ point

@@ -51,7 +51,10 @@ PLAN = {
         "experiment",
     },
     "viewer": BASE
-    | {"robot", "parameters", "dynamics", "recordings", "identification", "experiment"},
+    | {
+        "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
+        "experiment",
+    },
 }  # fmt: skip
 ANYWHERE = {"__init__", "__main__", "cli"}
 

@@ -1,0 +1,108 @@
+"""A motion before any run, as Rerun's viewer takes it: its path, what it leaves of limits."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from testbed.arrays import Array
+from testbed.dynamics.kinematics import poses
+from testbed.excitation.collision_model import Obstacle
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.proof import Proof, Rules
+from testbed.excitation.slack import Slack, slack
+from testbed.files import replacing
+from testbed.robot.visuals.appearance import Appearance
+from testbed.viewer.blueprint import RATES, motion_blueprint
+from testbed.viewer.colours import COLOURS
+from testbed.viewer.curves import series
+from testbed.viewer.robot_drawing import clock, log_appearance, log_paths, send_poses
+from testbed.viewer.scene import POSES, plain, safe
+
+
+def write_motion_rrd(
+    path: Path,
+    motion: Fourier,
+    rules: Rules,
+    proof: Proof,
+    look: Appearance,
+    obstacles: tuple[Obstacle, ...] = (),
+) -> None:
+    """Write one period of a motion: robot, paths of its tips, boxes around it, slack of limits.
+
+    Args:
+        path: The .rrd file; appears whole or not at all.
+        motion: The motion.
+        rules: What it must respect.
+        proof: What it is proven to leave.
+        look: What the robot looks like.
+        obstacles: Boxes of its cell.
+    """
+    tree = rules.tree
+    times = np.linspace(0, motion.period, max(2, round(POSES * motion.period)) + 1)
+    left = slack(motion, rules, times)
+    kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
+    size = _span(rules, motion, times, look)
+    with replacing(path) as fresh:
+        stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
+        arranged = motion_blueprint(path.stem, tree, size, kinds, motion.period)
+        stream.save(fresh, default_blueprint=arranged)
+        log_appearance(stream, look, "/world")
+        log_paths(
+            stream, look, send_poses(stream, look, times, motion.at(times).q, "/world"), "/world"
+        )
+        _log_obstacles(stream, obstacles)
+        _log_curves(stream, rules, motion, times, left)
+        notes = rr.TextDocument(_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN)
+        stream.log("/notes", notes, static=True)
+        stream.flush()
+        stream.disconnect()
+
+
+def _span(rules: Rules, motion: Fourier, times: Array, look: Appearance) -> float:
+    """How far from the bedplate's origin the robot reaches [m]; at least 0.3."""
+    placed = poses(rules.tree, motion.at(times).q)
+    far = [position for _, position in placed]
+    far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
+    return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+
+
+def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) -> None:
+    if not obstacles:
+        return
+    boxes = rr.Boxes3D(
+        centers=[box.centre for box in obstacles],
+        half_sizes=[box.half for box in obstacles],
+        colors=[COLOURS["force"]] * len(obstacles),
+    )
+    stream.log("/world/obstacles", boxes, static=True)
+
+
+def _log_curves(
+    stream: rr.RecordingStream, rules: Rules, motion: Fourier, times: Array, left: list[Slack]
+) -> None:
+    index = clock(times)
+    for k, kind in enumerate(left):
+        colours = [COLOURS["external"]]
+        series(stream, f"/left/{k}", index, kind.left[:, None], [kind.label], colours)
+    for order, (rate, colour) in enumerate(
+        zip(RATES, ("path", "external", "internal"), strict=True)
+    ):
+        values = motion.derivative(times, order)
+        for j, name in enumerate(rules.tree.names):
+            column = values[:, j : j + 1]
+            series(stream, f"/{rate}/{safe(name)}", index, column, [rate], [COLOURS[colour]])
+
+
+def _notes(name: str, rules: Rules, proof: Proof) -> str:
+    said = (
+        "Proven at every moment." if proof.holds else f"**Not proven:** {plain(proof.worst.words)}"
+    )
+    lines = [f"# {plain(name)}", f"{len(proof.margins)} limits. {said}"]
+    nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
+    lines.append("\n".join(f"- {plain(margin.words)}" for margin in nearest[:20]))
+    if rules.notes:
+        lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in rules.notes)]
+    return "\n\n".join(lines)
