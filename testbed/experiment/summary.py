@@ -124,5 +124,7 @@ def obtained(run: Run, metric: str) -> str:
 
 
 def percent(share: float) -> str:
-    """A share with two digits: 0.03 %."""
-    return f"{100 * share:.2g} %"
+    """A share with two digits: 0.03 %, 430 %."""
+    short = f"{100 * share:.2g}"
+    long = "e+" in short and abs(share) < 1e4  # 4.3e+02
+    return f"{float(short):.0f} %" if long else f"{short} %"

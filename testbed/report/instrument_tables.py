@@ -36,13 +36,14 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
                 }
             )
         if estimate.trace_tests:
+            tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
             heads = ["fault", "chance", "would move", "size"]
             shown = len(heads) if any(t.chance <= CLEAR for t in estimate.trace_tests) else 2
             tables.append(
                 {
                     "caption": "Faults whose traces were looked for, the clearest first",
                     "heads": heads[:shown],
-                    "rows": [_test(test)[:shown] for test in estimate.trace_tests],
+                    "rows": [_test(test)[:shown] for test in tested],
                 }
             )
         if estimate.noise is not None and estimate.noise.repetition is not None:

@@ -200,17 +200,24 @@ def _friction(found: Predictions) -> dict[str, Any]:
                 bands=bands,
             )
         )
+    modelled = any("internal" in panel.curves for panel in panels)
     return {
         "id": "friction",
         "title": "Friction",
         "says": "Unexplained torque: measured motor torque less what the robot needs by the "
         "bedplate's estimate, over velocity. It is what friction takes, and what the drives report "
-        "wrongly. The line is the friction that the internal estimate found.",
-        "legend": {"unexplained": "unexplained torque", "internal": "friction, internal"}
+        "wrongly."
+        + (" The line is the friction that the internal estimate found." if modelled else ""),
+        "legend": {"unexplained": "unexplained torque"}
+        | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
         "panels": panels,
-        "caption": "Points are samples; the line is what the internal estimate's terms make of a "
-        "steady velocity."
+        "caption": "Points are samples."
+        + (
+            " The line is what the internal estimate's terms make of a steady velocity."
+            if modelled
+            else ""
+        )
         + (
             ""
             if run.drives is None

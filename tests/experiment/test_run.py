@@ -13,7 +13,7 @@ from testbed.errors import RecordingError
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import assemble_run
 from testbed.experiment.run_warnings import close_pairs, systematic_errors
-from testbed.experiment.summary import summary, verdict
+from testbed.experiment.summary import percent, summary, verdict
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
@@ -176,3 +176,11 @@ def test_the_summary_says_what_a_reader_asks_first() -> None:
     assert "claimed at most 1e-09" in said
     assert "internal to external" not in said
     assert verdict(replace(run, experiment=experiment(expect={}))) == ""
+
+
+@pytest.mark.parametrize(
+    ("share", "said"),
+    [(0.00031, "0.031 %"), (0.5, "50 %"), (0.996, "100 %"), (4.3, "430 %"), (-95.0, "-9500 %")],
+)
+def test_shares_have_two_digits_and_no_powers(share: float, said: str) -> None:
+    assert percent(share) == said
