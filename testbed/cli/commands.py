@@ -10,6 +10,7 @@ from testbed.cli import (
     importing,
     models,
     pictures,
+    starting,
 )
 from testbed.cli.options import app
 
@@ -22,4 +23,5 @@ __all__ = [
     "importing",
     "models",
     "pictures",
+    "starting",
 ]

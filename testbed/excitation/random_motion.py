@@ -106,7 +106,11 @@ def random_motion(
         effort = usage(tree, motion.at(times), limits)["effort"]
         if (effort <= MARGIN).all():
             return motion
-    tight = [f"{name} {share:.0%}" for name, share in zip(tree.names, effort, strict=True)]
+    tight = [
+        f"{name} {share:.0%}"
+        for name, share in zip(tree.names, effort, strict=True)
+        if share > MARGIN
+    ]
     raise InfeasibleMotion(
         f"no random motion keeps the motor efforts within their limits (slowest try: "
         f"{', '.join(tight)} of the limit); check the effort limits and masses in the model"

@@ -129,8 +129,7 @@ class Experiment(ExperimentTables):
         Raises:
             ExperimentError: A word says what is not understood.
         """
-        name = re.sub(r"[^A-Za-z0-9_.-]", "-", path.stem)[:100].lstrip("_.-") or "robot"
-        content: dict[str, Any] = {"name": name, "model": str(path.resolve())}
+        content: dict[str, Any] = {"name": run_name(path), "model": str(path.resolve())}
         override(content, settings)
         found = checked(ExperimentTables, content, "--set")
         return Experiment.model_construct(**dict(found))
@@ -162,3 +161,12 @@ class Experiment(ExperimentTables):
                 "measurement.torque_constant_error": self.measurement.torque_constant_error,
             }
         )
+
+
+def run_name(path: Path) -> str:
+    """A run's name made of a file's.
+
+    Args:
+        path: The file.
+    """
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", path.stem)[:100].lstrip("_.-") or "robot"

@@ -212,21 +212,22 @@ def _friction(found: Predictions) -> dict[str, Any]:
         | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
         "panels": panels,
-        "caption": "Points are samples."
-        + (
-            " The line is what the internal estimate's terms make of a steady velocity."
-            if modelled
-            else ""
-        )
-        + (
-            ""
-            if run.drives is None
-            else f" The curve by the plate assumes no law; its band is {BAND:g} sigma wide to "
-            "either side."
-        ),
+        "caption": _friction_caption(modelled=modelled, curves=run.drives is not None),
         "heads": ["joint", "term", "unit", "found", "true"],
         "rows": _term_rows(run),
     }
+
+
+def _friction_caption(*, modelled: bool, curves: bool) -> str:
+    said = ["Points are samples."]
+    if modelled:
+        said.append("The line is what the internal estimate's terms make of a steady velocity.")
+    if curves:
+        said.append(
+            f"The curve by the plate assumes no law; its band is {BAND:g} sigma wide to either "
+            "side."
+        )
+    return " ".join(said)
 
 
 def _term_rows(run: Run) -> list[list[str]]:

@@ -22,9 +22,7 @@ def open_viewer(path: Path) -> NoReturn:
     Raises:
         ViewerError: There is no viewer, or no screen for it.
     """
-    if sys.platform.startswith("linux") and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
+    if not has_screen():
         raise ViewerError(
             f"there is no screen to open the viewer on; it is all in '{path}': "
             "open that elsewhere, or show it in a browser with --serve"
@@ -44,9 +42,20 @@ def serve(path: Path, port: int) -> NoReturn:
 
 
 def _become(command: list[str]) -> NoReturn:
-    beside = Path(sys.executable).parent / "rerun"
-    program = str(beside) if beside.is_file() else shutil.which("rerun")
+    program = viewer_program()
     if program is None:
         raise ViewerError("the command 'rerun' is not there; pip install rerun-sdk brings it")
     sys.stdout.flush()
     os.execv(program, command)
+
+
+def viewer_program() -> str | None:
+    """The command 'rerun' of this Python, else the one that the shell would find."""
+    beside = Path(sys.executable).parent / "rerun"
+    return str(beside) if beside.is_file() else shutil.which("rerun")
+
+
+def has_screen() -> bool:
+    """Whether there is a screen to open a window on; elsewhere than on Linux there is."""
+    linux = sys.platform.startswith("linux")
+    return not linux or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,94 @@
+"""An experiment file for any robot is what the reader of such files takes, and says what is so."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.errors import TestbedError
+from testbed.excitation.limits import limits_of
+from testbed.experiment.evaluate import robot_of
+from testbed.experiment.motions import motion_of
+from testbed.experiment.new_experiment import new_experiment
+from tests.helpers.paths import GOLDEN
+from tests.helpers.runs import MODELS
+
+
+def written(model: Path, folder: Path) -> tb.Experiment:
+    file = folder / "new.toml"
+    file.write_text(new_experiment(model, folder), encoding="utf-8")
+    return tb.Experiment.load(file)
+
+
+@pytest.mark.parametrize("name", sorted(MODELS))
+def test_what_it_says_is_the_model_s(name: str, tmp_path: Path) -> None:
+    experiment = written(MODELS[name], tmp_path)
+    assert Path(experiment.model) == MODELS[name].resolve()
+    tree, own = robot_of(experiment), tb.load_tree(MODELS[name])
+    text = (tmp_path / "new.toml").read_text()
+    for model in ("dynamic", "reaction"):
+        assert re.search(rf"\b{tb.minimal_set(own, model).count}\b", text.splitlines()[0])
+    limits = limits_of(own)
+    assert experiment.motion.max_velocity == pytest.approx(
+        dict(zip(own.names, limits.velocity, strict=True)), rel=1e-5
+    )
+    for joint, before in zip(tree.joints, own.joints, strict=True):
+        assert joint.coulomb > 0 or joint.viscous > 0  # a robot without friction is no test
+        if before.coulomb or before.viscous:
+            assert (joint.coulomb, joint.viscous) == (before.coulomb, before.viscous)
+    motion_of(experiment, tree)  # proven
+
+
+def test_every_default_that_it_shows_is_one(tmp_path: Path) -> None:
+    """Lines in comments are taken as they stand: the experiment stays the same."""
+    text = new_experiment(MODELS["puma"], tmp_path)
+    (tmp_path / "new.toml").write_text(text)
+    shown = text.replace("# gravity", "gravity")
+    (tmp_path / "shown.toml").write_text(shown)
+    as_is, with_shown = (tb.Experiment.load(tmp_path / f"{n}.toml") for n in ("new", "shown"))
+    np.testing.assert_allclose(robot_of(as_is).gravity, robot_of(with_shown).gravity)
+    for line in text.splitlines():
+        if line.startswith("# external") or line.startswith("# internal"):
+            tomllib.loads(line[2:])
+
+
+def test_joints_of_any_name_and_roots_that_float(tmp_path: Path) -> None:
+    (tmp_path / "odd.xml").write_text("""<mujoco><worldbody><body name="b"><freejoint/>
+      <geom size=".1"/><body name="c" pos="0 0 .2">
+      <joint name="a b.&quot;c&quot; = 0" axis="0 1 0"/>
+      <geom size=".1" pos=".1 0 .1"/></body></body></worldbody></mujoco>""")
+    experiment = written(tmp_path / "odd.xml", tmp_path)
+    assert experiment.weld_root
+    tree = robot_of(experiment)
+    assert tree.names == ('a b."c" = 0',)
+    assert tree.joints[0].coulomb > 0
+
+
+def test_followers_are_held(tmp_path: Path) -> None:
+    text = MODELS["gantry"].read_text()
+    tree = tb.load_tree(MODELS["gantry"])
+    last, first = tree.names[-1], tree.names[0]
+    k = text.index(f'name="{last}"')
+    head = text.index(">", k) + 1
+    (tmp_path / "mimic.urdf").write_text(f'{text[:head]}<mimic joint="{first}"/>{text[head:]}')
+    experiment = written(tmp_path / "mimic.urdf", tmp_path)
+    assert experiment.robot.lock_mimic
+    assert robot_of(experiment).n == tree.n - 1
+
+
+def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
+    for name, text in (("no.urdf", "<robot/>"), ("no.txt", "hello")):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(TestbedError):
+            new_experiment(tmp_path / name, tmp_path)
+
+
+def test_golden_robots_have_one(tmp_path: Path) -> None:
+    for file in sorted((GOLDEN / "robots").glob("*.urdf"))[:6]:
+        experiment = written(file, tmp_path)
+        assert set(experiment.motion.max_acceleration) == set(robot_of(experiment).names)
