@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from importlib import import_module
+from typing import Any, Literal
 
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.errors import TestbedError
+from testbed.identification.estimate_text import Words
 from testbed.identification.finding import Finding
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
@@ -236,3 +239,49 @@ class Estimate:
             )
             for k, term in enumerate(terms, start=self.minimal.count)
         )
+
+    @property
+    def words(self) -> Words:
+        """What is printed of it."""
+        source = "the bedplate" if self.method == "external" else "joint torques"
+        doubt = "; doubtful: sigma does not count what the warnings say" if self.doubtful else ""
+        numbers = zip(
+            self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
+        )
+        head = f"{len(self.names)} parameters from {source}{doubt}"
+        return Words(head, tuple(numbers), self.warnings)
+
+    def __str__(self) -> str:
+        """A table for people: names, values with sigmas, units, warnings."""
+        return self.words.text()
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return self.words.html()
+
+    def to_dict(self) -> dict[str, dict[str, float | str]]:
+        """Value, sigma and unit by name."""
+        numbers = zip(self.values.tolist(), self.sigma.tolist(), self.units, strict=True)
+        return {
+            name: {"value": value, "sigma": sigma, "unit": unit}
+            for name, (value, sigma, unit) in zip(self.names, numbers, strict=True)
+        }
+
+    def to_frame(self) -> Any:
+        """Names, values, sigmas and units as a data frame of pandas, or of polars.
+
+        Raises:
+            TestbedError: Neither is installed.
+        """
+        columns = {
+            "name": list(self.names),
+            "value": self.values.tolist(),
+            "sigma": self.sigma.tolist(),
+            "unit": list(self.units),
+        }
+        for package in ("pandas", "polars"):
+            try:
+                return import_module(package).DataFrame(columns)
+            except ModuleNotFoundError:
+                continue
+        raise TestbedError("data frames need pandas or polars; pip install pandas")

@@ -9,8 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from testbed.errors import printable
+from testbed.identification.estimate_text import number_with_sigma
 from testbed.parameters.barycentric import STANDARD
-from testbed.report.tables import number_with_sigma
 
 if TYPE_CHECKING:
     from testbed.identification.consistency import Consistent

@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.errors import printable
-from testbed.report.tables import number_with_sigma
+from testbed.identification.estimate_text import number_with_sigma
 from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:

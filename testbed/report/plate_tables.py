@@ -8,8 +8,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from testbed.identification.estimate_text import number_with_sigma
 from testbed.recordings.columns import AXES
-from testbed.report.tables import number_with_sigma
 from testbed.report.widths import first_that_fits
 
 if TYPE_CHECKING:

@@ -11,10 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.errors import printable
+from testbed.identification.estimate_text import number_with_sigma
 from testbed.report.widths import first_that_fits
-
-_EXACT, _EXACT_SHORT = 1e-7, 1e-10
-"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
 
 _NAME = 12
 """Columns that are left to a name, at least, when it gives way."""
@@ -186,27 +184,3 @@ def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
         return "-"
     k = estimate.names.index(name)
     return number_with_sigma(float(estimate.values[k]), float(estimate.sigma[k]), short)
-
-
-def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
-    """Value and sigma, with as many decimals as sigma has to say.
-
-    Args:
-        value: The value.
-        sigma: Its standard deviation.
-        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
-    """
-    if sigma == 0:
-        return f"{value:.9g}"  # known
-    if sigma < (_EXACT_SHORT if short else _EXACT) * abs(value):
-        return f"{value:.9g} +- {sigma:.0e}"
-    digits = _digits(sigma)
-    if short:
-        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
-        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
-    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
-
-
-def _digits(sigma: float) -> int:
-    """Decimals that show two digits of sigma."""
-    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1

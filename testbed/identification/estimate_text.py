@@ -1,0 +1,67 @@
+"""An estimate in words: values with sigmas, as a table for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+
+EXACT, EXACT_SHORT = 1e-7, 1e-10
+"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
+
+
+def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if sigma == 0:
+        return f"{value:.9g}"  # known
+    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
+        return f"{value:.9g} +- {sigma:.0e}"
+    digits = _digits(sigma)
+    if short:
+        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals that show two digits of sigma."""
+    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is printed of an estimate.
+
+    Attributes:
+        head: What it is.
+        rows: Name, value, sigma and unit of each parameter.
+        warnings: What to be careful about.
+    """
+
+    head: str
+    rows: tuple[tuple[str, float, float, str], ...]
+    warnings: tuple[str, ...]
+
+    def text(self) -> str:
+        """Name, value with sigma and unit, a line each; then the warnings."""
+        rows = [(name, number_with_sigma(value, s), unit) for name, value, s, unit in self.rows]
+        name, value = (max(len(row[k]) for row in rows) for k in range(2))
+        lines = [f"{row[0]:{name}s}  {row[1]:>{value}s}  {row[2]}" for row in rows]
+        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.warnings)])
+
+    def html(self) -> str:
+        """The same as a table of a page."""
+        body = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:right">'
+            f"{number_with_sigma(value, sigma).replace('+-', '&plusmn;')}</td>"
+            f'<td style="text-align:left">{escape(unit)}</td></tr>'
+            for name, value, sigma, unit in self.rows
+        )
+        warnings = "".join(f"<li>{escape(line)}</li>" for line in self.warnings)
+        said = f"<ul>{warnings}</ul>" if warnings else ""
+        return f"<table><caption>{escape(self.head)}</caption>{body}</table>{said}"
