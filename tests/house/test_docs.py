@@ -32,8 +32,8 @@ def test_the_readmes_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     for name in ("models", "experiments"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
-    blocks = code(README, "python")
-    assert blocks
+    blocks = code(README, "python") + code((ROOT / "docs/tour.md").read_text(), "python")
+    assert len(blocks) >= 2
     for block in blocks:
         exec(compile(block, "README.md", "exec"), {})
 
