@@ -15,10 +15,12 @@ from scipy import linalg, special
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.average import Answer, averaged_fit
+from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.noisy_columns import PositionNoise
 from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_solve
@@ -73,7 +75,8 @@ def under_coloured_noise(
     """
     units, p = units_of(start, beside), len(names)
     m = units.lead.shape[1]
-    every, made = units.products(passes, start.values, HIGHEST, _encoder_noise(passes))
+    encoders = _encoder_noise(passes)
+    every, made = units.products(passes, start.values, HIGHEST, encoders)
     products, noise = units.as_free(every), made and units.as_free(made)
     answer = averaged_fit(products.leading(m), noise, passes.plan.layout.model == "reaction")
     found, directions = answer.found, answer.directions
@@ -84,18 +87,24 @@ def under_coloured_noise(
     back = _in_channels(units, directions)
     bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
-    for rows in units.rows(passes, values):
+    counts = None if encoders is None else encoders.count_replicas(passes.plan, values)
+    doubt = CountDoubt(found, m)
+    for rows in units.rows(passes, values, counts):
         ones = rows.ones[..., None] * directions[:, None]
         columns = units.of_free(rows.columns)
         replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
         clues.add(columns, rows.ones)
+        if counts:
+            doubt.add(columns[..., :m], rows.made)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
     factor = replicas.factor(answer.fit, told)
-    covariance = units.lead @ (factor**2 * found.covariance[:m, :m]) @ units.lead.T
+    by_counts, share = doubt.found() if counts else (0.0, 0.0)
+    spread = factor**2 * found.covariance[:m, :m] + by_counts
+    covariance = units.lead @ spread @ units.lead.T
     covariance += _by_facts(units, every, directions, found.noise)
     return Refined(
         fit=start,
@@ -107,6 +116,8 @@ def under_coloured_noise(
             hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
             drowned=_drowned(answer.alone, units.lead[:p], names),
             repetition=repeated.found() if repeated else None,
+            least_counts=tuple(map(float, encoders.count)) if counts and encoders else (),
+            by_counts=share,
         ),
         further=further,
         further_covariance=covariance[p:, p:],
@@ -179,12 +190,15 @@ def _found_noise(
     )
 
 
-def _encoder_noise(passes: Passes) -> Array | None:
-    """Noise of the encoders that is in the columns, (n,); None where it is none, or unknown."""
-    if passes.plan.layout.model != "reaction" or passes.plan.source.senses_kinematics:
+def _encoder_noise(passes: Passes) -> PositionNoise | None:
+    """Noise of the encoders that is in the columns; None where it is none, or unknown."""
+    plan = passes.plan
+    if plan.layout.model != "reaction" or plan.source.senses_kinematics:
         return None
-    found = passes.surveyor.survey().encoder_noise
-    return found if found.any() else None
+    survey = passes.surveyor.survey()
+    filtered = len(plan.weights) > 1
+    count = survey.encoder_count if filtered else np.zeros_like(survey.encoder_count)
+    return PositionNoise(survey.encoder_noise, count) if survey.encoder_noise.any() else None
 
 
 def _in_channels(units: Units, directions: Array) -> Array:

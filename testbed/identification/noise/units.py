@@ -17,7 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.noisy_columns import NoisyColumns
+from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
@@ -44,6 +44,11 @@ class Beside:
     tested: tuple[int, ...] = ()
     facts: Facts | None = None
 
+    @property
+    def width(self) -> int:
+        """How many columns."""
+        return self.unknown + self.trends + sum(self.tested)
+
 
 NOTHING = Beside()
 """No columns beside the robot's."""
@@ -58,8 +63,7 @@ class Rows(NamedTuple):
         ones: Where a row counts, (C, k).
         own: What the values leave, (C, k) [N, N m].
         further: Those beside, (C, k, s) [N or N m per unit].
-        noise: What made noise of the encoders does to the robot's columns, and to what the values
-            foretell, (C, k, p + 1); nothing if none is made, (C, k, 0).
+        made: Columns that made noise of the encoders gives, (C, k, r).
     """
 
     columns: Array
@@ -67,7 +71,7 @@ class Rows(NamedTuple):
     ones: Array
     own: Array
     further: Array
-    noise: Array
+    made: Array
 
 
 def counted(columns: Array, measured: Array) -> Array:
@@ -136,25 +140,20 @@ class Units:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(
-        self, passes: Passes, values: Array, encoder_noise: Array | None = None
-    ) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Columns | None = None) -> Iterator[Rows]:
         """Rows, block by block.
 
         Args:
             passes: Over all rows.
             values: Of the robot's unknowns.
-            encoder_noise: Standard deviations of what is to be made, (n,); None for none.
+            made: What made noise of the encoders gives.
         """
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
-        beside, made = self.beside.columns, combined.shape[1]
-        if encoder_noise is None:
-            shown, made = beside, 0
-        else:
-            shown = _together(NoisyColumns(passes.plan, encoder_noise, combined), beside)
+        shown = _together(made, self.beside.columns)
         for columns, others, measured in passes.rows_beside(combined, shown):
-            further, own = others[..., made:], measured - columns[..., -1]
+            width = others.shape[2] - self.beside.width
+            further, own = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
             if not alone:  # each is then a mixture of all
                 ones = np.broadcast_to(ones.max(axis=0), ones.shape)
@@ -162,16 +161,16 @@ class Units:
             units = np.tensordot(self.root.T, stack, 1)
             p = len(values)
             yield Rows(
-                columns=np.delete(units[..., :-1], slice(p, p + made), axis=2),
+                columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
                 left=units[..., -1],
                 ones=ones,
                 own=own,
                 further=further,
-                noise=units[..., p : p + made],
+                made=units[..., p : p + width],
             )
 
     def products(
-        self, passes: Passes, values: Array, lags: int, encoder_noise: Array | None = None
+        self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
     ) -> tuple[LaggedProducts, LaggedProducts | None]:
         """Products of columns, of what values leave, and of ones, with so many rows before.
 
@@ -182,15 +181,17 @@ class Units:
             passes: Over all rows.
             values: Of the robot's unknowns.
             lags: How many rows before.
-            encoder_noise: As for `rows`.
+            encoders: Their noise; None where none is to be made.
         """
         sums, noise = LaggedSums(lags), LaggedSums(lags)
-        for rows in self.rows(passes, values, encoder_noise):
+        combined = np.column_stack([self.white, values])
+        made = None if encoders is None else NoisyColumns(passes.plan, encoders, combined)
+        for rows in self.rows(passes, values, made):
             last = np.stack([rows.left, rows.ones], axis=2)
             sums.add(np.concatenate([rows.columns, last], axis=2))
-            if encoder_noise is not None:
-                noise.add(self._of_noise(rows.noise))
-        return sums.finish(), None if encoder_noise is None else noise.finish()
+            if encoders is not None:
+                noise.add(self._of_noise(rows.made))
+        return sums.finish(), None if encoders is None else noise.finish()
 
     def _of_noise(self, noise: Array) -> Array:
         """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
@@ -199,10 +200,10 @@ class Units:
         return np.concatenate([columns, exact, -foretold, np.zeros_like(foretold)], axis=2)
 
 
-def _together(first: Columns, second: Columns | None) -> Columns:
+def _together(first: Columns | None, second: Columns | None) -> Columns | None:
     """Columns of both."""
-    if second is None:
-        return first
+    if first is None or second is None:
+        return first or second
     return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
