@@ -76,13 +76,14 @@ def under_coloured_noise(
     units, p = units_of(start, beside), len(names)
     m = units.lead.shape[1]
     encoders = _encoder_noise(passes)
-    every, made = units.products(passes, start.values, HIGHEST, encoders)
-    products, noise = units.as_free(every), made and units.as_free(made)
-    answer = averaged_fit(products.leading(m), noise, passes.plan.layout.model == "reaction")
+    given = units.products(passes, start.values, HIGHEST, encoders)
+    noise = None if given.noise is None else units.as_free(given.noise)
+    whole = passes.plan.layout.model == "reaction"
+    answer = averaged_fit(units.as_free(given.every), noise, whole)
     found, directions = answer.found, answer.directions
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
-    clues = Clues(products, Question(m + beside.trends, beside.tested))
+    clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
     back = _in_channels(units, directions)
     bias = back @ found.values[m:]
@@ -93,7 +94,10 @@ def under_coloured_noise(
         ones = rows.ones[..., None] * directions[:, None]
         columns = units.of_free(rows.columns)
         replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
-        clues.add(columns, rows.ones)
+        if rows.looked_at:
+            clues.add(columns, rows.ones)
+        else:
+            clues.pause()
         if counts:
             doubt.add(columns[..., :m], rows.made)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
@@ -105,7 +109,7 @@ def under_coloured_noise(
     by_counts, share = doubt.found() if counts else (0.0, 0.0)
     spread = factor**2 * found.covariance[:m, :m] + by_counts
     covariance = units.lead @ spread @ units.lead.T
-    covariance += _by_facts(units, every, directions, found.noise)
+    covariance += _by_facts(units, given.every, directions, found.noise)
     return Refined(
         fit=start,
         values=values,
@@ -139,7 +143,7 @@ def further_values(
         beside: Columns beside theirs, no tested ones among them.
     """
     units, p = units_of(start, beside), len(start.values)
-    given, _ = units.products(passes, start.values, 0)
+    given = units.products(passes, start.values, 0).every
     found = whitened_fit(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]

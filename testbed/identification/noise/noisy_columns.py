@@ -9,6 +9,7 @@ cannot be seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.identification.noise.counts import Counts
+from testbed.identification.passes import Columns
 from testbed.identification.windows import Plan
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
@@ -33,6 +35,18 @@ SEED = 1997
 """Of the made noise: the same recording gives the same estimate."""
 
 
+class Made(NamedTuple):
+    """Columns that made noise gives.
+
+    Attributes:
+        columns: Makes those of a window.
+        width: How many they are.
+    """
+
+    columns: Columns
+    width: int
+
+
 @dataclass(frozen=True, eq=False)
 class PositionNoise:
     """What is wrong with positions, beside what an instrument's faults do to them.
@@ -45,14 +59,16 @@ class PositionNoise:
     sigma: Array
     count: Array
 
-    def count_replicas(self, plan: Plan, values: Array) -> CountReplicas | None:
+    def count_replicas(self, plan: Plan, values: Array) -> Made | None:
         """What counts from other zeros do to an estimate's rows; None without counts.
 
         Args:
             plan: The rows.
             values: Of the unknowns, (p,).
         """
-        return CountReplicas(plan, self.count, values) if self.count.any() else None
+        if not self.count.any():
+            return None
+        return Made(CountReplicas(plan, self.count, values), ZEROS)
 
 
 class NoisyColumns:

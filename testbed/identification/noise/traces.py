@@ -123,7 +123,8 @@ def traces(
     white = whole.whitened(found.noise.coefficients)
     squares = np.tensordot(1 / found.noise.sigma**2, white, 1)[:-1, :-1]
     columns = independent.products.shape[2] - 2
-    free = max((whole.rows - 2 * found.noise.order) * channels - columns, 1)
+    order = found.noise.order
+    free = max((whole.after(order) - order) * channels - columns, 1)
     return _tests(squares, question, question.base + channels, free), found.noise
 
 
@@ -227,6 +228,11 @@ class Clues:
         """Go on with consecutive rows, (C, rows, q), and where they count, (C, rows)."""
         if self._replicas is not None:
             self._replicas.add(columns, ones)
+
+    def pause(self) -> None:
+        """Rows follow that are not looked at."""
+        if self._replicas is not None:
+            self._replicas.pause()
 
     def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:
         """Traces of each kind, shifts as those of the parameters, and their chances in noise.

@@ -17,7 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
+from testbed.identification.noise.noisy_columns import Made, NoisyColumns, PositionNoise
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
@@ -58,7 +58,9 @@ class Rows(NamedTuple):
     """A block of rows: columns and what values leave in units of the noise; and as measured.
 
     Attributes:
-        columns: The robot's and those beside, (C, k, q).
+        columns: The robot's and those beside, (C, k, q); those for tests only where they are
+            looked at.
+        looked_at: Whether they are.
         left: What the values leave, (C, k).
         ones: Where a row counts, (C, k).
         own: What the values leave, (C, k) [N, N m].
@@ -67,11 +69,26 @@ class Rows(NamedTuple):
     """
 
     columns: Array
+    looked_at: bool
     left: Array
     ones: Array
     own: Array
     further: Array
     made: Array
+
+
+class Products(NamedTuple):
+    """Sums of products of rows.
+
+    Attributes:
+        every: Of the unknowns' columns, residuals and ones, of all rows.
+        looked_at: Of all columns, residuals and ones, of the rows that are looked at.
+        noise: Of made noise of the encoders in the places of `every`; None if none is made.
+    """
+
+    every: LaggedProducts
+    looked_at: LaggedProducts
+    noise: LaggedProducts | None
 
 
 def counted(columns: Array, measured: Array) -> Array:
@@ -140,7 +157,7 @@ class Units:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Columns | None = None) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Made | None = None) -> Iterator[Rows]:
         """Rows, block by block.
 
         Args:
@@ -150,9 +167,9 @@ class Units:
         """
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
-        shown = _together(made, self.beside.columns)
+        width = 0 if made is None else made.width
+        shown = _together(None if made is None else made.columns, self.beside.columns)
         for columns, others, measured in passes.rows_beside(combined, shown):
-            width = others.shape[2] - self.beside.width
             further, own = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
             if not alone:  # each is then a mixture of all
@@ -162,6 +179,7 @@ class Units:
             p = len(values)
             yield Rows(
                 columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
+                looked_at=further.shape[2] == self.beside.width,
                 left=units[..., -1],
                 ones=ones,
                 own=own,
@@ -171,11 +189,8 @@ class Units:
 
     def products(
         self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
-    ) -> tuple[LaggedProducts, LaggedProducts | None]:
+    ) -> Products:
         """Products of columns, of what values leave, and of ones, with so many rows before.
-
-        And the same of what made noise of the encoders does to the unknowns' columns and to what
-        values leave, if it is made.
 
         Args:
             passes: Over all rows.
@@ -183,15 +198,27 @@ class Units:
             lags: How many rows before.
             encoders: Their noise; None where none is to be made.
         """
-        sums, noise = LaggedSums(lags), LaggedSums(lags)
-        combined = np.column_stack([self.white, values])
-        made = None if encoders is None else NoisyColumns(passes.plan, encoders, combined)
+        every, seen, noise = LaggedSums(lags), LaggedSums(lags), LaggedSums(lags)
+        combined, made = np.column_stack([self.white, values]), None
+        if encoders is not None:
+            made = Made(NoisyColumns(passes.plan, encoders, combined), combined.shape[1])
+        whole, m = passes.plan.looked_at_all, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.left, rows.ones], axis=2)
-            sums.add(np.concatenate([rows.columns, last], axis=2))
-            if encoders is not None:
+            if rows.looked_at:
+                seen.add(np.concatenate([rows.columns, last], axis=2))
+            else:
+                seen.pause()
+            if not whole:
+                every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
+            if made is not None:
                 noise.add(self._of_noise(rows.made))
-        return sums.finish(), None if encoders is None else noise.finish()
+        tested = seen.finish()
+        return Products(
+            every=tested.leading(m) if whole else every.finish(),
+            looked_at=tested,
+            noise=None if made is None else noise.finish(),
+        )
 
     def _of_noise(self, noise: Array) -> Array:
         """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
