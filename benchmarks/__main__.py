@@ -204,6 +204,24 @@ def coverage(
 
 
 @app.command()
+def accuracy(
+    runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 40,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 9000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+) -> None:
+    """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
+    from benchmarks.accuracy import REMEDIES, efficiency, remedied
+
+    for robot in ("puma", "ur5"):
+        if only in f"bound {robot}":
+            _print(efficiency(robot, first, runs, seconds))
+    for fault in REMEDIES:
+        if only in f"remedy {fault}":
+            _print(remedied(fault, first, runs, seconds))
+
+
+@app.command()
 def detection(
     runs: Annotated[int, typer.Option(min=1, help="Recordings of each kind.")] = 100,
     seed: Annotated[int, typer.Option(min=0, help="The first seed.")] = 7000,
