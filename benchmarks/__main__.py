@@ -198,8 +198,7 @@ def coverage(
 
     settings = tb.Settings(noise="white" if noise == "white" else "ar")
     for study in studies(settings, seconds):
-        words = f"{study.robot} {study.motion} {study.noise} {study.method}"
-        if only in words:
+        if only in study.words:
             _print(measured(study, first, runs))
 
 
