@@ -25,7 +25,7 @@ from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.noise.traces import Clues, Question, Trace
-from testbed.identification.noise.units import NOTHING, Beside, Units, units_of
+from testbed.identification.noise.units import NOTHING, Beside, Products, Units, units_of
 from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
@@ -74,12 +74,9 @@ def under_coloured_noise(
         beside: Columns beside theirs.
     """
     units, p = units_of(start, beside), len(names)
-    m = units.lead.shape[1]
-    encoders = _encoder_noise(passes)
+    m, encoders = units.lead.shape[1], _encoder_noise(passes)
     given = units.products(passes, start.values, HIGHEST, encoders)
-    noise = None if given.noise is None else units.as_free(given.noise)
-    whole = passes.plan.layout.model == "reaction"
-    answer = averaged_fit(units.as_free(given.every), noise, whole)
+    answer = _answer(units, given, passes.plan.layout.model == "reaction")
     found, directions = answer.found, answer.directions
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
@@ -88,45 +85,34 @@ def under_coloured_noise(
     back = _in_channels(units, directions)
     bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
-    counts = None if encoders is None else encoders.count_replicas(passes.plan, values)
     doubt = CountDoubt(found, m)
-    for rows in units.rows(passes, values, counts):
+    for rows in units.rows(passes, values, encoders.again(passes.plan, values)):
         ones = rows.ones[..., None] * directions[:, None]
         columns = units.of_free(rows.columns)
         replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
-        if rows.looked_at:
-            clues.add(columns, rows.ones)
-        else:
-            clues.pause()
-        if counts:
-            doubt.add(columns[..., :m], rows.made)
+        clues.add(columns, rows.ones, rows.looked_at)
+        doubt.add(columns[..., :m], rows.made)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
     factor = replicas.factor(answer.fit, told)
-    by_counts, share = doubt.found() if counts else (0.0, 0.0)
+    by_counts, share = doubt.found()
     spread = factor**2 * found.covariance[:m, :m] + by_counts
     covariance = units.lead @ spread @ units.lead.T
     covariance += _by_facts(units, given.every, directions, found.noise)
-    return Refined(
-        fit=start,
-        values=values,
-        covariance=covariance[:p, :p],
-        squares=squares,
-        noise=replace(
-            _found_noise(passes, answer, factor, back, bias),
-            hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
-            drowned=_drowned(answer.alone, units.lead[:p], names),
-            repetition=repeated.found() if repeated else None,
-            least_counts=tuple(map(float, encoders.count)) if counts and encoders else (),
-            by_counts=share,
-        ),
-        further=further,
-        further_covariance=covariance[p:, p:],
-        traces=clues.found(units.lead[:p]),
+    noise = replace(
+        _found_noise(passes, answer, factor, back, bias),
+        hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
+        drowned=_drowned(answer.alone, units.lead[:p], names),
+        least_counts=encoders.least_counts,
+        by_counts=share,
+        repetition=repeated.found() if repeated else None,
     )
+    tests = clues.found(units.lead[:p])
+    own, others = covariance[:p, :p], covariance[p:, p:]
+    return Refined(start, values, own, squares, noise, further, others, tests)
 
 
 def further_values(
@@ -153,6 +139,12 @@ def further_values(
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~lead.any(axis=1)] = 1.0  # known
     return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
+
+
+def _answer(units: Units, given: Products, whole: bool) -> Answer:
+    """The fit that suits the rows, of what is free."""
+    noise = None if given.noise is None else units.as_free(given.noise)
+    return averaged_fit(units.as_free(given.every), noise, whole)
 
 
 def _by_facts(
@@ -194,15 +186,14 @@ def _found_noise(
     )
 
 
-def _encoder_noise(passes: Passes) -> PositionNoise | None:
-    """Noise of the encoders that is in the columns; None where it is none, or unknown."""
-    plan = passes.plan
+def _encoder_noise(passes: Passes) -> PositionNoise:
+    """Noise of the encoders that is in the columns; zero where it is none, or unknown."""
+    plan, survey = passes.plan, passes.surveyor.survey()
+    none = np.zeros(plan.layout.tree.n)
     if plan.layout.model != "reaction" or plan.source.senses_kinematics:
-        return None
-    survey = passes.surveyor.survey()
+        return PositionNoise(none, none)
     filtered = len(plan.weights) > 1
-    count = survey.encoder_count if filtered else np.zeros_like(survey.encoder_count)
-    return PositionNoise(survey.encoder_noise, count) if survey.encoder_noise.any() else None
+    return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)
 
 
 def _in_channels(units: Units, directions: Array) -> Array:

@@ -33,16 +33,20 @@ class CountDoubt:
 
         Args:
             columns: Of the unknowns, (C, rows, m).
-            made: Replicas, (C, rows, k).
+            made: Replicas, (C, rows, k); none where there are no counts.
         """
+        if not made.shape[2]:
+            return
         self._sums.add(np.concatenate([columns, made], axis=2))
         self._numbers += columns.shape[0] * columns.shape[1]
 
     def found(self) -> tuple[Array, float]:
         """Covariance of the unknowns by counts alone, (m, m), and their part of the residuals."""
+        m = len(self._covariance)
+        if not self._numbers:
+            return np.zeros((m, m)), 0.0
         white = self._sums.finish().whitened(self._noise.coefficients)
         squares = np.tensordot(self._noise.sigma**-2.0, white, 1)
-        m = len(self._covariance)
         moved = self._covariance @ squares[:m, m:]
         share = float(np.diagonal(squares)[m:].mean()) / self._numbers
         return moved @ moved.T / moved.shape[1], share

@@ -39,12 +39,16 @@ class Made(NamedTuple):
     """Columns that made noise gives.
 
     Attributes:
-        columns: Makes those of a window.
+        columns: Makes those of a window; None for none.
         width: How many they are.
     """
 
-    columns: Columns
+    columns: Columns | None
     width: int
+
+
+NOTHING_MADE = Made(None, 0)
+"""No noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +63,31 @@ class PositionNoise:
     sigma: Array
     count: Array
 
-    def count_replicas(self, plan: Plan, values: Array) -> Made | None:
-        """What counts from other zeros do to an estimate's rows; None without counts.
+    @property
+    def least_counts(self) -> tuple[float, ...]:
+        """Joint by joint; nothing where none has any."""
+        return tuple(map(float, self.count)) if self.count.any() else ()
+
+    def made(self, plan: Plan, combined: Array) -> Made:
+        """What such noise does to combinations of the columns; nothing without noise.
+
+        Args:
+            plan: The rows.
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        if not self.sigma.any():
+            return NOTHING_MADE
+        return Made(NoisyColumns(plan, self, combined), combined.shape[1])
+
+    def again(self, plan: Plan, values: Array) -> Made:
+        """What counts from other zeros do to an estimate's rows; nothing without counts.
 
         Args:
             plan: The rows.
             values: Of the unknowns, (p,).
         """
         if not self.count.any():
-            return None
+            return NOTHING_MADE
         return Made(CountReplicas(plan, self.count, values), ZEROS)
 
 

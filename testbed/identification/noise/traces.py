@@ -224,14 +224,19 @@ class Clues:
             self._order = noise.order
             self._replicas = Replicas(noise, question.columns)
 
-    def add(self, columns: Array, ones: Array) -> None:
-        """Go on with consecutive rows, (C, rows, q), and where they count, (C, rows)."""
-        if self._replicas is not None:
-            self._replicas.add(columns, ones)
+    def add(self, columns: Array, ones: Array, looked_at: bool = True) -> None:
+        """Go on with consecutive rows.
 
-    def pause(self) -> None:
-        """Rows follow that are not looked at."""
-        if self._replicas is not None:
+        Args:
+            columns: Of the question, (C, rows, q).
+            ones: Where a row counts, (C, rows).
+            looked_at: Whether the rows are.
+        """
+        if self._replicas is None:
+            return
+        if looked_at:
+            self._replicas.add(columns, ones)
+        else:
             self._replicas.pause()
 
     def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:

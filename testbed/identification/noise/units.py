@@ -17,7 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.noisy_columns import Made, NoisyColumns, PositionNoise
+from testbed.identification.noise.noisy_columns import NOTHING_MADE, Made, PositionNoise
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
@@ -157,7 +157,7 @@ class Units:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(self, passes: Passes, values: Array, made: Made | None = None) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Made = NOTHING_MADE) -> Iterator[Rows]:
         """Rows, block by block.
 
         Args:
@@ -167,8 +167,7 @@ class Units:
         """
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
-        width = 0 if made is None else made.width
-        shown = _together(None if made is None else made.columns, self.beside.columns)
+        shown, width = _together(made.columns, self.beside.columns), made.width
         for columns, others, measured in passes.rows_beside(combined, shown):
             further, own = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
@@ -199,9 +198,9 @@ class Units:
             encoders: Their noise; None where none is to be made.
         """
         every, seen, noise = LaggedSums(lags), LaggedSums(lags), LaggedSums(lags)
-        combined, made = np.column_stack([self.white, values]), None
+        combined, made = np.column_stack([self.white, values]), NOTHING_MADE
         if encoders is not None:
-            made = Made(NoisyColumns(passes.plan, encoders, combined), combined.shape[1])
+            made = encoders.made(passes.plan, combined)
         whole, m = passes.plan.looked_at_all, len(self.grown)
         for rows in self.rows(passes, values, made):
             last = np.stack([rows.left, rows.ones], axis=2)
@@ -211,13 +210,13 @@ class Units:
                 seen.pause()
             if not whole:
                 every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
-            if made is not None:
+            if made.width:
                 noise.add(self._of_noise(rows.made))
         tested = seen.finish()
         return Products(
             every=tested.leading(m) if whole else every.finish(),
             looked_at=tested,
-            noise=None if made is None else noise.finish(),
+            noise=noise.finish() if made.width else None,
         )
 
     def _of_noise(self, noise: Array) -> Array:
