@@ -198,9 +198,26 @@ def coverage(
 
     settings = tb.Settings(noise="white" if noise == "white" else "ar")
     for study in studies(settings, seconds):
-        words = f"{study.robot} {study.motion} {study.noise} {study.method}"
-        if only in words:
+        if only in study.words:
             _print(measured(study, first, runs))
+
+
+@app.command()
+def accuracy(
+    runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 40,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 9000,
+    seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
+    only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+) -> None:
+    """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
+    from benchmarks.accuracy import REMEDIES, efficiency, remedied
+
+    for robot in ("puma", "ur5"):
+        if only in f"bound {robot}":
+            _print(efficiency(robot, first, runs, seconds))
+    for fault in REMEDIES:
+        if only in f"remedy {fault}":
+            _print(remedied(fault, first, runs, seconds))
 
 
 @app.command()

@@ -20,9 +20,14 @@ from benchmarks import random_recordings
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate, Method
+from testbed.instruments.encoders import EncoderResolution
+from testbed.instruments.fault import Fault
 from testbed.recordings.recording import Recording
 
 NORMAL = 1.96
+
+COARSE = (EncoderResolution(count=1e-3),)
+"""Encoders that stand still from sample to sample in slow motions."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,7 @@ class Study:
         method: Whose sigmas.
         seconds: Duration of every recording.
         settings: Of the identification.
+        faults: Of the instrument.
     """
 
     robot: str
@@ -44,6 +50,14 @@ class Study:
     method: Method
     seconds: float
     settings: tb.Settings
+    faults: tuple[Fault, ...] = ()
+
+    @property
+    def words(self) -> str:
+        """By which it is picked."""
+        return " ".join(
+            [self.robot, self.motion, self.noise, self.method, *(f.kind for f in self.faults)]
+        )
 
 
 def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
@@ -78,6 +92,7 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         "motion": study.motion,
         "noise": study.noise,
         "method": study.method,
+        "faults": [fault.kind for fault in study.faults],
         "seconds": study.seconds,
         "runs": runs,
         "seeds": f"{first} to {first + runs - 1}",
@@ -98,7 +113,8 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
 def recorded(tree: tb.Tree, study: Study, seed: int) -> Recording:
     """A recording of a motion of its own; simulated with friction where torques are asked for."""
     if study.method == "external":
-        return random_recordings.recorded(tree, study.motion, study.noise, study.seconds, seed)
+        kind = (study.motion, study.noise, study.seconds)
+        return random_recordings.recorded(tree, *kind, seed, study.faults)
     settings = [f"seed={seed}", f"motion.duration={study.seconds}", "motion.candidates=1"]
     speed = SPEEDS[study.motion]
     if speed is not None:
@@ -125,6 +141,9 @@ def studies(settings: tb.Settings, seconds: float) -> Iterator[Study]:
         yield Study("ur5", "default", noise, "external", seconds, settings)
     for motion in SPEEDS:
         yield Study("puma", motion, "white", "internal", seconds, zeros)
+    for noise in ("white", "ar .3 s"):
+        yield Study("puma", "slow", noise, "external", seconds, zeros, COARSE)
+    yield Study("ur5", "slow", "ar .3 s", "external", seconds, settings, COARSE)
 
 
 def _share(value: float) -> float:

@@ -105,6 +105,8 @@ def _noise(estimate: Estimate) -> dict[str, Any] | None:
         "bias_weight": noise.bias_weight,
         "hidden": list(noise.hidden),
         "drowned": list(noise.drowned),
+        "least_counts": list(noise.least_counts),
+        "by_counts": noise.by_counts,
         "repetition": None if noise.repetition is None else asdict(noise.repetition),
     }
 

@@ -15,15 +15,17 @@ from scipy import linalg, special
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.average import Answer, averaged_fit
+from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.noisy_columns import PositionNoise
 from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.noise.traces import Clues, Question, Trace
-from testbed.identification.noise.units import NOTHING, Beside, Units, units_of
+from testbed.identification.noise.units import NOTHING, Beside, Products, Units, units_of
 from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
@@ -72,46 +74,45 @@ def under_coloured_noise(
         beside: Columns beside theirs.
     """
     units, p = units_of(start, beside), len(names)
-    m = units.lead.shape[1]
-    every, made = units.products(passes, start.values, HIGHEST, _encoder_noise(passes))
-    products, noise = units.as_free(every), made and units.as_free(made)
-    answer = averaged_fit(products.leading(m), noise, passes.plan.layout.model == "reaction")
+    m, encoders = units.lead.shape[1], _encoder_noise(passes)
+    given = units.products(passes, start.values, HIGHEST, encoders)
+    answer = _answer(units, given, passes.plan.layout.model == "reaction")
     found, directions = answer.found, answer.directions
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
-    clues = Clues(products, Question(m + beside.trends, beside.tested))
+    clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
     replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
     back = _in_channels(units, directions)
     bias = back @ found.values[m:]
     repeated = _repetition_sums(passes, found.noise)
-    for rows in units.rows(passes, values):
+    doubt = CountDoubt(found, m)
+    for rows in units.rows(passes, values, encoders.again(passes.plan, values)):
         ones = rows.ones[..., None] * directions[:, None]
         columns = units.of_free(rows.columns)
         replicas.add(np.concatenate([columns[..., :m], ones], axis=2), rows.ones)
-        clues.add(columns, rows.ones)
+        clues.add(columns, rows.ones, rows.looked_at)
+        doubt.add(columns[..., :m], rows.made)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
         squares += (far**2 * rows.ones).sum(axis=1)
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
     factor = replicas.factor(answer.fit, told)
-    covariance = units.lead @ (factor**2 * found.covariance[:m, :m]) @ units.lead.T
-    covariance += _by_facts(units, every, directions, found.noise)
-    return Refined(
-        fit=start,
-        values=values,
-        covariance=covariance[:p, :p],
-        squares=squares,
-        noise=replace(
-            _found_noise(passes, answer, factor, back, bias),
-            hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
-            drowned=_drowned(answer.alone, units.lead[:p], names),
-            repetition=repeated.found() if repeated else None,
-        ),
-        further=further,
-        further_covariance=covariance[p:, p:],
-        traces=clues.found(units.lead[:p]),
+    by_counts, share = doubt.found()
+    spread = factor**2 * found.covariance[:m, :m] + by_counts
+    covariance = units.lead @ spread @ units.lead.T
+    covariance += _by_facts(units, given.every, directions, found.noise)
+    noise = replace(
+        _found_noise(passes, answer, factor, back, bias),
+        hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
+        drowned=_drowned(answer.alone, units.lead[:p], names),
+        least_counts=encoders.least_counts,
+        by_counts=share,
+        repetition=repeated.found() if repeated else None,
     )
+    tests = clues.found(units.lead[:p])
+    own, others = covariance[:p, :p], covariance[p:, p:]
+    return Refined(start, values, own, squares, noise, further, others, tests)
 
 
 def further_values(
@@ -128,7 +129,7 @@ def further_values(
         beside: Columns beside theirs, no tested ones among them.
     """
     units, p = units_of(start, beside), len(start.values)
-    given, _ = units.products(passes, start.values, 0)
+    given = units.products(passes, start.values, 0).every
     found = whitened_fit(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
@@ -138,6 +139,12 @@ def further_values(
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~lead.any(axis=1)] = 1.0  # known
     return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
+
+
+def _answer(units: Units, given: Products, whole: bool) -> Answer:
+    """The fit that suits the rows, of what is free."""
+    noise = None if given.noise is None else units.as_free(given.noise)
+    return averaged_fit(units.as_free(given.every), noise, whole)
 
 
 def _by_facts(
@@ -179,12 +186,14 @@ def _found_noise(
     )
 
 
-def _encoder_noise(passes: Passes) -> Array | None:
-    """Noise of the encoders that is in the columns, (n,); None where it is none, or unknown."""
-    if passes.plan.layout.model != "reaction" or passes.plan.source.senses_kinematics:
-        return None
-    found = passes.surveyor.survey().encoder_noise
-    return found if found.any() else None
+def _encoder_noise(passes: Passes) -> PositionNoise:
+    """Noise of the encoders that is in the columns; zero where it is none, or unknown."""
+    plan, survey = passes.plan, passes.surveyor.survey()
+    none = np.zeros(plan.layout.tree.n)
+    if plan.layout.model != "reaction" or plan.source.senses_kinematics:
+        return PositionNoise(none, none)
+    filtered = len(plan.weights) > 1
+    return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)
 
 
 def _in_channels(units: Units, directions: Array) -> Array:

@@ -14,7 +14,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.finding import Finding, components, few
-from testbed.identification.noise.found_noise import FoundNoise
+from testbed.identification.noise_warnings import noise_warnings
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
@@ -27,12 +27,6 @@ SIGNIFICANT = 0.3
 SMALL = 0.01
 """Sigma, relative to the largest value of the same unit, below which a parameter is known well
 enough, however small it is."""
-
-SMALL_CHANCE = 1e-3
-"""Probability below which what is found is not taken for chance."""
-
-DRIFT = 0.5
-"""Part of a recording over which the noise of a channel holds on, and is a drift."""
 
 ILL_CONDITIONED = 1e3
 """Condition of the scaled equations above which the estimate is reported as doubtful."""
@@ -112,7 +106,7 @@ def quality_warnings(estimate: Estimate) -> list[str]:
             f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
             "errors of the instrument grow by up to that factor"
         )
-    warnings += _noise_warnings(estimate)
+    warnings += noise_warnings(estimate)
     base = estimate.base
     largest: dict[str, float] = {}
     for unit, value in zip(base.units, base.values, strict=True):
@@ -127,55 +121,6 @@ def quality_warnings(estimate: Estimate) -> list[str]:
     if loose:
         warnings.append(f"the {estimate.method} estimate leaves poorly determined: {few(loose)}")
     return warnings
-
-
-def _noise_warnings(estimate: Estimate) -> list[str]:
-    """What constants and slow noise do to an estimate."""
-    noise = estimate.noise
-    if noise is None:
-        return []
-    drowned = [
-        f"noise of the encoders is much of what these data show of {few(noise.drowned)}: sigma "
-        "does not hold there; move faster, or filter lower (`cutoff`)"
-    ] * bool(noise.drowned)
-    if noise.bias_chance > SMALL_CHANCE:
-        return drowned + _drifting(estimate, noise)
-    told = ", ".join(
-        f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
-        for channel, unit, value, sigma in zip(
-            estimate.channels, estimate.channel_units, noise.bias, noise.bias_sigma, strict=True
-        )
-        if sigma > 0 and abs(value) > 2 * sigma
-    )
-    hidden = (
-        f"; {', '.join(noise.hidden)} cannot be told from a constant, and sigma holds for it only "
-        "if there is none"
-        if noise.hidden
-        else ""
-    )
-    return [
-        *drowned,
-        f"the plate's zero is off, or drifts: constants were estimated with the parameters "
-        f"({told}){hidden}",
-    ]
-
-
-def _drifting(estimate: Estimate, noise: FoundNoise) -> list[str]:
-    """Channels that wander so slowly that what rests on their constants rests on nothing."""
-    if not noise.hidden:
-        return []
-    slow = [
-        f"{channel} ({memory:.2g} s)"
-        for channel, memory in zip(estimate.channels, noise.memory, strict=True)
-        if memory > DRIFT * noise.span
-    ]
-    if not slow:
-        return []
-    return [
-        f"the plate's zero drifts: what is left of {', '.join(slow)} wanders as slowly as the "
-        f"recording lasts; {', '.join(noise.hidden)} cannot be told from a constant, and sigma "
-        "does not hold for it"
-    ]
 
 
 def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:

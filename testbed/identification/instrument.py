@@ -112,6 +112,7 @@ class Side:
                 [each for each in shown if each.kept],
                 self.unknowns,
                 self.unknowns.unmixed(numbers),
+                always=int(bool(self.unknowns.kept)),
             ),
             unknown=len(self.unknowns.kept),
             trends=len(self.trends.kept) if tests else 0,

@@ -1,6 +1,7 @@
 """What the first pass sees of the raw signals: some samples, evenly spread over the recording.
 
-And how noisy the encoders are: differences of high order leave nothing of a motion.
+And how noisy the encoders are: differences of high order leave nothing of a motion. Encoders
+that show whole counts, and no noise between, are told from noisy ones.
 """
 
 from __future__ import annotations
@@ -21,6 +22,19 @@ ORDER = 8
 
 STRETCH = 256
 """Samples whose noise is averaged; of such means, the middle one counts: spikes are no noise."""
+
+
+FEWEST = 16
+"""Small changes of a position by which its least count is known."""
+
+CLOSE = 0.1
+"""Part of a count by which differences may be no whole counts: what rounding makes of them."""
+
+WHOLE = 0.95
+"""Part of the smallest differences that are whole counts, if a position is in counts."""
+
+BETWEEN = 0.4
+"""Counts of noise that blur the counts: of rounding alone there are 0.29 at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +62,15 @@ class Survey:
             (m, 6) [N, N m].
         repeats: How often samples are like the ones before, among all samples.
         encoder_noise: Standard deviations, as if it were white, (n,) [rad or m].
+        encoder_count: Least count of encoders that show whole counts and no noise between; zero
+            for others, (n,) [rad or m].
     """
 
     position: Array
     measured: Array
     repeats: Repeats
     encoder_noise: Array
+    encoder_count: Array
 
 
 class Surveyor:
@@ -65,6 +82,7 @@ class Surveyor:
         self._kept: dict[int, tuple[Array, Array]] = {}
         self._repeats: dict[int, Repeats] = {}
         self._rough: dict[int, Array] = {}
+        self._counts: dict[int, Array] = {}
 
     def look(self, signals: Signals, first: int, count: int) -> None:
         """Keep some of a window's samples.
@@ -80,6 +98,7 @@ class Surveyor:
             signals.position[: count + 1], signals.measured[: count + 1]
         )
         self._rough[first] = _noise_squares(signals.position[: count + ORDER])
+        self._counts[first] = _least_counts(signals.position[: count + 1])
 
     def survey(self) -> Survey:
         """All that was kept, in the order of time."""
@@ -92,7 +111,9 @@ class Surveyor:
             together=sum(each.together for each in counts),
         )
         rough = np.stack([self._rough[first] for first in sorted(self._rough)])
-        return Survey(position, measured, repeats, np.sqrt(np.median(rough, axis=0)))
+        noise = np.sqrt(np.median(rough, axis=0))
+        least = np.stack([self._counts[first] for first in sorted(self._counts)])
+        return Survey(position, measured, repeats, noise, _without_noise(least, noise))
 
 
 def _repeats(position: Array, measured: Array) -> Repeats:
@@ -111,3 +132,28 @@ def _noise_squares(position: Array) -> Array:
     ends = np.append(starts[1:], len(rough))
     sums = np.add.reduceat(rough**2, starts, axis=0) / (ends - starts)[:, None]
     return np.asarray(np.median(sums, axis=0) / comb(2 * ORDER, ORDER))
+
+
+def _least_counts(position: Array) -> Array:
+    """Of consecutive positions, (n,); zero where there is none, nan where few differ a little."""
+    return np.array([_least_count(column) for column in np.abs(np.diff(position, axis=0)).T])
+
+
+def _least_count(changes: Array) -> float:
+    least = changes[changes > 0].min(initial=np.inf)
+    few = changes[(changes > 0) & (changes < 4.5 * least)]
+    if len(few) < FEWEST:
+        return float("nan")
+    count = float(few[few < 1.5 * least].mean())
+    whole = np.abs(few / count - np.round(few / count)) < CLOSE
+    return count if whole.mean() >= WHOLE else 0.0
+
+
+def _without_noise(counts: Array, noise: Array) -> Array:
+    """Least counts of all windows, (windows, n), where noise, (n,), does not blur them."""
+    found = np.zeros(len(noise))
+    for joint, own in enumerate(counts.T):
+        known = own[np.isfinite(own)]
+        if len(known):
+            found[joint] = np.median(known)
+    return np.where(noise < BETWEEN * found, found, 0.0)

@@ -20,6 +20,8 @@ FILTERED = 1e-5
 NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
 
+UNTESTED = ("elastic joints or structure", "cables or hoses")
+
 LACKING = "something on the plate that the model lacks"
 
 
@@ -50,16 +52,18 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
 
 def _repetition(estimate: Estimate) -> Iterator[Finding]:
     """Residuals that repeat with the motion, for a cause that was not tested for."""
-    found = None if estimate.noise is None else estimate.noise.repetition
-    if found is None or found.chance > FALSE_ALARMS:
+    noise = estimate.noise
+    found = None if noise is None else noise.repetition
+    if noise is None or found is None or found.chance > FALSE_ALARMS:
         return
+    first = ("steps of coarse encoders",) * noise.steps_matter
     share, channel = max(zip(found.share, estimate.channels, strict=True))
     yield Finding(
         "the plate's residuals",
         f"repeat with the motion every {found.period:.4g} s ({_chance(found.chance)}), up to "
         f"{share:.0%} of them in {channel}",
         share,
-        ("elastic joints or structure", "cables or hoses", "errors of the encoders", LACKING),
+        (*first, *UNTESTED, "errors of the encoders", LACKING),
         "plot them beside the joints' motion (`testbed view`)",
     )
 

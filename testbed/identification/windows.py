@@ -27,6 +27,9 @@ the filter leaves independent, or their spectrum would have an empty part."""
 WINDOW = 32_768
 """Samples of a window, about."""
 
+LOOKED_AT = 16
+"""Windows, evenly spread, in which traces of faults are looked for: nine minutes at 1 kHz."""
+
 
 @dataclass(frozen=True)
 class Window:
@@ -91,6 +94,19 @@ class Plan:
             last = first + (rows - 1) * self.step + 2 * self.reach + 1
             # one more, so that every step of time is within some window
             yield Window(row, rows, first, min(last + 1, self.source.samples))
+
+    @property
+    def looked_at(self) -> frozenset[int]:
+        """First rows of the windows in which traces of faults are looked for: all, if few."""
+        rows = [window.row for window in self.windows()]
+        if len(rows) > LOOKED_AT:
+            rows = [rows[k] for k in np.linspace(0, len(rows) - 1, LOOKED_AT).round().astype(int)]
+        return frozenset(rows)
+
+    @property
+    def looked_at_all(self) -> bool:
+        """Whether they are looked for in all windows."""
+        return len(self.looked_at) == sum(1 for _ in self.windows())
 
     def own(self, window: Window) -> int:
         """How many of a window's samples come before the next window's first."""

@@ -56,7 +56,7 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
         made: Of noise in the same places, whitened rows' only; None for none.
         whole: Whether no rows are missing.
     """
-    none, m = np.zeros((len(given.first), 0)), given.products.shape[2] - 2
+    none, m = np.zeros((given.products.shape[1], 0)), given.products.shape[2] - 2
     if not whole:
         return Answer(weighted_fit(given), weighted_fit, none, np.zeros((0, m)))
     there = constants(given)

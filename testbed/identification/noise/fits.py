@@ -80,12 +80,12 @@ def whitened_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     if order is None:
         highest = _highest(given, m)
         order = highest and best_order(
-            _moments(given, values, highest), given.rows - highest, highest
+            _moments(given, values, highest), given.after(highest), highest
         )
     for _ in range(ROUNDS):
         coefficients = fit(_moments(given, values, order), order)
         white = given.whitened(coefficients)
-        values, inverse, spread = _weighted(white, given.rows - order, m, order)
+        values, inverse, spread = _weighted(white, given.after(order), m, order)
     return NoiseFit(values, inverse, Autoregression(coefficients, spread))
 
 

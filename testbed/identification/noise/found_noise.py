@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from testbed.arrays import Array
 from testbed.identification.noise.repetition import Repetition
 
+COARSE = 0.05
+"""Part of the whitened residuals that steps of the encoders may be without a word."""
+
 
 @dataclass(frozen=True, eq=False)
 class FoundNoise:
@@ -24,6 +27,9 @@ class FoundNoise:
         hidden: Parameters that no motion can tell from a constant of a channel.
         drowned: Parameters whose columns are in large part noise of the encoders, alone or
             together: sigma does not hold for them.
+        least_counts: Of encoders that show whole counts and no noise between, zero for others,
+            (n,) [rad or m]; empty if there are none.
+        by_counts: Part of the whitened residuals that such counts account for.
         repetition: Whether the residuals repeat with the motion; None where that cannot be told.
     """
 
@@ -37,4 +43,11 @@ class FoundNoise:
     span: float
     hidden: tuple[str, ...]
     drowned: tuple[str, ...] = ()
+    least_counts: tuple[float, ...] = ()
+    by_counts: float = 0.0
     repetition: Repetition | None = None
+
+    @property
+    def steps_matter(self) -> bool:
+        """Whether steps of the encoders are much of what the model leaves."""
+        return self.by_counts > COARSE

@@ -16,13 +16,13 @@ from testbed.identification.noise.autoregression import prediction_errors
 
 @dataclass(frozen=True, eq=False)
 class LaggedProducts:
-    """Sums over rows z_t, t = 0 ... rows - 1, of C channels with q columns each.
+    """Sums over rows z_t of C channels with q columns each, in one sequence or S apart.
 
     Attributes:
-        rows: How many.
+        rows: How many, of all sequences.
         products: By lag k = 0 ... K: z_t z_(t-k)' summed over t >= k, (K + 1, C, q, q).
-        first: The first K rows, (C, K, q); zeros where there are fewer.
-        last: The last K rows, in the order of time, (C, K, q); zeros before the first.
+        first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
+        last: The last K, in the order of time, (S, C, K, q); zeros before the first.
     """
 
     rows: int
@@ -35,10 +35,18 @@ class LaggedProducts:
         """The largest lag K."""
         return len(self.products) - 1
 
+    def after(self, order: int) -> int:
+        """Rows with so many rows before.
+
+        Args:
+            order: How many.
+        """
+        return self.rows - order * len(self.first)
+
     @property
     def at_once(self) -> LaggedProducts:
         """Without rows before."""
-        none = self.first[:, :0]
+        none = self.first[:, :, :0]
         return LaggedProducts(self.rows, self.products[:1], none, none)
 
     def picked(self, which: list[int]) -> LaggedProducts:
@@ -74,7 +82,7 @@ class LaggedProducts:
         )
 
     def shifted(self, i: int, j: int, start: int) -> Array:
-        """z_(t-i) z_(t-j)' summed over t = start ... rows - 1, (C, q, q).
+        """z_(t-i) z_(t-j)' summed over t >= start, (C, q, q).
 
         Args:
             i: At most `start`.
@@ -84,10 +92,10 @@ class LaggedProducts:
         if i > j:
             return np.asarray(self.shifted(j, i, start).transpose(0, 2, 1))
         lag = j - i
-        head = self.first[:, lag : start - i], self.first[:, : start - i - lag]
-        size = self.last.shape[1]
-        tail = self.last[:, size - i :], self.last[:, size - i - lag : size - lag]
-        edges = sum(np.matmul(now.transpose(0, 2, 1), before) for now, before in (head, tail))
+        head = self.first[:, :, lag : start - i], self.first[:, :, : start - i - lag]
+        size = self.last.shape[2]
+        tail = self.last[:, :, size - i :], self.last[:, :, size - i - lag : size - lag]
+        edges = sum(_together(now, before) for now, before in (head, tail))
         return np.asarray(self.products[lag] - edges)
 
     def whitened(self, coefficients: Array) -> Array:
@@ -103,18 +111,18 @@ class LaggedProducts:
             part = share[:, None, None] * self.products[lag]
             total += part + part.transpose(0, 2, 1) if lag else part
         edges = self._edges(alpha)
-        total -= np.matmul(edges.transpose(0, 2, 1), edges)
+        total -= _together(edges, edges)
         return total
 
     def _edges(self, alpha: Array) -> Array:
-        """e_t before t = P and after the last row, zeros there, (C, 2 P, q)."""
-        order, size = alpha.shape[1] - 1, self.last.shape[1]
-        channels, _, columns = self.first.shape
-        found = np.zeros((channels, 2 * order, columns))
+        """e_t before t = P and after the last row, zeros there, (S, C, 2 P, q)."""
+        order, size = alpha.shape[1] - 1, self.last.shape[2]
+        sequences, channels, _, columns = self.first.shape
+        found = np.zeros((sequences, channels, 2 * order, columns))
         for i in range(order + 1):
             share = alpha[:, i, None, None]
-            found[:, i:order] += share * self.first[:, : order - i]
-            found[:, order : order + i] += share * self.last[:, size - i :]
+            found[:, :, i:order] += share * self.first[:, :, : order - i]
+            found[:, :, order : order + i] += share * self.last[:, :, size - i :]
         return found
 
     def carrying(self, maps: Array) -> LaggedProducts:
@@ -132,6 +140,11 @@ class LaggedProducts:
         return self.combined(whole)
 
 
+def _together(now: Array, before: Array) -> Array:
+    """Products of rows with rows, over all of them and all sequences, (C, q, q)."""
+    return np.asarray(np.matmul(now.swapaxes(-1, -2), before).sum(axis=0))
+
+
 class LaggedSums:
     """Adds up products of rows as they come."""
 
@@ -144,16 +157,23 @@ class LaggedSums:
         self._lags = lags
         self._rows = 0
         self._products: Array | None = None
+        self._edges: list[tuple[Array, Array]] = []
+        self._begin()
+
+    def _begin(self) -> None:
+        """A sequence without rows."""
+        self._since = 0
         self._first: list[Array] = []
-        self._recent = np.zeros((0, 0, 0))
+        self._recent: Array | None = None
 
     def add(self, block: Array) -> None:
         """Go on with consecutive rows, (C, rows, q)."""
         channels, rows, columns = block.shape
         if self._products is None:
             self._products = np.zeros((self._lags + 1, channels, columns, columns))
+        if self._recent is None:
             self._recent = np.zeros((channels, self._lags, columns))
-        missing = self._lags - self._rows
+        missing = self._lags - self._since
         if missing > 0:
             self._first.append(block[:, :missing])
         run = np.concatenate([self._recent, block], axis=1)
@@ -162,14 +182,25 @@ class LaggedSums:
             before = run[:, self._lags - lag : self._lags - lag + rows]
             self._products[lag] += np.matmul(now, before)
         self._rows += rows
+        self._since += rows
         self._recent = run[:, rows:]
+
+    def pause(self) -> None:
+        """What comes next does not follow what came last."""
+        self._edges += self._open()
+        self._begin()
 
     def finish(self) -> LaggedProducts:
         """The sums."""
         assert self._products is not None
+        first, last = zip(*self._edges, *self._open(), strict=True)
+        return LaggedProducts(self._rows, self._products, np.stack(first), np.stack(last))
+
+    def _open(self) -> list[tuple[Array, Array]]:
+        """First and last rows of the sequence that is not closed, if it has any."""
+        if self._recent is None:
+            return []
         channels, _, columns = self._recent.shape
         first = np.concatenate([*self._first, np.zeros((channels, 0, columns))], axis=1)
         room = np.zeros((channels, self._lags - first.shape[1], columns))
-        return LaggedProducts(
-            self._rows, self._products, np.concatenate([first, room], axis=1), self._recent
-        )
+        return [(np.concatenate([first, room], axis=1), self._recent)]

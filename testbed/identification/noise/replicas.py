@@ -50,6 +50,10 @@ class Replicas:
         noise = self._maker.rows(columns.shape[1]) * ones[..., None]
         self._sums.add(np.concatenate([columns, noise, ones[..., None]], axis=2))
 
+    def pause(self) -> None:
+        """What comes next does not follow what came last."""
+        self._sums.pause()
+
     def each(self, maps: Array | None = None) -> Iterator[LaggedProducts]:
         """Products with one replica after the other in the residuals' place.
 

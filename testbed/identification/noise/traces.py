@@ -123,7 +123,8 @@ def traces(
     white = whole.whitened(found.noise.coefficients)
     squares = np.tensordot(1 / found.noise.sigma**2, white, 1)[:-1, :-1]
     columns = independent.products.shape[2] - 2
-    free = max((whole.rows - 2 * found.noise.order) * channels - columns, 1)
+    order = found.noise.order
+    free = max((whole.after(order) - order) * channels - columns, 1)
     return _tests(squares, question, question.base + channels, free), found.noise
 
 
@@ -223,10 +224,20 @@ class Clues:
             self._order = noise.order
             self._replicas = Replicas(noise, question.columns)
 
-    def add(self, columns: Array, ones: Array) -> None:
-        """Go on with consecutive rows, (C, rows, q), and where they count, (C, rows)."""
-        if self._replicas is not None:
+    def add(self, columns: Array, ones: Array, looked_at: bool = True) -> None:
+        """Go on with consecutive rows.
+
+        Args:
+            columns: Of the question, (C, rows, q).
+            ones: Where a row counts, (C, rows).
+            looked_at: Whether the rows are.
+        """
+        if self._replicas is None:
+            return
+        if looked_at:
             self._replicas.add(columns, ones)
+        else:
+            self._replicas.pause()
 
     def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:
         """Traces of each kind, shifts as those of the parameters, and their chances in noise.

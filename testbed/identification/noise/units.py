@@ -17,7 +17,7 @@ from scipy import linalg
 from testbed.arrays import Array
 from testbed.identification.known import Facts, Free, free
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.noisy_columns import NoisyColumns
+from testbed.identification.noise.noisy_columns import NOTHING_MADE, Made, PositionNoise
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
@@ -44,6 +44,11 @@ class Beside:
     tested: tuple[int, ...] = ()
     facts: Facts | None = None
 
+    @property
+    def width(self) -> int:
+        """How many columns."""
+        return self.unknown + self.trends + sum(self.tested)
+
 
 NOTHING = Beside()
 """No columns beside the robot's."""
@@ -53,21 +58,37 @@ class Rows(NamedTuple):
     """A block of rows: columns and what values leave in units of the noise; and as measured.
 
     Attributes:
-        columns: The robot's and those beside, (C, k, q).
+        columns: The robot's and those beside, (C, k, q); those for tests only where they are
+            looked at.
+        looked_at: Whether they are.
         left: What the values leave, (C, k).
         ones: Where a row counts, (C, k).
         own: What the values leave, (C, k) [N, N m].
         further: Those beside, (C, k, s) [N or N m per unit].
-        noise: What made noise of the encoders does to the robot's columns, and to what the values
-            foretell, (C, k, p + 1); nothing if none is made, (C, k, 0).
+        made: Columns that made noise of the encoders gives, (C, k, r).
     """
 
     columns: Array
+    looked_at: bool
     left: Array
     ones: Array
     own: Array
     further: Array
-    noise: Array
+    made: Array
+
+
+class Products(NamedTuple):
+    """Sums of products of rows.
+
+    Attributes:
+        every: Of the unknowns' columns, residuals and ones, of all rows.
+        looked_at: Of all columns, residuals and ones, of the rows that are looked at.
+        noise: Of made noise of the encoders in the places of `every`; None if none is made.
+    """
+
+    every: LaggedProducts
+    looked_at: LaggedProducts
+    noise: LaggedProducts | None
 
 
 def counted(columns: Array, measured: Array) -> Array:
@@ -136,25 +157,19 @@ class Units:
         whole[:m, -2] = -self.free.fixed @ self.facts.values
         return every.combined(whole)
 
-    def rows(
-        self, passes: Passes, values: Array, encoder_noise: Array | None = None
-    ) -> Iterator[Rows]:
+    def rows(self, passes: Passes, values: Array, made: Made = NOTHING_MADE) -> Iterator[Rows]:
         """Rows, block by block.
 
         Args:
             passes: Over all rows.
             values: Of the robot's unknowns.
-            encoder_noise: Standard deviations of what is to be made, (n,); None for none.
+            made: What made noise of the encoders gives.
         """
         alone = not np.any(self.root - np.diag(np.diagonal(self.root)))
         combined = np.column_stack([self.white, values])
-        beside, made = self.beside.columns, combined.shape[1]
-        if encoder_noise is None:
-            shown, made = beside, 0
-        else:
-            shown = _together(NoisyColumns(passes.plan, encoder_noise, combined), beside)
+        shown, width = _together(made.columns, self.beside.columns), made.width
         for columns, others, measured in passes.rows_beside(combined, shown):
-            further, own = others[..., made:], measured - columns[..., -1]
+            further, own = others[..., width:], measured - columns[..., -1]
             ones = counted(columns, measured)
             if not alone:  # each is then a mixture of all
                 ones = np.broadcast_to(ones.max(axis=0), ones.shape)
@@ -162,35 +177,47 @@ class Units:
             units = np.tensordot(self.root.T, stack, 1)
             p = len(values)
             yield Rows(
-                columns=np.delete(units[..., :-1], slice(p, p + made), axis=2),
+                columns=np.delete(units[..., :-1], slice(p, p + width), axis=2),
+                looked_at=further.shape[2] == self.beside.width,
                 left=units[..., -1],
                 ones=ones,
                 own=own,
                 further=further,
-                noise=units[..., p : p + made],
+                made=units[..., p : p + width],
             )
 
     def products(
-        self, passes: Passes, values: Array, lags: int, encoder_noise: Array | None = None
-    ) -> tuple[LaggedProducts, LaggedProducts | None]:
+        self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
+    ) -> Products:
         """Products of columns, of what values leave, and of ones, with so many rows before.
-
-        And the same of what made noise of the encoders does to the unknowns' columns and to what
-        values leave, if it is made.
 
         Args:
             passes: Over all rows.
             values: Of the robot's unknowns.
             lags: How many rows before.
-            encoder_noise: As for `rows`.
+            encoders: Their noise; None where none is to be made.
         """
-        sums, noise = LaggedSums(lags), LaggedSums(lags)
-        for rows in self.rows(passes, values, encoder_noise):
+        every, seen, noise = LaggedSums(lags), LaggedSums(lags), LaggedSums(lags)
+        combined, made = np.column_stack([self.white, values]), NOTHING_MADE
+        if encoders is not None:
+            made = encoders.made(passes.plan, combined)
+        whole, m = passes.plan.looked_at_all, len(self.grown)
+        for rows in self.rows(passes, values, made):
             last = np.stack([rows.left, rows.ones], axis=2)
-            sums.add(np.concatenate([rows.columns, last], axis=2))
-            if encoder_noise is not None:
-                noise.add(self._of_noise(rows.noise))
-        return sums.finish(), None if encoder_noise is None else noise.finish()
+            if rows.looked_at:
+                seen.add(np.concatenate([rows.columns, last], axis=2))
+            else:
+                seen.pause()
+            if not whole:
+                every.add(np.concatenate([rows.columns[..., :m], last], axis=2))
+            if made.width:
+                noise.add(self._of_noise(rows.made))
+        tested = seen.finish()
+        return Products(
+            every=tested.leading(m) if whole else every.finish(),
+            looked_at=tested,
+            noise=noise.finish() if made.width else None,
+        )
 
     def _of_noise(self, noise: Array) -> Array:
         """In the places of all unknowns, of the residuals and of the ones, (C, k, p + s + 2)."""
@@ -199,10 +226,10 @@ class Units:
         return np.concatenate([columns, exact, -foretold, np.zeros_like(foretold)], axis=2)
 
 
-def _together(first: Columns, second: Columns | None) -> Columns:
+def _together(first: Columns | None, second: Columns | None) -> Columns | None:
     """Columns of both."""
-    if second is None:
-        return first
+    if first is None or second is None:
+        return first or second
     return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 

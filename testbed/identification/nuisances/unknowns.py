@@ -103,6 +103,7 @@ class Columns:
         unknowns: Sequence[Unknowns],
         estimated: Unknowns | None = None,
         unmixed: Array | None = None,
+        always: int | None = None,
     ) -> None:
         """To first order around an estimate.
 
@@ -113,18 +114,23 @@ class Columns:
             unknowns: Whose columns, one after the other.
             estimated: Those of them that are to be estimated.
             unmixed: What a mixture of the plate's channels was taken back with, (6, 6).
+            always: How many of `unknowns` have columns in all windows; default all. The others
+                have them in those that are looked at.
         """
+        self._always, self._looked_at = always, plan.looked_at
         self._unmixed = unmixed
         self._estimated = estimated
         self._plan, self._filtered, self._unknowns = plan, filtered, tuple(unknowns)
         layout = plan.layout
         self._theta = np.asarray(layout.theta @ (layout.basis @ values))
-        count = sum(len(each.kept) for each in unknowns)
+        part = len(self._looked_at) / len(list(plan.windows()))
+        counts = [len(each.kept) for each in unknowns]
+        numbers = sum(counts[:always]) + part * sum(counts[len(counts[:always]) :])
         self._kept: dict[int, Array] = {}
-        self._keeps = plan.rows * 6 * count * 8 < KEPT
+        self._keeps = plan.rows * 6 * numbers * 8 < KEPT
 
     def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, (6, rows, s).
+        """Of a window's rows, (6, rows, s); fewer where it is not looked at.
 
         Args:
             signals: The window's.
@@ -138,9 +144,12 @@ class Columns:
         return made
 
     def _made(self, signals: Signals, first: int) -> Array:
+        shown = self._unknowns[: None if first in self._looked_at else self._always]
+        if not shown:
+            return np.zeros((6, signals.number, 0))
         found = foretold(self._plan, self._filtered, self._theta, signals, first)
         blocks = []
-        for unknowns in self._unknowns:
+        for unknowns in shown:
             own = unknowns is self._estimated
             made = [self._shown(n, found, own) for n in unknowns.nuisances]
             blocks.append(np.concatenate(made, axis=2)[..., list(unknowns.kept)])

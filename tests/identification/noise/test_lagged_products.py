@@ -50,3 +50,21 @@ def test_combined_columns_have_the_products_of_combined_rows() -> None:
     found, expected = summed(rows, []).combined(maps), summed(rows @ maps, [])
     for name in ("products", "first", "last"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-12)
+
+
+@pytest.mark.parametrize("order", range(LAGS + 1))
+def test_rows_after_a_pause_have_no_rows_before(order: int) -> None:
+    """Whitened products and moments are sums of those of each sequence; short ones among them."""
+    rng = np.random.default_rng(order)
+    a, sums = rng.uniform(-0.5, 0.5, (3, order)), LaggedSums(LAGS)
+    each = [rng.normal(size=(3, count, 5)) for count in (20, LAGS, 9, 33)]
+    for rows in each:
+        sums.pause()
+        sums.add(rows[:, :3])
+        sums.add(rows[:, 3:])
+    found, apart = sums.finish(), [summed(rows, []) for rows in each]
+    assert found.after(order) == sum(one.after(order) for one in apart)
+    np.testing.assert_allclose(found.whitened(a), sum(one.whitened(a) for one in apart), rtol=1e-11)
+    for i in range(order + 1):
+        expected = sum(one.shifted(i, order, order) for one in apart)
+        np.testing.assert_allclose(found.shifted(i, order, order), expected, rtol=1e-9, atol=1e-11)

@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.identification.noise.noisy_columns import NoisyColumns
+from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
 from testbed.identification.passes import Passes
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import layout
@@ -25,6 +25,12 @@ SIZE = 2e-4
 def planned(tree: tb.Tree, recording: Recording) -> Plan:
     rows = layout(tree.without_inertias(), tb.minimal_set(tree, "reaction"))
     return make_plan(open_source(recording), rows, pedestal_wrench(tree), tb.Settings())
+
+
+def maker_of(plan: Plan, sigma: Array) -> NoisyColumns:
+    """Of white noise, for each unknown's own column."""
+    noise = PositionNoise(sigma, np.zeros_like(sigma))
+    return NoisyColumns(plan, noise, np.eye(len(plan.layout.basis)))
 
 
 def exact(tree: tb.Tree, duration: float) -> Recording:
@@ -47,7 +53,7 @@ def test_columns_change_as_with_real_noise(name: str) -> None:
     combined = np.eye(len(plan.layout.basis))
     noisy = planned(tree, replace(recording, position=recording.position + noise))
     real = all_rows(noisy, combined) - all_rows(plan, combined)
-    maker = NoisyColumns(noisy, np.full(tree.n, SIZE), combined)
+    maker = maker_of(noisy, np.full(tree.n, SIZE))
     made = np.concatenate(
         [maker(plan.signals(plan.source.part(w.first, w.last), w), w.row) for w in noisy.windows()],
         axis=1,
@@ -66,7 +72,7 @@ def test_columns_change_as_with_real_noise(name: str) -> None:
 def test_made_noise_has_the_spectrum_of_filtered_white_noise(puma: tb.Tree) -> None:
     """Variances and covariances of positions, velocities and accelerations at a row."""
     plan = planned(puma, exact(puma, 20.0))
-    made = NoisyColumns(plan, np.ones(3), np.eye(len(plan.layout.basis))).coordinates(0, 20_000)
+    made = maker_of(plan, np.ones(3)).coordinates(0, 20_000)
     kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
     expected, found = kernels @ kernels.T, np.tensordot(made, made, ([1, 2], [1, 2])) / 60_000
     size = np.sqrt(np.diagonal(expected))
@@ -82,7 +88,7 @@ def test_made_noise_has_the_spectrum_of_filtered_white_noise(puma: tb.Tree) -> N
 
 def test_made_noise_is_the_same_for_any_cut(puma: tb.Tree) -> None:
     plan = planned(puma, exact(puma, 20.0))
-    maker = NoisyColumns(plan, np.array([1.0, 2.0, 0.0]), np.eye(len(plan.layout.basis)))
+    maker = maker_of(plan, np.array([1.0, 2.0, 0.0]))
     whole = maker.coordinates(0, 700)
     parts = [maker.coordinates(first, 70) for first in range(0, 700, 70)]
     np.testing.assert_array_equal(whole, np.concatenate(parts, axis=1))
@@ -93,6 +99,6 @@ def test_made_noise_is_the_same_for_any_cut(puma: tb.Tree) -> None:
 def test_any_sampling_rate_will_do(puma: tb.Tree, rate: float) -> None:
     recording = measured(puma, 1, duration=8.0, rate=rate, speed=0.3)
     plan = planned(puma, recording)
-    made = NoisyColumns(plan, np.ones(3), np.eye(len(plan.layout.basis))).coordinates(0, 5000)
+    made = maker_of(plan, np.ones(3)).coordinates(0, 5000)
     kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
     np.testing.assert_allclose((made**2).mean(axis=(1, 2)), (kernels**2).sum(axis=1), rtol=0.1)
