@@ -30,7 +30,7 @@ class Test:
 
     Attributes:
         name: Its node id.
-        seconds: That it took, traced.
+        seconds: Of processor time that it took, traced.
         slow: Whether it is marked so.
         lines: What it executes, by module.
     """

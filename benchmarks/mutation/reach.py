@@ -70,15 +70,17 @@ class Reach:
         self._tests[item.nodeid] = set()
         self._records[item.nodeid] = {"seconds": 0.0, "slow": self._slow, "passed": True}
         self._records[item.nodeid]["fixtures"] = list(item.fixturenames)
+        begun = _processor_time()
         with self._tracer.collecting(self._tests[item.nodeid]):
             self._tracer.start()  # whatever the last test did to it
-            return (yield)
+            try:
+                return (yield)
+            finally:
+                self._records[item.nodeid]["seconds"] = _processor_time() - begun
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """How long it took, and whether it passed."""
-        record = self._records[report.nodeid]
-        record["seconds"] += report.duration
-        record["passed"] &= report.outcome != "failed"
+        """Whether it passed."""
+        self._records[report.nodeid]["passed"] &= report.outcome != "failed"
 
     def found(self) -> dict[str, Any]:
         """Records of tests by name; the lines of each are one of `lines`, counted from 0.
@@ -106,3 +108,8 @@ class Reach:
 def is_slow(item: pytest.Item) -> bool:
     """Whether a test is marked so."""
     return item.get_closest_marker("slow") is not None
+
+
+def _processor_time() -> float:
+    """Seconds of processor time of this process and of programs that have ended."""
+    return sum(os.times()[:4])
