@@ -124,5 +124,5 @@ def obtained(run: Run, metric: str) -> str:
 
 
 def percent(share: float) -> str:
-    """A share with two digits: 0.03 %."""
-    return f"{100 * share:.2g} %"
+    """A share with two digits: 0.03 %, 160 %."""
+    return f"{float(f'{100 * share:.2g}'):g} %"

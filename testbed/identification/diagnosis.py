@@ -136,7 +136,7 @@ def _noise_warnings(estimate: Estimate) -> list[str]:
         return []
     drowned = [
         f"noise of the encoders is much of what these data show of {few(noise.drowned)}: sigma "
-        "does not hold there; move faster, or filter lower (`cutoff`)"
+        "does not hold there; move faster, or filter lower (identification.cutoff)"
     ] * bool(noise.drowned)
     if noise.bias_chance > SMALL_CHANCE:
         return drowned + _drifting(estimate, noise)

@@ -13,7 +13,7 @@ from testbed.errors import RecordingError
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import assemble_run
 from testbed.experiment.run_warnings import close_pairs, systematic_errors
-from testbed.experiment.summary import summary, verdict
+from testbed.experiment.summary import percent, summary, verdict
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
@@ -158,6 +158,13 @@ def test_rounding_is_no_systematic_error() -> None:
     tree = robot("puma")
     run = assemble_run(tree, ideal(tree), name="made", settings=EXACT, experiment=experiment())
     assert not [line for line in run.warnings if "systematic" in line]
+
+
+@pytest.mark.parametrize(
+    ("share", "said"), [(3e-4, "0.03 %"), (0.114, "11 %"), (1.642, "160 %"), (1e-16, "1e-14 %")]
+)
+def test_shares_are_written_as_people_do(share: float, said: str) -> None:
+    assert percent(share) == said
 
 
 def test_the_summary_says_what_a_reader_asks_first() -> None:

@@ -18,11 +18,12 @@ from testbed.report.drive_sections import curve_lines
 from testbed.report.matrix_map import matrix_maps
 from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
 from testbed.viewer.scene import scene_of
+from tests.helpers.cases import cases
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
 
 
-@pytest.fixture(scope="module", params=["puma", "gantry"])
+@pytest.fixture(scope="module", params=cases(["puma", "gantry"], 1))
 def run(request: pytest.FixtureRequest) -> Run:
     tree = robot(request.param)
     settings = tb.Settings(drives="given")
@@ -91,6 +92,7 @@ def test_the_matrix_is_shown_before_and_after(run: Run) -> None:
     assert "crosstalk/Mx/Fz" in "\n".join(notes_of_plate(known))
 
 
+@pytest.mark.slow
 def test_metrics_of_drives_are_judged(tmp_path: Path) -> None:
     """Short and without noise: constants, friction and curves come out."""
     words = [
