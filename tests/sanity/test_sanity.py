@@ -86,8 +86,9 @@ MISTAKES = [(name, mistake) for mistake in WRONG for name in ROBOTS]
 MISTAKES.sort(key=lambda pair: pair[0] != "puma" or pair[1] in SLOW)
 
 
-@pytest.mark.parametrize(("name", "mistake"), cases(MISTAKES, len(WRONG) - len(SLOW)))
-def test_a_wrong_mapping_is_refused_with_its_cure(name: str, mistake: str) -> None:
+@pytest.mark.parametrize("case", cases(MISTAKES, len(WRONG) - len(SLOW)), ids=", ".join)
+def test_a_wrong_mapping_is_refused_with_its_cure(case: tuple[str, str]) -> None:
+    name, mistake = case
     tree, recording = right(name)
     spoil, cure = WRONG[mistake]
     with pytest.raises(RecordingError, match="cannot be true of this robot") as found:
