@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound
 from testbed.experiment.run_folder import default_folder, write_run
-from testbed.toml_text import checked, override
+from testbed.toml_text import LARGEST_FILE, checked, override
 from tests.helpers.paths import ROOT
 
 TABLE6 = ROOT / "experiments/table6.toml"
@@ -160,6 +161,19 @@ def test_a_key_of_very_many_parts_is_refused_before_it_is_parsed(tmp_path: Path)
     path = tmp_path / "e.toml"
     path.write_text(".".join("a" * 50_000) + " = 1\n")
     with pytest.raises(ExperimentError, match="a key has more than 1000 parts"):
+        tb.Experiment.load(path)
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "e.toml"
+    shutil.copy(TABLE6, path)
+    size = path.stat().st_size
+    with path.open("a") as file:
+        file.write("#" * (LARGEST_FILE - size))
+    assert tb.Experiment.load(path, [f"model='{ROOT / 'models/puma562.xml'}'"]).name == "table6"
+    with path.open("a") as file:
+        file.write("#")
+    with pytest.raises(ExperimentError, match=r"it has more than 1e\+06 bytes"):
         tb.Experiment.load(path)
 
 
