@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
     kept = {m.key: result for m in waiting if (result := _kept(m))}
     results += (result for result in kept.values() if result.by != UNFINISHED)
     passed = [result.mutant for result in kept.values() if result.by == UNFINISHED]
-    waiting = [m for m in waiting if m.key not in kept]
+    waiting = _by_turns([m for m in waiting if m.key not in kept])
     if waiting or passed:
         load_packages()
         rooms = {*(mutant.room for mutant in waiting + passed), HOUSE} if plan.own else None
@@ -201,6 +202,16 @@ class Shop:
                 answer = done.result()
                 if answer is not None:
                     yield answer
+
+
+def _by_turns(mutants: Sequence[Mutant]) -> list[Mutant]:
+    """One of every room, the next of every room: a campaign may be stopped at any time."""
+    seen: Counter[str] = Counter()
+    turns = []
+    for mutant in mutants:
+        turns.append((seen[mutant.room], mutant.room, mutant.start, mutant))
+        seen[mutant.room] += 1
+    return [mutant for *_, mutant in sorted(turns, key=lambda turn: turn[:-1])]
 
 
 def _affordable(tests: Sequence[Test], most: float | None) -> Sequence[Test]:
