@@ -134,7 +134,15 @@ class Coverage:
         ranked = []
         for test in sorted(found, key=lambda test: test.seconds):
             law = test.name.partition("[")[0]
-            ranked.append((test.room != mutant.room, rank[law] // 3, test.seconds, test.name, test))
+            ranked.append(
+                (
+                    test.room not in (mutant.room, HOUSE),
+                    rank[law] // 3,
+                    test.seconds,
+                    test.name,
+                    test,
+                )
+            )
             rank[law] += 1  # of a law that holds for many cases, a few first
         return [test for *_, test in sorted(ranked, key=lambda entry: entry[:-1])]
 

@@ -82,9 +82,14 @@ def test_all_faults_are_listed_at_once() -> None:
     assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
 
 
-def test_a_table_for_a_joint_that_is_not_there_is_refused() -> None:
-    experiment = tb.Experiment.load(TABLE6, ["measurement.torque_constant_error.wrist=0.1"])
-    with pytest.raises(ExperimentError, match="'wrist', the model has waist, shoulder, elbow"):
+@pytest.mark.parametrize(
+    "table",
+    ["measurement.torque_constant_error", "motion.max_velocity", "motion.max_acceleration"],
+)
+def test_a_table_for_a_joint_that_is_not_there_is_refused(table: str) -> None:
+    experiment = tb.Experiment.load(TABLE6, [f"{table}.wrist=0.1"])
+    said = f"{table} .*'wrist', the model has waist, shoulder, elbow"
+    with pytest.raises(ExperimentError, match=said):
         tb.simulate(experiment)
 
 
