@@ -27,6 +27,7 @@ from testbed.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.recordings.source import Source, Stretch, open_source
+from testbed.report.consistent_table import consistent_lines
 from testbed.robot.friction import ROTOR
 from testbed.robot.inertia import NOTHING, Inertia
 from tests.helpers.ideal import EXACT, ideal
@@ -345,6 +346,9 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
         found = consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
         assert min(found.tried, key=lambda e: found.tried[e]) == found.prior_error
         chosen[error] = found.prior_error
+        (said,) = [line for line in consistent_lines(found) if line.startswith("Held-out data")]
+        assert all(f"{each:g}: " in said for each in found.tried)
+        assert not any("Held-out" in line for line in consistent_lines(replace(found, tried={})))
     assert chosen[0.0] <= 0.2 < chosen[1.5]
     short = Stretch(source, 0, 150)
     with pytest.raises(tb.TestbedError, match="give a number"):
