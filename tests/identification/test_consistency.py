@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.conditions import conditions
 from testbed.identification.consistency import Consistent, consistent, robot_of, stated_by
+from testbed.identification.consistent_warnings import warnings_of
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.evidence import evidence, terms_of
 from testbed.identification.prior_choice import consistent_by_held_out
@@ -453,3 +455,15 @@ def test_the_same_bits_again() -> None:
     assert isinstance(one, Consistent)
     np.testing.assert_array_equal(one.standard, other.standard)
     np.testing.assert_array_equal(one.told, other.told)
+
+
+def test_what_is_widened_by_more_than_three_sigmas_is_said() -> None:
+    tree = robot("puma")
+    estimate = tb.identify(tree, ideal(tree), "internal")
+    for widened, sure in ((2.9, False), (3.1, True)):
+        names = estimate.names
+        moved = SimpleNamespace(
+            distance=0.0, names=names, widened=widened, sigmas=np.zeros(len(names))
+        )
+        said = [line for line in warnings_of([estimate], [moved], 0.0) if "widened" in line]
+        assert bool(said) is sure
