@@ -42,7 +42,7 @@ def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None
             proof=Proof(tuple(margins), 1000, 0),
         ),
     )
-    console = Console(width=columns, record=True, file=StringIO())
+    console = Console(markup=False, width=columns, record=True, file=StringIO())
     print_excitation(console, found, Path("motion.toml"))
     said = console.export_text()
     assert "…" not in said
@@ -50,3 +50,4 @@ def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None
     for k, parameter in enumerate(names):
         row = {parameter, f"{sigma[k]:.2g}", f"{relative[k]:.2%}", f"{other[k]:.2%}"}
         assert any(row <= line for line in lines), parameter
+    assert {"limit", "on", "left", "at", "t", "[s]"} in lines

@@ -158,6 +158,21 @@ def test_what_the_file_says_of_units_is_held_against_the_mapping(tmp_path: Path,
         imported(tmp_path, text)
 
 
+def test_units_of_what_a_matrix_takes_to_a_wrench_are_the_matrixs(tmp_path: Path, log: Log) -> None:
+    """What six bridges say is no wrench; behind a matrix it need be none."""
+    import h5py
+
+    text = FORMATS["hdf5"](tmp_path, log)
+    with h5py.File(tmp_path / "log.h5", "a") as file:
+        file["log/w"].attrs["unit"] = "kN"
+    with pytest.raises(RecordingError, match="is in kN, the mapping says N"):
+        imported(tmp_path, text)
+    matrix = (2 * np.eye(6)).tolist()
+    found = imported(tmp_path, text.replace("units = [", f"matrix = {matrix}\nunits = ["))
+    plain = imported(tmp_path, FORMATS["csv"](tmp_path, log))
+    np.testing.assert_allclose(found.measured("wrench"), 2 * plain.measured("wrench"), rtol=1e-9)
+
+
 def test_the_mapping_stays_with_the_recording(text: str, tmp_path: Path) -> None:
     text += "tare = [0, 0, 98.1, 0, 0, 0]\n"
     found = imported(tmp_path, text.replace("rate = 100", "rate = 100\ngravity = [0, 0, -9.8]"))
