@@ -469,5 +469,5 @@ def test_what_is_widened_by_more_than_three_sigmas_is_said() -> None:
         assert bool(said) is sure
     sigmas = np.arange(len(names), dtype=float)
     far = SimpleNamespace(distance=1e3, names=names, widened=1.0, sigmas=-sigmas)
-    (said,) = [line for line in warnings_of([estimate], [far], 0.0) if "moved most" in line]
-    assert f"moved most are {names[-1]} by {-sigmas[-1]:+.3g} sigma, {names[-2]} by" in said
+    (told,) = [line for line in warnings_of([estimate], [far], 0.0) if "moved most" in line]
+    assert f"moved most are {names[-1]} by {-sigmas[-1]:+.3g} sigma, {names[-2]} by" in told
