@@ -184,6 +184,13 @@ def test_the_mapping_stays_with_the_recording(text: str, tmp_path: Path) -> None
     assert again.tare.tolist() == [0, 0, 98.1, 0, 0, 0]
 
 
+@pytest.mark.parametrize(("first", "clock"), [("time", True), ("count", False)])
+def test_what_grows_is_a_clock_only_by_its_name(first: str, clock: bool, tmp_path: Path) -> None:
+    rows = "".join(f"{k / 10},{k % 3}\n" for k in range(9))
+    (tmp_path / "log.csv").write_text(f"{first},q\n{rows}")
+    assert (f'time = "{first}"' in guessed(tmp_path / "log.csv", tmp_path)) is clock
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_guess_names_all_columns_and_is_refused_until_it_is_filled_in(
     name: str, tmp_path: Path
