@@ -97,6 +97,16 @@ def test_units_are_what_they_are(kind: str, text: str, tmp_path: Path, log: Log)
         np.testing.assert_allclose(found.measured(kind), wanted * known[unit], rtol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("unit", "newton"), [("kN", 1e3), ("lbf", 4.4482216152605), ("kgf", 9.80665)]
+)
+def test_forces_are_in_newtons(
+    unit: str, newton: float, text: str, tmp_path: Path, log: Log
+) -> None:
+    found = imported(tmp_path, text.replace('["N", "N m"]', f'["{unit}", "N m"]'))
+    np.testing.assert_allclose(found.measured("wrench")[:, :3], newton * log.w[:, :3], rtol=1e-12)
+
+
 def test_positions_in_lengths_are_of_joints_that_slide(text: str, tmp_path: Path) -> None:
     found = imported(tmp_path, text.replace('unit = "rad"', 'unit = ["deg", "mm"]'))
     assert found.facts["geometry"] == {"j1": {"kind": "revolute"}, "j2": {"kind": "prismatic"}}
