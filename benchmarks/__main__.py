@@ -133,6 +133,7 @@ def mutation(
     own: Annotated[bool, typer.Option(help="Meet the tests of their own room only.")] = False,
     jobs: Annotated[int, typer.Option(help="Copies of the project that work at once.")] = 2,
     minutes: Annotated[float | None, typer.Option(help="Stop then; the next call goes on.")] = None,
+    most: Annotated[float | None, typer.Option(help="Seconds of tests that each meets.")] = None,
     show: Annotated[bool, typer.Option("--list", help="Draw them and show them.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
 ) -> None:
@@ -140,7 +141,7 @@ def mutation(
     from benchmarks.mutation.campaign import Plan
     from benchmarks.mutation.table import run
 
-    plan = Plan(mutants, seed, room, own, jobs, minutes)
+    plan = Plan(mutants, seed, room, own, jobs, minutes, most)
     raise typer.Exit(run(plan, show=show, as_json=as_json))
 
 

@@ -54,7 +54,7 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
     except RecursionError:
         raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
     except (OSError, ValueError) as error:
-        raise ExperimentError(f"{path}: not a readable TOML file: {error}") from None
+        raise ExperimentError(f"{path}: not a readable TOML file: {_of_parser(error)}") from None
 
 
 def override(content: dict[str, Any], settings: Iterable[str]) -> None:
@@ -102,7 +102,13 @@ def _value(text: str, setting: str) -> Any:
     except tomllib.TOMLDecodeError:
         return text
     except (ValueError, RecursionError) as error:
-        raise ExperimentError(f"--set '{setting}': {error}") from None
+        raise ExperimentError(f"--set '{setting}': {_of_parser(error)}") from None
+
+
+def _of_parser(error: Exception) -> str:
+    """What the parser found, but for advice to programmers."""
+    long = type(error) is ValueError and "integer string conversion" in str(error)
+    return "a number has thousands of digits" if long else str(error)
 
 
 def checked(model: type[Checked], content: dict[str, Any], source: str) -> Checked:

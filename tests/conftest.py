@@ -13,6 +13,8 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # hundreds of processes are started: they need not compile the project each
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# what they print waits in a buffer, as it does for most people
+os.environ.pop("PYTHONUNBUFFERED", None)
 
 import testbed as tb
 from testbed.experiment.evaluate import evaluate

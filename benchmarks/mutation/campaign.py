@@ -9,9 +9,11 @@ from __future__ import annotations
 import json
 import time
 import tomllib
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeAlias, TypeVar
@@ -25,8 +27,12 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "build" / "mutation"
 EQUIVALENT = ROOT / "benchmarks" / "equivalent_mutants.toml"
 
-PATIENCE, START, COMPILING = 5.0, 30.0, 300.0
-"""Time for tests: this much longer than they took when traced, to start, to compile [s]."""
+PATIENCE, START, COMPILING = 5.0, 60.0, 300.0
+"""Time for a test: so many times what it took when traced, and for its fixtures or to start,
+and to compile [s]."""
+
+UNFINISHED = "slow tests not met yet"
+"""Of a mutant that all others have passed."""
 
 Say: TypeAlias = Callable[[str], None]
 """Called with a line for people."""
@@ -42,7 +48,7 @@ class Result:
     Attributes:
         mutant: The change.
         fate: "killed", "survived" or "set aside".
-        by: The test that saw it, or why it is set aside.
+        by: The test that saw it, why it is set aside, or how much of the tests it met.
         chosen: How many tests might have seen it.
     """
 
@@ -67,6 +73,7 @@ class Plan:
         own: Meet the tests of the mutant's own room only, and those about all rooms: quick.
         jobs: Copies of the project that work at once.
         minutes: After which nothing new is started; None for no end.
+        most: Seconds of tests that a mutant meets of the quick, and of the slow; None for all.
     """
 
     count: int = 200
@@ -75,6 +82,7 @@ class Plan:
     own: bool = False
     jobs: int = 2
     minutes: float | None = None
+    most: float | None = None
 
 
 def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
@@ -92,67 +100,88 @@ def campaign(plan: Plan, say: Say) -> tuple[list[Result], bool]:
     results = [Result(m, "set aside", aside[_saying(m)], 0) for m in mutants if _saying(m) in aside]
     waiting = [m for m in mutants if _saying(m) not in aside]
     kept = {m.key: result for m in waiting if (result := _kept(m))}
-    results += kept.values()
-    waiting = [m for m in waiting if m.key not in kept]
-    if waiting:
+    results += (result for result in kept.values() if result.by != UNFINISHED)
+    passed = [result.mutant for result in kept.values() if result.by == UNFINISHED]
+    waiting = _by_turns([m for m in waiting if m.key not in kept])
+    if waiting or passed:
         load_packages()
-        rooms = {*(mutant.room for mutant in waiting), HOUSE} if plan.own else None
-        shop = Shop(plan, rooms)
-        if shop.trace(say):
-            for result in shop.try_all(waiting):
-                say(str(result))
+        rooms = {*(mutant.room for mutant in waiting + passed), HOUSE} if plan.own else None
+        shop = Shop(plan, rooms, say)
+        for result in shop.try_all(waiting, slow=False):
+            if result.by == UNFINISHED:
+                passed.append(result.mutant)
+            else:
                 results.append(result)
-    return sorted(results, key=lambda r: r.mutant.key), len(results) == len(mutants)
+        late = list(shop.try_all(passed, slow=True))
+        met = {result.mutant.key for result in late}
+        results += late
+        results += (Result(m, "survived", UNFINISHED, 0) for m in passed if m.key not in met)
+    complete = len(results) == len(mutants) and all(r.by != UNFINISHED for r in results)
+    return sorted(results, key=lambda r: r.mutant.key), complete
 
 
 class Shop:
     """Benches at work, until a deadline."""
 
-    def __init__(self, plan: Plan, rooms: Collection[str] | None) -> None:
-        self._plan = plan
+    def __init__(self, plan: Plan, rooms: Collection[str] | None, say: Say) -> None:
+        self._plan, self._say = plan, say
         self._deadline = time.monotonic() + 60 * (plan.minutes or float("inf"))
         self._benches: SimpleQueue[Bench] = SimpleQueue()
         for k in range(plan.jobs):
             self._benches.put(Bench(ROOT, FOLDER / f"copy-{k}"))
         self._coverage = Coverage(ROOT, FOLDER / "coverage", rooms)
 
-    def trace(self, say: Say) -> bool:
+    def try_all(self, mutants: Sequence[Mutant], *, slow: bool) -> Iterator[Result]:
+        """Results as they come: with the slow tests, or before them with all others.
+
+        Nothing, if there is no time to learn what the tests execute.
+        """
+        if not mutants or not self._trace(slow):
+            return
+        tests = self._coverage.tests(slow=slow)
+        for result in self._shared(lambda bench, m: self._judged(bench, m, tests, slow), mutants):
+            self._say(str(result))
+            if result.fate == "killed" or not self._plan.own:
+                _keep(result)
+            yield result
+
+    def _trace(self, slow: bool) -> bool:
         """See to it that it is known what every test executes; whether it is by now."""
 
         def trace(bench: Bench, file: str) -> list[str]:
-            place = self._coverage.place(file)
+            place = self._coverage.place(file, slow=slow)
             place.unlink(missing_ok=True)
-            bench.trace(file, place)
-            failed = self._coverage.seal(file)
-            return [f"traced {file}", *(f"left out, it fails as things are: {n}" for n in failed)]
+            start = time.monotonic()
+            bench.trace(file, place, slow=slow)
+            failed = self._coverage.seal(file, slow=slow)
+            line = f"traced {file}{', slow tests' * slow}: {time.monotonic() - start:.0f} s"
+            return [line, *(f"left out, it fails as things are: {name}" for name in failed)]
 
-        for lines in self._shared(trace, self._coverage.stale()):
+        for lines in self._shared(trace, self._coverage.stale(slow=slow)):
             for line in lines:
-                say(line)
-        return not self._coverage.stale()
+                self._say(line)
+        return not self._coverage.stale(slow=slow)
 
-    def try_all(self, mutants: Sequence[Mutant]) -> Iterator[Result]:
-        """Results as they come."""
-        tests = self._coverage.tests()
-
-        def judge(bench: Bench, mutant: Mutant) -> Result:
-            seeing = self._coverage.seeing(mutant, tests)
-            if self._plan.own:
-                seeing = [test for test in seeing if test.room in (mutant.room, HOUSE)]
-            compiles = self._coverage.is_compiled(mutant.module)
-            bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
-            by = ""
-            for part in _stages(seeing, mutant.room):
-                limit = START + PATIENCE * sum(test.seconds for test in part)
-                limit += COMPILING * compiles
-                by = by or bench.failure([test.name for test in part], limit, compiles=compiles)
-            bench.restore()
-            result = Result(mutant, "killed" if by else "survived", by, len(seeing))
-            if by or not self._plan.own:
-                _keep(result)
-            return result
-
-        return self._shared(judge, mutants)
+    def _judged(self, bench: Bench, mutant: Mutant, tests: Sequence[Test], slow: bool) -> Result:
+        """What becomes of a mutant that meets tests, those of its own room first."""
+        seeing = self._coverage.seeing(mutant, tests)
+        if self._plan.own:
+            seeing = [test for test in seeing if test.room in (mutant.room, HOUSE)]
+        met = _affordable(seeing, self._plan.most)
+        compiles = self._coverage.is_compiled(mutant.module)
+        more = START + COMPILING * compiles
+        bench.change(mutant.module, mutant.applied((ROOT / mutant.module).read_bytes()))
+        by = ""
+        for part in _stages(met, mutant.room):
+            limits = {test.name: more + PATIENCE * test.seconds for test in part}
+            by = by or bench.failure(limits, more, compiles=compiles)
+        bench.restore()
+        if by:
+            return Result(mutant, "killed", by, len(seeing))
+        said = UNFINISHED if not slow else ""
+        if slow and len(met) < len(seeing):
+            said = f"{len(met)} of {len(seeing)} slow tests met"
+        return Result(mutant, "survived", said, len(seeing))
 
     def _shared(
         self, work: Callable[[Bench, Item], Answer], items: Sequence[Item]
@@ -175,11 +204,28 @@ class Shop:
                     yield answer
 
 
+def _by_turns(mutants: Sequence[Mutant]) -> list[Mutant]:
+    """One of every room, the next of every room: a campaign may be stopped at any time."""
+    seen: Counter[str] = Counter()
+    turns = []
+    for mutant in mutants:
+        turns.append((seen[mutant.room], mutant.room, mutant.start, mutant))
+        seen[mutant.room] += 1
+    return [mutant for *_, mutant in sorted(turns, key=lambda turn: turn[:-1])]
+
+
+def _affordable(tests: Sequence[Test], most: float | None) -> Sequence[Test]:
+    """The first tests that together take no longer than so many seconds."""
+    if most is None:
+        return tests
+    ends = accumulate(test.seconds for test in tests)
+    return [test for test, end in zip(tests, ends, strict=True) if end <= most]
+
+
 def _stages(tests: Sequence[Test], room: str) -> Iterator[Sequence[Test]]:
-    """Tests of the room, the others that are fast, all others."""
-    own = [test for test in tests if test.room == room and not test.slow]
-    fast = [test for test in tests if test.room != room and not test.slow]
-    yield from (part for part in (own, fast, [t for t in tests if t.slow]) if part)
+    """Tests of the room, then the others; each a process of its own."""
+    own = [test for test in tests if test.room == room]
+    yield from (part for part in (own, [t for t in tests if t.room != room]) if part)
 
 
 # ----------------------------------------------------------------------------- kept results

@@ -297,6 +297,8 @@ def _of_operator(node: ast.Compare | ast.BinOp | ast.UnaryOp | ast.BoolOp) -> It
 
 def _is_flag(node: ast.expr) -> bool:
     """Whether it looks like one of several bits or types: their order does not matter."""
+    if isinstance(node, ast.Constant) and node.value is None:
+        return True
     if isinstance(node, ast.Name):
         return node.id[0].isupper() or isinstance(getattr(builtins, node.id, None), type)
     return isinstance(node, ast.Attribute) or (

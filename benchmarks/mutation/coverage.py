@@ -30,7 +30,7 @@ class Test:
 
     Attributes:
         name: Its node id.
-        seconds: That it took, traced.
+        seconds: Of processor time that it took, traced.
         slow: Whether it is marked so.
         lines: What it executes, by module.
     """
@@ -78,30 +78,39 @@ class Coverage:
         wanted = (p for p in found if self._rooms is None or p.parts[1] in self._rooms)
         return sorted(path.as_posix() for path in wanted)
 
-    def place(self, file: str) -> Path:
-        """Where the map of a file of tests is kept."""
-        return self._folder / f"{file.replace('/', '-')}.json"
+    def place(self, file: str, *, slow: bool) -> Path:
+        """Where the map of a file of tests is kept: of its slow ones, or of the others."""
+        return self._folder / f"{file.replace('/', '-')}{'.slow' * slow}.json"
 
-    def stale(self) -> list[str]:
-        """Files of tests whose map is wanting."""
-        return [file for file in self.files() if not self._is_fresh(file)]
+    def stale(self, *, slow: bool) -> list[str]:
+        """Files of tests whose map is wanting; of slow ones where the other says there are."""
+        files = self.files()
+        if slow:
+            files = [
+                f for f in files if json.loads(self.place(f, slow=False).read_text())["others"]
+            ]
+        return [file for file in files if not self._is_fresh(file, slow)]
 
-    def seal(self, file: str) -> list[str]:
+    def seal(self, file: str, *, slow: bool) -> list[str]:
         """Note what a map that was just made depends on; returns the tests that fail."""
-        if not self.place(file).exists():
+        place = self.place(file, slow=slow)
+        if not place.exists():
             raise RuntimeError(f"{file} cannot be traced; see the log beside the copies")
-        traced: dict[str, Any] = json.loads(self.place(file).read_text())
+        traced: dict[str, Any] = json.loads(place.read_text())
         modules = {name for lines in traced["lines"] for name in lines}
         traced["needs"] = {name: digest(self._root / name) for name in sorted(modules)}
         traced["self"] = self._self(file)
-        self.place(file).write_text(json.dumps(traced))
+        place.write_text(json.dumps(traced))
         return [name for name, record in traced["tests"].items() if not record["passed"]]
 
-    def tests(self) -> list[Test]:
-        """All tests that pass."""
+    def tests(self, *, slow: bool) -> list[Test]:
+        """All slow tests that pass, or all others."""
         found = []
         for file in self.files():
-            traced = json.loads(self.place(file).read_text())
+            place = self.place(file, slow=slow)
+            if not place.exists():
+                continue
+            traced = json.loads(place.read_text())
             lines = [{name: frozenset(of) for name, of in each.items()} for each in traced["lines"]]
             for name, record in traced["tests"].items():
                 if record["passed"]:
@@ -114,7 +123,7 @@ class Coverage:
         return module in self._compiled
 
     def seeing(self, mutant: Mutant, tests: Sequence[Test]) -> list[Test]:
-        """The tests that may see a mutant, those of its room first, slow ones last."""
+        """The tests that may see a mutant, those of its room first, then the quickest."""
         lines = range(*mutant.often)
         if lines and mutant.module not in self._compiled:
             found = [t for t in tests if not t.lines.get(mutant.module, _NONE).isdisjoint(lines)]
@@ -125,7 +134,15 @@ class Coverage:
         ranked = []
         for test in sorted(found, key=lambda test: test.seconds):
             law = test.name.partition("[")[0]
-            ranked.append((test.slow, test.room != mutant.room, rank[law] // 3, test.seconds, test))
+            ranked.append(
+                (
+                    test.room not in (mutant.room, HOUSE),
+                    rank[law] // 3,
+                    test.seconds,
+                    test.name,
+                    test,
+                )
+            )
             rank[law] += 1  # of a law that holds for many cases, a few first
         return [test for *_, test in sorted(ranked, key=lambda entry: entry[:-1])]
 
@@ -157,8 +174,8 @@ class Coverage:
         shared = sorted((self._root / "tests/helpers").glob("*.py"))
         return digest(self._root / file, self._root / "tests/conftest.py", *shared)
 
-    def _is_fresh(self, file: str) -> bool:
-        place = self.place(file)
+    def _is_fresh(self, file: str, slow: bool) -> bool:
+        place = self.place(file, slow=slow)
         if not place.exists():
             return False
         traced = json.loads(place.read_text())

@@ -7,108 +7,38 @@ executes counts for every test that uses it, what happens while tests are collec
 
 from __future__ import annotations
 
-import atexit
 import json
 import os
-import sys
-import threading
-import uuid
 from collections import defaultdict
-from collections.abc import Generator, Iterator
-from contextlib import contextmanager
-from functools import wraps
-from inspect import CO_OPTIMIZED
+from collections.abc import Generator
 from pathlib import Path
-from types import CodeType, FrameType
-from typing import Any, TypeAlias
+from typing import Any
 
 import pytest
 
-FOLDER = "TESTBED_REACH"
-"""The environment's name for the folder in which started programs leave what they executed."""
-
-Lines: TypeAlias = set[tuple[str, int]]
-"""Modules, by their path below the root, and lines."""
-
-
-class Tracer:
-    """Follows the functions of the project in all threads."""
-
-    def __init__(self, root: Path) -> None:
-        self._root = f"{root}/"
-        self._files: dict[str, str | None] = {}
-        self._left: dict[CodeType, set[int]] = {}
-        self.lines: Lines = set()
-
-    def start(self) -> None:
-        """From now on."""
-        threading.settrace(self._call)
-        sys.settrace(self._call)
-
-    @contextmanager
-    def collecting(self, lines: Lines) -> Iterator[None]:
-        """While it lasts, lines go to another set."""
-        before, self.lines, self._left = self.lines, lines, {}
-        try:
-            yield
-        finally:
-            self.lines, self._left = before, {}
-
-    def _module(self, file: str) -> str | None:
-        if file not in self._files:
-            inside = file.startswith(f"{self._root}testbed/")
-            self._files[file] = file.removeprefix(self._root) if inside else None
-        return self._files[file]
-
-    def _call(self, frame: FrameType, event: str, arg: object) -> Any:
-        code = frame.f_code
-        if self._module(code.co_filename) is None or not code.co_flags & CO_OPTIMIZED:
-            return None
-        if code not in self._left:
-            self._left[code] = {line for _, _, line in code.co_lines() if line is not None}
-            self._left[code].discard(code.co_firstlineno)  # of which no event tells
-            self.lines.add((self._module(code.co_filename) or "", code.co_firstlineno))
-        return self._line if self._left[code] else None
-
-    def _line(self, frame: FrameType, event: str, arg: object) -> Any:
-        code = frame.f_code
-        left = self._left.setdefault(code, set())
-        left.discard(frame.f_lineno)
-        self.lines.add((self._module(code.co_filename) or "", frame.f_lineno))
-        return self._line
-
-
-def leave_out_compilation() -> None:
-    """Do not follow Numba while it compiles: it would take minutes."""
-    from numba.core import dispatcher
-
-    numba: Any = dispatcher.Dispatcher
-    compiled = numba.compile
-
-    @wraps(compiled)
-    def untraced(*arguments: Any) -> Any:
-        tracing = sys.gettrace()
-        sys.settrace(None)
-        try:
-            return compiled(*arguments)
-        finally:
-            sys.settrace(tracing)
-
-    numba.compile = untraced
+from benchmarks.mutation.tracer import FOLDER, Lines, tracer
 
 
 class Reach:
     """The plugin: `found` holds a record a test."""
 
-    def __init__(self, root: Path, folder: Path) -> None:
-        self._tracer = Tracer(root)
+    def __init__(self, root: Path, folder: Path, *, slow: bool) -> None:
+        """For the tests of a file that are slow, or those that are not.
+
+        Args:
+            root: The project.
+            folder: Where started programs leave what they executed.
+            slow: Which of the two.
+        """
+        self._tracer = tracer(root)
+        self._slow = slow
+        self._others = 0
         self._folder = folder
         self._common: Lines = set()  # while tests are collected
         self._shared: dict[str, Lines] = defaultdict(set)  # by fixture
         self._tests: dict[str, Lines] = {}
         self._records: dict[str, dict[str, Any]] = {}
         os.environ[FOLDER] = str(folder)
-        leave_out_compilation()
 
     @pytest.hookimpl(wrapper=True)
     def pytest_collection(self) -> Generator[None, Any, Any]:
@@ -116,6 +46,13 @@ class Reach:
         self._tracer.start()
         with self._tracer.collecting(self._common):
             return (yield)
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Leave out the others, and count them."""
+        kept = [item for item in items if is_slow(item) == self._slow]
+        self._others = len(items) - len(kept)
+        items[:] = kept
 
     @pytest.hookimpl(wrapper=True)
     def pytest_fixture_setup(
@@ -131,22 +68,26 @@ class Reach:
     def pytest_runtest_protocol(self, item: pytest.Function) -> Generator[None, Any, Any]:
         """One test."""
         self._tests[item.nodeid] = set()
-        slow = item.get_closest_marker("slow") is not None
-        self._records[item.nodeid] = {"seconds": 0.0, "slow": slow, "passed": True}
+        self._records[item.nodeid] = {"seconds": 0.0, "slow": self._slow, "passed": True}
         self._records[item.nodeid]["fixtures"] = list(item.fixturenames)
+        begun = _processor_time()
         with self._tracer.collecting(self._tests[item.nodeid]):
             self._tracer.start()  # whatever the last test did to it
-            return (yield)
+            try:
+                return (yield)
+            finally:
+                self._records[item.nodeid]["seconds"] = _processor_time() - begun
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """How long it took, and whether it passed."""
-        record = self._records[report.nodeid]
-        record["seconds"] += report.duration
-        record["passed"] &= report.outcome != "failed"
+        """Whether it passed."""
+        self._records[report.nodeid]["passed"] &= report.outcome != "failed"
 
     def found(self) -> dict[str, Any]:
-        """Records of tests by name; the lines of each are one of `lines`, counted from 0."""
-        sys.settrace(None)
+        """Records of tests by name; the lines of each are one of `lines`, counted from 0.
+
+        How many tests were left out is there, too.
+        """
+        self._tracer.stop()
         for path in self._folder.glob("*.json"):
             said = json.loads(path.read_text())
             if said["test"] in self._tests:
@@ -160,20 +101,15 @@ class Reach:
             for module, line in sorted(lines):
                 by_module[module].append(line)
             record["lines"] = kept.setdefault(json.dumps(by_module), len(kept))
-        return {"tests": self._records, "lines": [json.loads(text) for text in kept]}
+        found = {"tests": self._records, "lines": [json.loads(text) for text in kept]}
+        return found | {"others": self._others}
 
 
-def follow() -> None:
-    """In a program that a test started: leave what it executed where the test finds it."""
-    folder, test = os.environ.get(FOLDER), os.environ.get("PYTEST_CURRENT_TEST")
-    if not folder or not test:
-        return
-    tracer = Tracer(Path(__file__).parents[2])
+def is_slow(item: pytest.Item) -> bool:
+    """Whether a test is marked so."""
+    return item.get_closest_marker("slow") is not None
 
-    def leave() -> None:
-        sys.settrace(None)
-        said = {"test": test.rpartition(" (")[0], "lines": sorted(tracer.lines)}
-        (Path(folder) / f"{uuid.uuid4().hex}.json").write_text(json.dumps(said))
 
-    atexit.register(leave)
-    tracer.start()
+def _processor_time() -> float:
+    """Seconds of processor time of this process and of programs that have ended."""
+    return sum(os.times()[:4])

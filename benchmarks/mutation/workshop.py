@@ -16,7 +16,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib import import_module
 from importlib.util import cache_from_source
@@ -41,11 +42,22 @@ MEMORY = 8 << 30
 """Bytes of data that a process of tests may hold."""
 
 
+STARTS = """import os
+
+if "TESTBED_REACH" in os.environ:
+    import benchmarks.mutation.tracer
+
+    benchmarks.mutation.tracer.follow()
+"""
+"""What programs in a copy begin with; that they are followed costs only where it is wanted."""
+
+
 class Chosen:
     """A plugin of pytest: the tests that are wanted, in their order; the first that fails."""
 
-    def __init__(self, tests: Sequence[str], said: Path) -> None:
-        self._order = {name: place for place, name in enumerate(tests)}
+    def __init__(self, limits: Mapping[str, float], said: Path) -> None:
+        self._limits = limits
+        self._order = {name: place for place, name in enumerate(limits)}
         self._said = said
 
     @pytest.hookimpl(trylast=True)
@@ -53,6 +65,10 @@ class Chosen:
         """Leave out the others."""
         kept = [item for item in items if item.nodeid in self._order]
         items[:] = sorted(kept, key=lambda item: self._order[item.nodeid])
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """What the test may take from now on."""
+        limit_time(self._limits[nodeid])
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """Note what failed, once."""
@@ -88,43 +104,44 @@ class Bench:
         for path in folder.rglob("*.py"):
             if path.relative_to(folder).as_posix() not in wanted:
                 path.unlink()
-        starts = "import benchmarks.mutation.reach\n\nbenchmarks.mutation.reach.follow()\n"
-        (folder / "sitecustomize.py").write_text(starts)
+        (folder / "sitecustomize.py").write_text(STARTS)
 
-    def trace(self, file: str, into: Path) -> None:
-        """Run all tests of a file, and write what each executes as JSON."""
+    def trace(self, file: str, into: Path, *, slow: bool) -> None:
+        """Run the slow tests of a file or the others, and write what each executes as JSON."""
 
         def run() -> int:
             from benchmarks.mutation.reach import Reach
 
             with tempfile.TemporaryDirectory() as left:
-                reach = Reach(self.folder, Path(left))
+                reach = Reach(self.folder, Path(left), slow=slow)
                 pytest.main([file, *_QUIET], plugins=[reach])
                 into.write_text(json.dumps(reach.found()))
             return 0
 
         self._forked(run, self._compiled, limit=None)
 
-    def failure(self, tests: Sequence[str], limit: float, *, compiles: bool = False) -> str:
+    def failure(self, limits: Mapping[str, float], start: float, *, compiles: bool = False) -> str:
         """Run some tests in their order, until one fails.
 
         Args:
-            tests: Their names.
-            limit: Seconds of processor time that they may take.
+            limits: Seconds of processor time that each may take, by name.
+            start: What is given to imports and collection.
             compiles: Whether what Numba compiled before is not to be used.
 
         Returns:
             The test that failed, or what else stopped the run; "" if all passed.
         """
-        files = list(dict.fromkeys(name.partition("::")[0] for name in tests))
+        files = list(dict.fromkeys(name.partition("::")[0] for name in limits))
         self._said.unlink(missing_ok=True)
 
         def run() -> int:
-            plugin = Chosen(tests, self._said)
+            limit_time(start)
+            plugin = Chosen(limits, self._said)
             return int(pytest.main([*files, "-x", *_QUIET], plugins=[plugin]))
 
         fresh = self._compiled.with_name(f"{self._compiled.name}-fresh")
         shutil.rmtree(fresh, ignore_errors=True)
+        limit = start + sum(limits.values())
         code = self._forked(run, fresh if compiles else self._compiled, limit)
         if code == 0:
             return ""
@@ -152,9 +169,7 @@ class Bench:
 
     def _forked(self, run: Callable[[], int], compiled: Path, limit: float | None) -> int:
         """The exit code of a function in a new process; one that waits for ever is ended."""
-        new = multiprocessing.get_context("fork").Process(
-            target=self._inside, args=(run, compiled, limit)
-        )
+        new = multiprocessing.get_context("fork").Process(target=self._inside, args=(run, compiled))
         new.start()
         waited = 0.0
         while new.is_alive() and (limit is None or waited < WAITING * limit):
@@ -167,7 +182,7 @@ class Bench:
         assert new.exitcode is not None
         return new.exitcode
 
-    def _inside(self, run: Callable[[], int], compiled: Path, limit: float | None) -> None:
+    def _inside(self, run: Callable[[], int], compiled: Path) -> None:
         """In the new process: this copy, no output, low priority, a limit."""
         os.setsid()
         os.nice(10)
@@ -175,8 +190,6 @@ class Bench:
         for stream in (1, 2):
             os.dup2(output, stream)
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
-        if limit is not None:
-            resource.setrlimit(resource.RLIMIT_CPU, (int(limit) + 1, int(limit) + 6))
         for name in [name for name in sys.modules if name.split(".")[0] in OWN]:
             del sys.modules[name]
         sys.path[:] = [str(self.folder), *(p for p in sys.path if p not in ("", str(Path.cwd())))]
@@ -191,6 +204,12 @@ class Bench:
             code = run()
         sys.stdout.flush()
         os._exit(code)
+
+
+def limit_time(seconds: float) -> None:
+    """End this process after so many more seconds of processor time."""
+    end = time.process_time() + seconds
+    resource.setrlimit(resource.RLIMIT_CPU, (int(end) + 1, resource.RLIM_INFINITY))
 
 
 _QUIET = (

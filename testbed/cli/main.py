@@ -12,6 +12,7 @@ import os
 import signal
 import sys
 from types import FrameType
+from typing import TextIO
 
 RESERVE = 1_000_000
 """Bytes that are kept back for saying that there is no more memory."""
@@ -144,7 +145,7 @@ def _say(message: str) -> None:
         sys.stderr.write(f"testbed: {printable(message)}\n")
         sys.stderr.flush()
     except OSError:  # nobody is left to be told
-        pass
+        _give_up(sys.stderr)
 
 
 def _flushed(code: int) -> int:
@@ -152,5 +153,10 @@ def _flushed(code: int) -> int:
     try:
         sys.stdout.flush()
     except OSError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _give_up(sys.stdout)
     return code
+
+
+def _give_up(stream: TextIO) -> None:
+    """What still waits to be written goes nowhere; the interpreter would try again at the end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

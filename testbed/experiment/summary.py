@@ -124,7 +124,5 @@ def obtained(run: Run, metric: str) -> str:
 
 
 def percent(share: float) -> str:
-    """A share with two digits: 0.03 %, 430 %."""
-    short = f"{100 * share:.2g}"
-    long = "e+" in short and abs(share) < 1e4  # 4.3e+02
-    return f"{float(short):.0f} %" if long else f"{short} %"
+    """A share with two digits: 0.03 %, 160 %."""
+    return f"{float(f'{100 * share:.2g}'):g} %"

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.errors import SettingsError
+from testbed.errors import RecordingError, SettingsError
 from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
@@ -165,11 +165,16 @@ def regressions(
         torques: And what the bodies need.
         bodies: The external estimate.
         pick: Which terms each joint has.
+
+    Raises:
+        RecordingError: The rows of a joint do not tell its numbers apart.
     """
     drives, equations = torques.drives, torques.equations
     n = len(equations.channels)
     picked = [pick(joint, drives, equations) for joint in range(n)]
     own = [block_diag(1.0, terms) for terms in picked]
+    for joint, each in enumerate(own):
+        _refuse_dependent(equations, joint, torques.combined @ each)
     with one_blas_thread():
         fits = _fits(torques.passes, torques.combined, own)
     found = []
@@ -193,6 +198,20 @@ def regressions(
             )
         )
     return tuple(found)
+
+
+def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> None:
+    """Columns of a joint's regression, combined by `lead`, (p, q), that hang together."""
+    normal, _, _ = equations.of_channel(joint)
+    products = lead.T @ normal @ lead
+    size = np.sqrt(np.diagonal(products))
+    spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
+    if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
+        raise RecordingError(
+            f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not tell "
+            f"its torque constant and {len(size) - 1} numbers of its friction and rotor apart: "
+            "record longer, or a richer motion of it"
+        )
 
 
 def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:

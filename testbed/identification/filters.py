@@ -29,6 +29,20 @@ STENCIL = len(_FIRST)
 """Samples that a derivative reaches to either side."""
 
 
+def low_pass_reach(rate: float, cutoff: float | None, attenuation: float) -> float:
+    """Samples L to either side that a low-pass needs; infinity where there is no such number.
+
+    Args:
+        rate: Samples a second [Hz].
+        cutoff: Where its gain is one half [Hz]; None for no filter.
+        attenuation: As of `low_pass` [dB].
+    """
+    if cutoff is None:
+        return 0.0
+    width = 2 * np.pi * TRANSITION * cutoff / rate  # Kaiser's rules
+    return np.inf if width == 0 else float(np.ceil((attenuation - 7.95) / (2.285 * width) / 2))
+
+
 def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
     """Weights of a symmetric low-pass, (2 L + 1,), of sum one; a windowed sinc.
 
@@ -38,8 +52,7 @@ def low_pass(rate: float, cutoff: float, attenuation: float) -> Array:
         attenuation: Beyond cutoff (1 + TRANSITION / 2), and how flat it is below
             cutoff (1 - TRANSITION / 2) [dB].
     """
-    width = 2 * np.pi * TRANSITION * cutoff / rate
-    reach = int(np.ceil((attenuation - 7.95) / (2.285 * width) / 2))  # Kaiser's rules
+    reach = int(low_pass_reach(rate, cutoff, attenuation))
     window = np.kaiser(2 * reach + 1, 0.1102 * (attenuation - 8.7))
     weights = window * np.sinc(2 * cutoff / rate * np.arange(-reach, reach + 1))
     return np.asarray(weights / weights.sum())

@@ -165,7 +165,7 @@ def friction_curves(
 def _with_enough_data(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
     """Torques at the nodes of which there are enough data make those at all; rotors stay."""
     nodes = _nodes_of(joint, drives, equations)
-    columns = []
+    columns: list[Array] = []
     place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
     for way in (-1, 1):
         kept = [number for number, each in nodes if each == way]
@@ -176,7 +176,7 @@ def _with_enough_data(joint: int, drives: DriveSet, equations: NormalEquations) 
             columns.append(full)
     if ROTOR in place:
         columns.append(np.eye(len(drives.asked))[place[ROTOR]])
-    return np.column_stack(columns)
+    return np.array(columns).reshape(-1, len(drives.asked)).T
 
 
 def _nodes_of(joint: int, drives: DriveSet, equations: NormalEquations) -> list[tuple[int, int]]:

@@ -69,7 +69,7 @@ def _drowned(noise: FoundNoise) -> list[str]:
         return []
     return [
         f"noise of the encoders is much of what these data show of {few(noise.drowned)}: sigma "
-        "does not hold there; move faster, or filter lower (`cutoff`)"
+        "does not hold there; move faster, or filter lower (identification.cutoff)"
     ]
 
 
@@ -83,5 +83,5 @@ def _coarse(estimate: Estimate, noise: FoundNoise) -> list[str]:
         f"coarse encoders: {told} show whole steps and no noise between; such errors are about "
         f"{min(noise.by_counts, 1.0):.0%} of the residuals. They repeat with the motion, and a "
         "longer recording does not reduce them; sigma counts them as made ones are. Read the "
-        "encoders finer, move faster, or filter lower (`cutoff`)"
+        "encoders finer, move faster, or filter lower (identification.cutoff)"
     ]

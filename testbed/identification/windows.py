@@ -13,7 +13,14 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.identification.filters import motion_taps, reversal_samples, row_weights
+from testbed.identification.filters import (
+    POSITION_ATTENUATION,
+    ROW_ATTENUATION,
+    low_pass_reach,
+    motion_taps,
+    reversal_samples,
+    row_weights,
+)
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
@@ -154,6 +161,10 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         raise RecordingError(
             f"the recording has {rate:g} samples a second, too few for a filter at {fast[0]:g} Hz"
         )
+    far = low_pass_reach(rate, slow, ROW_ATTENUATION)
+    far += low_pass_reach(rate, position, POSITION_ATTENUATION)
+    if 2 * far >= source.samples:  # before weights are made: they could be endless
+        raise _too_short(source, far)
     unit = np.array([[1.0], [0.0], [0.0]])
     taps = unit if sensed else motion_taps(rate, position)
     weights = row_weights(rate, slow)
@@ -165,10 +176,14 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
     )
     rows = len(range(reach, source.samples - reach, step))
     if rows < 2:
-        raise RecordingError(
-            f"the recording lasts {source.samples / rate:.3g} s, too short: the filters take "
-            f"{reach / rate:.3g} s at each end; record longer or raise the cutoff frequencies"
-        )
+        raise _too_short(source, reach)
     deadband = settings.deadband if layout.model == "dynamic" else 0.0
     nearby = reversal_samples(weights, settings.reversal_reach, rate)
     return Plan(source, layout, tare, taps, weights, deadband, nearby, step, rows)
+
+
+def _too_short(source: Source, reach: float) -> RecordingError:
+    return RecordingError(
+        f"the recording lasts {source.samples / source.rate:.3g} s, too short: the filters take "
+        f"{reach / source.rate:.3g} s at each end; record longer or raise the cutoff frequencies"
+    )

@@ -51,10 +51,10 @@ def _promise(found: Excitation) -> str:
 def _sigma_table(found: Excitation) -> Table:
     table = Table(box=SIMPLE_HEAD, header_style="bold")
     table.add_column("parameter", no_wrap=True)
-    table.add_column("predicted sigma", justify="right", no_wrap=True)
-    table.add_column("of its value", justify="right", no_wrap=True)
+    table.add_column("predicted\nsigma", justify="right", no_wrap=True)
+    table.add_column("of its\nvalue", justify="right", no_wrap=True)
     if found.random_predicted is not None:
-        table.add_column("random motion", justify="right", no_wrap=True)
+        table.add_column("random\nmotion", justify="right", no_wrap=True)
     for k, name in enumerate(found.predicted.names):
         row = [name, f"{found.predicted.sigma[k]:.2g}", f"{found.predicted.relative[k]:.2%}"]
         if found.random_predicted is not None:

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import SettingsError
 from testbed.keys import key
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.robot.rotations import about
@@ -40,8 +41,14 @@ class CompliantPlate(Effect):
     damping: float = key(0.02, least=0, most=10)
 
     def disturb(self, spec: mujoco.MjSpec, tree: Tree, prefix: str) -> None:
-        """Six joints between world and plate."""
+        """Six joints between world and plate.
+
+        Raises:
+            SettingsError: They are there already.
+        """
         del prefix
+        if any(joint.name == _FREEDOMS[0] for joint in spec.joints):
+            raise SettingsError(f"{self.kind}: the bedplate is on springs already; once is enough")
         site = next(s.objname for s in spec.sensors if s.type == mujoco.mjtSensor.mjSENS_FORCE)
         plate = spec.site(site).parent
         place = np.asarray(spec.site(site).pos)

@@ -196,6 +196,21 @@ def test_gravity_is_a_vector_however_it_is_written(tmp_path: Path) -> None:
     assert json.loads(said[0].stdout)["gravity"] == [0, 0, -1.62]
 
 
+def test_equations_go_to_a_file_but_never_over_the_model(tmp_path: Path) -> None:
+    words = ["equations", PUMA, "--what", "joint-forces", "--language", "c"]
+    shown = command_line(*words, cwd=tmp_path)
+    assert shown.returncode == 0
+    written = command_line(*words, "--out", "puma.c", cwd=tmp_path)
+    assert (written.returncode, written.stderr) == (0, "")
+    assert (tmp_path / "puma.c").read_text().strip() == shown.stdout.strip()
+    (tmp_path / "mine.xml").write_text(Path(PUMA).read_text())
+    for place in ("mine.xml", "./mine.xml"):
+        over = command_line("equations", "mine.xml", *words[2:], "--out", place, cwd=tmp_path)
+        assert over.returncode == 2
+        assert "is the model file itself" in " ".join(over.stderr.split())
+    assert (tmp_path / "mine.xml").read_text() == Path(PUMA).read_text()
+
+
 def test_the_version_is_told(tmp_path: Path) -> None:
     assert command_line("--version", cwd=tmp_path).stdout.startswith("testbed ")
 

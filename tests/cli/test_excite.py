@@ -40,6 +40,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_it_writes_motion_page_and_samples(folder: Path) -> None:
     assert {each.name for each in folder.iterdir()} == {"motion.toml", "page.html", "t.csv"}
     page = (folder / "page.html").read_text()
@@ -47,6 +48,7 @@ def test_it_writes_motion_page_and_samples(folder: Path) -> None:
     assert page.count("<svg") >= 8
 
 
+@pytest.mark.slow
 def test_a_motion_is_checked(folder: Path) -> None:
     done = command_line("excite", "motion.toml", "--check", cwd=folder)
     assert done.returncode == 0, done.stderr
@@ -62,6 +64,7 @@ def test_a_motion_is_checked(folder: Path) -> None:
     assert {margin["label"] for margin in said["margins"]} > {"velocity of 'elbow'"}
 
 
+@pytest.mark.slow
 def test_numbers_are_for_programs(tmp_path: Path) -> None:
     done = command_line("excite", str(MODELS["puma"]), *QUICK, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

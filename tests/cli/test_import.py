@@ -43,6 +43,7 @@ def test_the_real_tx40_is_imported_and_identified(tmp_path: Path) -> None:
     assert np.sqrt(np.mean(left[:4] ** 2)) < 0.75
 
 
+@pytest.mark.slow
 def test_the_tutorial_shows_what_is_printed(tmp_path: Path) -> None:
     """docs/real-recordings.md: the import of the real recording, and its refusal without zeros."""
     text = (ROOT / "docs/real-recordings.md").read_text()
@@ -74,6 +75,7 @@ def test_a_mistake_in_a_real_mapping_is_refused_with_its_cure(
     assert not (tmp_path / "tx40.parquet").exists()
 
 
+@pytest.mark.slow
 def test_what_is_imported_unchecked_is_refused_by_identify(tmp_path: Path) -> None:
     mapping = str(altered(tmp_path, "[torque]", "[torque]\nsign = [1, -1, 1, 1, 1, 1]"))
     done = command_line("import", mapping, "--out", "x.parquet", *MODEL, cwd=tmp_path)

@@ -217,7 +217,8 @@ def test_a_reader_that_has_gone_is_not_told() -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
 def test_words_that_do_not_fit_are_said_to_be_lost_once() -> None:
     """The interpreter would say on its own that its last words found no place."""
-    code = "from testbed.cli import main\ndef command():\n    print('word')\n    return 0\n"
+    body = "print('word')\n    sys.stdout.flush()"
+    code = f"import sys\nfrom testbed.cli import main\ndef command():\n    {body}\n"
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [sys.executable, "-c", f"{code}main._command = command\nmain.main()"],

@@ -86,6 +86,9 @@ def test_no_distance_changes_faster_than_its_lever(seed: int) -> None:
         assert (slopes <= bound + 1e-9).all()
         used = max(used, float((slopes / np.maximum(bound, 1e-12)).max()))
     assert used > 0.3  # a bound, and no idle one
+    for (a, b), row in zip(collision.pairs, bound, strict=True):
+        between = set(tree.chain(a)) ^ set(tree.chain(b))
+        assert {j for j in range(tree.n) if row[j] > 0} == between  # others move neither or both
 
 
 def test_what_stands_around_the_robot_is_watched_from_the_first_link_on(puma: tb.Tree) -> None:

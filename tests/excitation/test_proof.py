@@ -77,10 +77,15 @@ def test_jets_bound_how_forces_change(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_efforts_are_proven_as_tightly_as_they_are(seed: int, puma: tb.Tree) -> None:
-    """With friction of either sign, the largest effort of a fine grid, and hardly more."""
+@pytest.mark.parametrize("haste", [1.0, 10.0])
+def test_efforts_are_proven_as_tightly_as_they_are(seed: int, haste: float, puma: tb.Tree) -> None:
+    """With friction of either sign, the largest effort of a fine grid, and hardly more.
+
+    In haste it takes more samples than a proof begins with.
+    """
     limits = limits_of(puma)
     motion = random_motion(puma, limits, 0.1, 5, np.random.default_rng(seed))
+    motion = replace(motion, fundamental=haste * motion.fundamental)
     term = EffortTerm(puma, limits, 1.0)
     left = [
         m.left

@@ -172,3 +172,7 @@ def test_wrong_input_is_one_line(tmp_path: Path) -> None:
         assert found.stdout == ""
         assert found.stderr.startswith("testbed: ")
         assert found.stderr.count("\n") == 1
+    written(tmp_path, QUIET)
+    found = command_line("compare", "made.toml", "--set", "motion.length=1", cwd=tmp_path)
+    assert found.returncode == 2
+    assert "'length'" in found.stderr

@@ -11,13 +11,16 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.dynamics.kinematics import poses
 from testbed.experiment.consistent_run import with_consistent, wrong_prior
 from testbed.experiment.experiment_tables import Bound, PriorTable
 from testbed.experiment.results import result
 from testbed.experiment.run import Run
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.wishes import Wishes
+from testbed.report.bodies_section import VIEWS
 from testbed.report.contents import contents
+from testbed.report.portrait import view
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.extents import extents
@@ -72,6 +75,26 @@ def test_the_report_draws_every_link_three_times(run: Run) -> None:
         assert panel["svg"].count("<ellipse") == 3 * run.tree.n
         assert not re.search(r"nan|inf", panel["svg"])
     assert [row[0] for row in section["rows"]] == [joint.body for joint in run.tree.joints]
+
+
+def test_an_outline_is_the_ellipsoid_seen_from_there(run: Run) -> None:
+    """Radii and turn of the truth's ellipses: the ellipsoid's matrix, projected, y down."""
+    section = next(s for s in contents(run)["figures"] if s["id"] == "bodies")
+    placed = [(turn[0], at[0]) for turn, at in poses(run.tree, run.recording.position[:1])]
+    shapes = equivalent_ellipsoids(run.tree, (0.0, 0.0, 0.0, 1.0))
+    for panel, eye in zip(section["panels"], VIEWS.values(), strict=True):
+        lines = [part for part in panel["svg"].split("<ellipse")[1:] if "--truth" in part]
+        for line, shape in zip(lines, shapes, strict=True):
+            rx, ry = (float(re.findall(f'{r}="([^"]*)"', line)[0]) for r in ("rx", "ry"))
+            angle = np.deg2rad(float(re.findall(r"rotate\((\S+)", line)[0]))
+            turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+            drawn = turn @ np.diag([rx**2, ry**2]) @ turn.T
+            seen = np.diag([1, -1]) @ view(np.array(eye))[:2] @ placed[shape.body][0]
+            seen = seen @ shape.rotation @ np.diag(shape.size)
+            wanted = seen @ seen.T
+            if min(rx, ry) > 3:  # thinner ones are rounded
+                off = drawn / np.trace(drawn) - wanted / np.trace(wanted)
+                assert np.abs(off).max() < 0.03
 
 
 def test_the_viewer_draws_them_on_the_robot(run: Run) -> None:

@@ -67,6 +67,9 @@ def test_a_file_s_motion_is_proven_again(found: Excitation, tmp_path: Path) -> N
     slower = asked("puma", f'motion.file="{file}"', "motion.max_velocity={waist=0.2}")
     with pytest.raises(InfeasibleMotion, match="velocity of 'waist': exceeded by .* at t = "):
         motion_of(slower, robot_of(slower))
+    weak = asked("puma", f'motion.file="{file}"', "measurement.full_scale=[5,5,5,5,5,5]")
+    with pytest.raises(InfeasibleMotion, match="does not suit this experiment: .*plate"):
+        motion_of(weak, robot_of(weak))
     coarse = asked("puma", f'motion.file="{file}"', "measurement.rate=5", "simulation.bandwidth=2")
     with pytest.raises(ExperimentError, match="too fast for measurement.rate = 5 Hz"):
         motion_of(coarse, robot_of(coarse))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound
 from testbed.experiment.run_folder import default_folder, write_run
-from testbed.toml_text import checked, override
+from testbed.toml_text import LARGEST_FILE, checked, override
 from tests.helpers.paths import ROOT
 
 TABLE6 = ROOT / "experiments/table6.toml"
@@ -81,9 +82,14 @@ def test_all_faults_are_listed_at_once() -> None:
     assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
 
 
-def test_a_table_for_a_joint_that_is_not_there_is_refused() -> None:
-    experiment = tb.Experiment.load(TABLE6, ["measurement.torque_constant_error.wrist=0.1"])
-    with pytest.raises(ExperimentError, match="'wrist', the model has waist, shoulder, elbow"):
+@pytest.mark.parametrize(
+    "table",
+    ["measurement.torque_constant_error", "motion.max_velocity", "motion.max_acceleration"],
+)
+def test_a_table_for_a_joint_that_is_not_there_is_refused(table: str) -> None:
+    experiment = tb.Experiment.load(TABLE6, [f"{table}.wrist=0.1"])
+    said = f"{table} .*'wrist', the model has waist, shoulder, elbow"
+    with pytest.raises(ExperimentError, match=said):
         tb.simulate(experiment)
 
 
@@ -161,6 +167,28 @@ def test_a_key_of_very_many_parts_is_refused_before_it_is_parsed(tmp_path: Path)
     path.write_text(".".join("a" * 50_000) + " = 1\n")
     with pytest.raises(ExperimentError, match="a key has more than 1000 parts"):
         tb.Experiment.load(path)
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "e.toml"
+    shutil.copy(TABLE6, path)
+    size = path.stat().st_size
+    with path.open("a") as file:
+        file.write("#" * (LARGEST_FILE - size))
+    assert tb.Experiment.load(path, [f"model='{ROOT / 'models/puma562.xml'}'"]).name == "table6"
+    with path.open("a") as file:
+        file.write("#")
+    with pytest.raises(ExperimentError, match=r"it has more than 1e\+06 bytes"):
+        tb.Experiment.load(path)
+
+
+def test_a_number_of_very_many_digits_is_refused_in_plain_words(tmp_path: Path) -> None:
+    path = tmp_path / "e.toml"
+    path.write_text(f"seed = {'9' * 5000}\n")
+    for file, words in ((path, []), (TABLE6, [f"seed={'9' * 5000}"])):
+        with pytest.raises(ExperimentError, match="a number has thousands of digits") as found:
+            tb.Experiment.load(file, words)
+        assert "sys." not in str(found.value)
 
 
 def test_a_key_with_dots_of_its_own_stands_in_quotes() -> None:

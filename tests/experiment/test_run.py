@@ -160,6 +160,13 @@ def test_rounding_is_no_systematic_error() -> None:
     assert not [line for line in run.warnings if "systematic" in line]
 
 
+@pytest.mark.parametrize(
+    ("share", "said"), [(3e-4, "0.03 %"), (0.114, "11 %"), (1.642, "160 %"), (1e-16, "1e-14 %")]
+)
+def test_shares_are_written_as_people_do(share: float, said: str) -> None:
+    assert percent(share) == said
+
+
 def test_the_summary_says_what_a_reader_asks_first() -> None:
     expect = {"external_max_z": Bound(at_most=1e-9), "internal_to_external": Bound(at_least=0.0)}
     tree = robot("puma")

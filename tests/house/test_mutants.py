@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import ast
+import json
+import os
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from benchmarks.mutation.campaign import set_aside
 from benchmarks.mutation.changes import Mutant
 from benchmarks.mutation.draw import LEAST, draw, shares_of
+from benchmarks.mutation.tracer import FOLDER
 from tests.helpers.paths import ROOT
 
 
@@ -72,3 +78,52 @@ def test_what_is_set_aside_has_a_reason() -> None:
         assert (ROOT / module).is_file(), module
         assert original != mutated
         assert len(reason.split()) > 2
+
+
+FOLLOWED = """def sign(number):
+    if number < 0:
+        return -1
+    return [0, 1][sum(1 for _ in range(1) if number)]
+
+
+class Room:
+    def enter(self):
+        return sign(3)
+"""
+FOLLOWING = """import json, pathlib, sys
+from benchmarks.mutation import tracer
+from testbed import rooms
+
+told = {}
+for kind in ("Asking", "Told"):
+    if hasattr(tracer, kind):
+        followed = getattr(tracer, kind)(pathlib.Path(sys.argv[1]))
+        followed.start()
+        told[kind] = []
+        for call in (lambda: rooms.sign(-2), rooms.Room().enter, lambda: rooms.sign(-1)):
+            lines = set()
+            with followed.collecting(lines):
+                followed.start()
+                call()
+            told[kind].append(sorted(lines))
+        followed.stop()
+print(json.dumps(told))
+"""
+
+
+def test_lines_are_told_anew_for_every_test_by_whatever_follows_them(tmp_path: Path) -> None:
+    (tmp_path / "testbed").mkdir()
+    (tmp_path / "testbed/__init__.py").touch()
+    (tmp_path / "testbed/rooms.py").write_text(FOLLOWED)
+    around = {name: value for name, value in os.environ.items() if name != FOLDER}
+    around["PYTHONPATH"] = os.pathsep.join([str(tmp_path), str(ROOT)])
+    command = [sys.executable, "-S", "-c", FOLLOWING, str(tmp_path)]
+    printed = subprocess.run(
+        command, cwd=tmp_path, env=around, check=True, capture_output=True, text=True
+    )
+    told = json.loads(printed.stdout)
+    assert ("Told" in told) == (sys.version_info >= (3, 12))
+    negative, positive = [1, 2, 3], [1, 2, 4, 8, 9]
+    for lines in told.values():
+        assert [[line for _, line in each] for each in lines] == [negative, positive, negative]
+        assert {module for each in lines for module, _ in each} == {"testbed/rooms.py"}

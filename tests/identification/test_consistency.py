@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.conditions import conditions
 from testbed.identification.consistency import Consistent, consistent, robot_of, stated_by
+from testbed.identification.consistent_warnings import warnings_of
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.evidence import evidence, terms_of
 from testbed.identification.prior_choice import consistent_by_held_out
@@ -27,6 +29,7 @@ from testbed.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.recordings.source import Source, Stretch, open_source
+from testbed.report.consistent_table import consistent_lines
 from testbed.robot.friction import ROTOR
 from testbed.robot.inertia import NOTHING, Inertia
 from tests.helpers.ideal import EXACT, ideal
@@ -345,6 +348,9 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
         found = consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
         assert min(found.tried, key=lambda e: found.tried[e]) == found.prior_error
         chosen[error] = found.prior_error
+        (said,) = [line for line in consistent_lines(found) if line.startswith("Held-out data")]
+        assert all(f"{each:g}: " in said for each in found.tried)
+        assert not any("Held-out" in line for line in consistent_lines(replace(found, tried={})))
     assert chosen[0.0] <= 0.2 < chosen[1.5]
     short = Stretch(source, 0, 150)
     with pytest.raises(tb.TestbedError, match="give a number"):
@@ -449,3 +455,19 @@ def test_the_same_bits_again() -> None:
     assert isinstance(one, Consistent)
     np.testing.assert_array_equal(one.standard, other.standard)
     np.testing.assert_array_equal(one.told, other.told)
+
+
+def test_what_is_widened_by_more_than_three_sigmas_is_said() -> None:
+    tree = robot("puma")
+    estimate = tb.identify(tree, ideal(tree), "internal")
+    for widened, sure in ((2.9, False), (3.1, True)):
+        names = estimate.names
+        moved = SimpleNamespace(
+            distance=0.0, names=names, widened=widened, sigmas=np.zeros(len(names))
+        )
+        said = [line for line in warnings_of([estimate], [moved], 0.0) if "widened" in line]
+        assert bool(said) is sure
+    sigmas = np.arange(len(names), dtype=float)
+    far = SimpleNamespace(distance=1e3, names=names, widened=1.0, sigmas=-sigmas)
+    (told,) = [line for line in warnings_of([estimate], [far], 0.0) if "moved most" in line]
+    assert f"moved most are {names[-1]} by {-sigmas[-1]:+.3g} sigma, {names[-2]} by" in told

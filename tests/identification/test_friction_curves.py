@@ -10,7 +10,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.drive_findings import DriveFindings, identify_drives
-from testbed.identification.friction_curves import NODES
+from testbed.identification.friction_curves import NODES, friction_curves
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import COULOMB, QUADRATIC, SQUARE_ROOT, VISCOUS, JointLaw, stribeck
 from tests.helpers.ideal import EXACT, ideal
@@ -66,6 +66,14 @@ def test_exact_data_give_the_law_at_every_node(name: str) -> None:
         assert len(curve.speed) > 6
         assert set(np.abs(curve.speed)) <= set(NODES)
         assert (np.diff(curve.speed) >= 0).all()
+
+
+def test_too_few_rows_at_every_speed_make_no_curve() -> None:
+    tree = with_friction("puma")
+    bodies = tb.identify(tree, measured(tree))
+    for curve in friction_curves(tree, measured(tree, 3, duration=2.0), bodies):
+        assert len(curve.speed) == len(curve.torque) == 0
+        assert not curve.at(np.linspace(-1, 1, 5)).any()
 
 
 @pytest.mark.slow

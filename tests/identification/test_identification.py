@@ -141,6 +141,16 @@ def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
         tb.identify(puma, ideal(puma, duration=0.5), "external")
 
 
+@pytest.mark.parametrize("cutoff", [1e-3, 1e-9, 1e-300, 5e-324])
+@pytest.mark.parametrize("method", ["external", "internal"])
+def test_a_filter_longer_than_any_recording_is_never_made(
+    cutoff: float, method: Method, puma: tb.Tree
+) -> None:
+    for cutoffs in ({"cutoff": cutoff}, {"cutoff": cutoff, "position_cutoff": 2 * cutoff}):
+        with pytest.raises(RecordingError, match="too short: the filters take .* s at each end"):
+            tb.identify(puma, ideal(puma), method, settings=tb.Settings(**cutoffs))  # type: ignore[arg-type]
+
+
 def test_a_filter_faster_than_the_recording_is_refused(puma: tb.Tree) -> None:
     with pytest.raises(RecordingError, match="too few for a filter at 150 Hz"):
         tb.identify(

@@ -120,6 +120,14 @@ def test_what_does_not_belong_together_is_refused() -> None:
         drive_estimates(tree, without(recording, "torque"), bodies)
 
 
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_too_few_rows_of_a_joint_are_refused_by_its_name(name: str) -> None:
+    tree = driven(name)
+    bodies = tb.identify(tree, measured(tree))
+    with pytest.raises(RecordingError, match=f"rows of joint '{tree.names[0]}' do not tell its"):
+        drive_estimates(tree, measured(tree, 3, duration=0.85), bodies)
+
+
 def test_all_laws_can_be_asked_for() -> None:
     tree = driven("puma")
     recording = measured(tree)

@@ -336,6 +336,10 @@ def test_phases_are_drawn_unless_said() -> None:
     assert isinstance(drawn, tuple)
     assert len(set(drawn)) == 6
     assert PlateHum(phase=1.0).drawn(rig, rng).phase == 1.0
+    every = np.sort([PlateHum().drawn(rig, rng).phase for _ in range(50)], axis=None)
+    assert every[0] >= 0
+    assert every[-1] < 2 * np.pi
+    assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around
     joints = EncoderEccentricity().drawn(rig, rng).phase
     assert isinstance(joints, tuple)
     assert len(joints) == 3

@@ -311,5 +311,7 @@ def test_lengths_of_bodies_beyond_the_ninth_are_readable() -> None:
 
 def test_distance_of_spaces_of_other_rank_is_one() -> None:
     a, b = row_space(np.eye(3)[:1], 1e-9), row_space(np.eye(3)[:2], 1e-9)
-    assert distance(a, b) == 1.0
+    nothing = row_space(np.zeros((1, 3)), 1e-9)
+    assert distance(a, b) == distance(a, nothing) == 1.0
     assert distance(a, a) < 1e-12
+    assert distance(nothing, nothing) == 0.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,13 +17,14 @@ from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.report.contents import contents
 from testbed.report.drive_sections import curve_lines
 from testbed.report.matrix_map import matrix_maps
-from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
+from testbed.viewer.drive_notes import log_curve, notes_of_drives, notes_of_plate
 from testbed.viewer.scene import scene_of
+from tests.helpers.cases import cases
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
 
 
-@pytest.fixture(scope="module", params=["puma", "gantry"])
+@pytest.fixture(scope="module", params=cases(["puma", "gantry"], 1))
 def run(request: pytest.FixtureRequest) -> Run:
     tree = robot(request.param)
     settings = tb.Settings(drives="given")
@@ -58,6 +60,24 @@ def test_curves_have_a_gap_where_the_direction_changes(run: Run) -> None:
         np.testing.assert_allclose(curve.at(curve.speed), curve.torque, atol=1e-12)
 
 
+def test_a_curve_is_thicker_than_the_edges_of_its_band(run: Run) -> None:
+    assert run.drives is not None
+    logged: dict[str, Any] = {}
+
+    class Stream:
+        """Keeps what is logged."""
+
+        def log(self, entity: str, what: Any, *, static: bool) -> None:
+            assert static
+            logged[entity] = what
+
+    log_curve(Stream(), "joint", run.drives.curves[0], (1.0, 1.0))  # type: ignore[arg-type]
+    radii = np.abs(logged["joint/by_plate"].radii.as_arrow_array().to_pylist()).reshape(-1, 3)
+    assert len(radii) == len(logged["joint/by_plate"].strips) / 3 > 0
+    assert (radii[:, 0] > 2 * radii[:, 1]).all()
+    assert (radii[:, 1] == radii[:, 2]).all()
+
+
 def test_notes_hold_every_joint(run: Run) -> None:
     notes = scene_of(run).notes
     assert "Drives, held against the plate" in notes
@@ -91,6 +111,7 @@ def test_the_matrix_is_shown_before_and_after(run: Run) -> None:
     assert "crosstalk/Mx/Fz" in "\n".join(notes_of_plate(known))
 
 
+@pytest.mark.slow
 def test_metrics_of_drives_are_judged(tmp_path: Path) -> None:
     """Short and without noise: constants, friction and curves come out."""
     words = [

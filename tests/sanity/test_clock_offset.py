@@ -13,6 +13,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.sanity.accept import accepted_import
 from testbed.sanity.clock_offset import clock_offsets
+from tests.helpers.cases import cases
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
@@ -28,7 +29,7 @@ def shifted(signal: Array, time: Array, late: Array | float) -> Array:
     return found
 
 
-@pytest.mark.parametrize("name", ["puma", "ur5", "gantry", "random"])
+@pytest.mark.parametrize("name", cases(["puma", "ur5", "gantry", "random"], 1))
 @pytest.mark.parametrize("late", [2e-3, -0.03])
 def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None:
     tree = robot(name)
@@ -47,6 +48,7 @@ def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None
     assert abs(wrench.delay - late / 2) < max(2e-5, 5 * wrench.sigma)
 
 
+@pytest.mark.slow
 def test_sigma_of_a_delay_is_honest() -> None:
     """Z of delays of random trees that are on time: about one."""
     found = []

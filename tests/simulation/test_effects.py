@@ -147,6 +147,12 @@ def test_the_plate_gives_way_as_stiff_as_asked(puma: Tree) -> None:
     assert "springs" in str(wrong.flaw(plant, puma))
 
 
+def test_a_plate_is_on_springs_once(puma: Tree) -> None:
+    soft = effect_of({"kind": "compliant_plate"})
+    with pytest.raises(SettingsError, match="on springs already"):
+        build_plant(ModelFile(ROOT / "models/puma562.xml"), puma, 1e-3, effects=[soft, soft])
+
+
 def test_gravity_is_turned_and_keeps_its_size(puma: Tree) -> None:
     path = ROOT / "models/puma562.xml"
     tilt = effect_of({"kind": "tilt", "angle": 0.1, "direction": np.pi / 2})

@@ -214,6 +214,19 @@ def test_a_planar_arm_by_hand(tmp_path: Path) -> None:
     assert all(wrong.values())
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_results_are_called_by_their_row(kind: str, puma: tb.Tree) -> None:
+    """Q1 to Q3 of three joints, F and M of the plate, as their places in the array say."""
+    (found,) = equations(puma, kind, zeros=True).equations
+    rows = ["FM"[k // 3] + "xyz"[k % 3] for k in range(6)]
+    if KINDS[kind].model == "dynamic":
+        rows = [f"{j + 1}" for j in range(3)]
+    assert {at[0] for at in found.places.values()} == set(range(len(rows)))
+    for name, at in found.places.items():
+        assert re.fullmatch(KINDS[kind].results, name.name)
+        assert re.match(rf"(phi_)?[QGM]?{rows[at[0]]}", name.name), (name, at)
+
+
 def test_latex_is_well_formed(puma: tb.Tree) -> None:
     for form in FORMS:
         text = write_equations(equations(puma, list(KINDS), form), "latex")

@@ -97,6 +97,16 @@ def test_units_are_what_they_are(kind: str, text: str, tmp_path: Path, log: Log)
         np.testing.assert_allclose(found.measured(kind), wanted * known[unit], rtol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("unit", "newton"), [("kN", 1e3), ("lbf", 4.4482216152605), ("kgf", 9.80665)]
+)
+def test_forces_are_in_newtons(
+    unit: str, newton: float, text: str, tmp_path: Path, log: Log
+) -> None:
+    found = imported(tmp_path, text.replace('["N", "N m"]', f'["{unit}", "N m"]'))
+    np.testing.assert_allclose(found.measured("wrench")[:, :3], newton * log.w[:, :3], rtol=1e-12)
+
+
 def test_positions_in_lengths_are_of_joints_that_slide(text: str, tmp_path: Path) -> None:
     found = imported(tmp_path, text.replace('unit = "rad"', 'unit = ["deg", "mm"]'))
     assert found.facts["geometry"] == {"j1": {"kind": "revolute"}, "j2": {"kind": "prismatic"}}
@@ -158,6 +168,21 @@ def test_what_the_file_says_of_units_is_held_against_the_mapping(tmp_path: Path,
         imported(tmp_path, text)
 
 
+def test_units_of_what_a_matrix_takes_to_a_wrench_are_the_matrixs(tmp_path: Path, log: Log) -> None:
+    """What six bridges say is no wrench; behind a matrix it need be none."""
+    import h5py
+
+    text = FORMATS["hdf5"](tmp_path, log)
+    with h5py.File(tmp_path / "log.h5", "a") as file:
+        file["log/w"].attrs["unit"] = "kN"
+    with pytest.raises(RecordingError, match="is in kN, the mapping says N"):
+        imported(tmp_path, text)
+    matrix = (2 * np.eye(6)).tolist()
+    found = imported(tmp_path, text.replace("units = [", f"matrix = {matrix}\nunits = ["))
+    plain = imported(tmp_path, FORMATS["csv"](tmp_path, log))
+    np.testing.assert_allclose(found.measured("wrench"), 2 * plain.measured("wrench"), rtol=1e-9)
+
+
 def test_the_mapping_stays_with_the_recording(text: str, tmp_path: Path) -> None:
     text += "tare = [0, 0, 98.1, 0, 0, 0]\n"
     found = imported(tmp_path, text.replace("rate = 100", "rate = 100\ngravity = [0, 0, -9.8]"))
@@ -167,6 +192,13 @@ def test_the_mapping_stays_with_the_recording(text: str, tmp_path: Path) -> None
     assert again.facts["gravity"] == [0, 0, -9.8]
     assert again.tare is not None
     assert again.tare.tolist() == [0, 0, 98.1, 0, 0, 0]
+
+
+@pytest.mark.parametrize(("first", "clock"), [("time", True), ("count", False)])
+def test_what_grows_is_a_clock_only_by_its_name(first: str, clock: bool, tmp_path: Path) -> None:
+    rows = "".join(f"{k / 10},{k % 3}\n" for k in range(9))
+    (tmp_path / "log.csv").write_text(f"{first},q\n{rows}")
+    assert (f'time = "{first}"' in guessed(tmp_path / "log.csv", tmp_path)) is clock
 
 
 @pytest.mark.parametrize("name", FORMATS)
