@@ -47,6 +47,7 @@ class Refined:
         noise: What they are like; None where they are taken as white.
         further: Values of the instrument's unknowns, (s,).
         further_covariance: Theirs, (s, s).
+        across: Covariance of the unknowns with them, (p, s).
         traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
@@ -57,6 +58,7 @@ class Refined:
     noise: FoundNoise | None = None
     further: Array = field(default_factory=lambda: np.zeros(0))
     further_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    across: Array = field(default_factory=lambda: np.zeros((0, 0)))
     traces: tuple[tuple[Trace, float], ...] = ()
 
 
@@ -110,6 +112,7 @@ def under_coloured_noise(
         ),
         further=further,
         further_covariance=covariance[p:, p:],
+        across=covariance[:p, p:],
         traces=clues.found(units.lead[:p]),
     )
 
