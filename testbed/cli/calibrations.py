@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -31,10 +32,18 @@ def calibrate(
         list[str],
         typer.Option(
             metavar="NAME=VALUE[+-SIGMA]",
-            help="What is known, as mass=20 or gain/Fz=1; again for more.",
+            help="What is known, as mass=20, gain/Fz=1, centre/x=0.1; again for more.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="File of the plate, for --plate.")] = Path("plate.toml"),
+    loaded: Annotated[
+        Path | None,
+        typer.Option(help="Another recording, with a payload: --known payload/mass=1.5."),
+    ] = None,
+    joint: Annotated[
+        str | None,
+        typer.Option(help="The payload is on the link that this moves; default the last."),
+    ] = None,
     settings: RecordingSet = None,
     zeros: Zeros = False,
     gravity: Gravity = None,
@@ -48,22 +57,28 @@ def calibrate(
     """Calibrate the plate by the robot's own motion: sensitivities, zero, delay.
 
     Other numbers: --set 'identification.nuisances=["pose","skew"]'. Whether what is known
-    suffices is found out before any data are read.
+    suffices is found out before any data are read. A payload of known mass tells the scale, too:
+    a recording with it beside RECORDING, which is without it.
 
-    Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Fz=1
+    Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
+    from testbed.errors import SettingsError
     from testbed.experiment.plate_file import write_plate
     from testbed.identification.calibration import calibrate as calibrated
+    from testbed.identification.calibration_by_payload import calibrate_by_payload
     from testbed.identification.known import parse_known
     from testbed.report import terminal
     from testbed.report.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
     tree, facts = reading.tree(model), parse_known(known)
+    if joint is not None and loaded is None:
+        raise SettingsError("--joint says what carries the payload of --loaded: give both")
+    found = partial(calibrated, tree, recording)
+    if loaded is not None:
+        found = partial(calibrate_by_payload, tree, recording, loaded, joint=joint)
     with terminal.Progress("calibrating") as progress:
-        plate = calibrated(
-            tree,
-            recording,
+        plate = found(
             facts,
             gravity=gravity,
             settings=reading.tables().identification,

@@ -49,6 +49,7 @@ class Refined:
         noise: What they are like; None where they are taken as white.
         further: Values of the instrument's unknowns, (s,).
         further_covariance: Theirs, (s, s).
+        across: Covariance of the unknowns with them, (p, s).
         traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
@@ -59,6 +60,7 @@ class Refined:
     noise: FoundNoise | None = None
     further: Array = field(default_factory=lambda: np.zeros(0))
     further_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    across: Array = field(default_factory=lambda: np.zeros((0, 0)))
     traces: tuple[tuple[Trace, float], ...] = ()
 
 
@@ -111,8 +113,8 @@ def under_coloured_noise(
         repetition=repeated.found() if repeated else None,
     )
     tests = clues.found(units.lead[:p])
-    own, others = covariance[:p, :p], covariance[p:, p:]
-    return Refined(start, values, own, squares, noise, further, others, tests)
+    own, others, across = covariance[:p, :p], covariance[p:, p:], covariance[:p, p:]
+    return Refined(start, values, own, squares, noise, further, others, across, tests)
 
 
 def further_values(

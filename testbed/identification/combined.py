@@ -27,6 +27,9 @@ ROUNDS = 20
 DONE = 1e-10
 """A step that is smaller than this, in sigmas, is the last."""
 
+EXACT = 1e-14
+"""Part of its variance that is left of a combination which is known exactly, by rounding."""
+
 INFORMATIVE = 1e-4
 """Part of a variance that joint torques must take away for their say to be judged."""
 
@@ -104,39 +107,50 @@ def combined(
         regressions: Each joint's torque on what that estimate needs: where to start, and how
             much noise there is.
     """
-    count = len(bodies.values)
-    information = scaled_inverse(bodies.covariance)
+    root = _root(bodies.covariance)
+    count = root.shape[1]
     inputs = [_Joint.of(torques, found) for found in regressions]
-    state = np.concatenate([bodies.values, *(found.values for found in regressions)])
+    state = np.concatenate([np.zeros(count), *(found.values for found in regressions)])
     for _ in range(ROUNDS):
-        normal = block_diag(information, np.zeros((len(state) - count,) * 2))
+        normal = block_diag(np.eye(count), np.zeros((len(state) - count,) * 2))
         slope = np.zeros(len(state))
-        slope[:count] = information @ (bodies.values - state[:count])
-        at = count
+        slope[:count] = -state[:count]
+        values, at = bodies.values + root @ state[:count], count
         for joint in inputs:
             own = slice(at, at + joint.width)
             at += joint.width
-            columns = joint.columns(state[:count], state[own])
+            columns = joint.columns(values, state[own])
             full = np.zeros((columns.shape[0], len(state)))
-            full[:, :count], full[:, own] = columns[:, :count], columns[:, count:]
-            left = joint.right - joint.normal @ joint.made(state[:count], state[own])
+            full[:, :count] = columns[:, : len(values)] @ root
+            full[:, own] = columns[:, len(values) :]
+            left = joint.right - joint.normal @ joint.made(values, state[own])
             normal += full.T @ joint.normal @ full
             slope += full.T @ left
         covariance = scaled_inverse(normal)
         step = covariance @ slope
         state = state + step
-        if np.abs(step).max() <= DONE * np.sqrt(np.diagonal(covariance).max()):
+        if np.abs(step / np.sqrt(np.diagonal(covariance))).max() <= DONE:
             break
+    values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
+    spread = root @ spread @ root.T
     places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
-    sigma = np.sqrt(np.diagonal(covariance))
     return Combined(
         names=bodies.names,
-        values=state[:count],
-        sigma=sigma[:count],
+        values=values,
+        sigma=np.sqrt(np.maximum(np.diagonal(spread), 0.0)),
         constants=state[places],
-        constant_sigma=sigma[places],
-        disagreement=_disagreement(bodies, state[:count], covariance[:count, :count]),
+        constant_sigma=np.sqrt(np.diagonal(covariance)[places]),
+        disagreement=_disagreement(bodies, values, spread),
     )
+
+
+def _root(covariance: Array) -> Array:
+    """R with R R' the covariance, (p, r): what is known exactly does not move."""
+    size = np.sqrt(np.diagonal(covariance))
+    scale = np.where(size > 0, size, 1.0)
+    spread, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = spread > EXACT
+    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(spread[kept]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +194,8 @@ class _Joint:
 def _disagreement(bodies: Estimate, values: Array, covariance: Array) -> Disagreement:
     """By how much the estimate moves, in sigmas of the difference."""
     moved, spread = values - bodies.values, bodies.covariance - covariance
-    scale = np.sqrt(np.diagonal(bodies.covariance))
+    size = np.sqrt(np.diagonal(bodies.covariance))
+    scale = np.where(size > 0, size, 1.0)
     unit = spread / np.outer(scale, scale)
     said = np.diagonal(unit) > INFORMATIVE
     z = (moved[said] / scale[said]) / np.sqrt(np.diagonal(unit)[said])

@@ -162,6 +162,7 @@ class Estimate:
         nuisances: Numbers of the instrument that were estimated with the parameters.
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
         nuisance_covariance: Of the instrument's numbers, (s, s).
+        nuisance_cross: Of the parameters with them, (p, s).
     """
 
     method: Method
@@ -187,12 +188,15 @@ class Estimate:
     nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)
         shapes = {"values": (p,), "sigma": (p,), "covariance": (p, p), "gravity": (3,)}
         shapes |= {"residual": (c,), "relative_residual": (c,)}
-        shapes["nuisance_covariance"] = (len(self.nuisance_covariance),) * 2
+        s = len(self.nuisance_covariance)
+        shapes["nuisance_covariance"] = (s, s)
+        shapes["nuisance_cross"] = (p if s else len(self.nuisance_cross), s)
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 

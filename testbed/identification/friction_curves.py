@@ -155,16 +155,18 @@ def friction_curves(
         threads=threads,
         progress=progress,
     )
-    curves = []
-    for found in regressions(torques, bodies, _with_enough_data):
-        nodes = _nodes_of(found.joint, torques.drives, torques.equations)
-        curves.append(_curve(tree, found, nodes))
-    return tuple(curves)
+    nodes = [_nodes_of(j, torques.drives, torques.equations) for j in range(tree.n)]
+
+    def pick(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+        del equations
+        return _straight_between(nodes[joint], joint, drives)
+
+    found = regressions(torques, bodies, pick)
+    return tuple(_curve(tree, each, own) for each, own in zip(found, nodes, strict=True))
 
 
-def _with_enough_data(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+def _straight_between(nodes: list[tuple[int, int]], joint: int, drives: DriveSet) -> Array:
     """Torques at the nodes of which there are enough data make those at all; rotors stay."""
-    nodes = _nodes_of(joint, drives, equations)
     columns: list[Array] = []
     place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
     for way in (-1, 1):

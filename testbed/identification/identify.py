@@ -33,6 +33,7 @@ from testbed.identification.estimate import (
 )
 from testbed.identification.finding import in_lines
 from testbed.identification.instrument import (
+    Side,
     Start,
     nuisance_covariance,
     nuisance_estimates,
@@ -133,12 +134,8 @@ def identify(
             found = _refined(passes.plan, fit, passes)
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        estimate = replace(
-            _estimate(method, tree, equations, found, minimal, drives),
-            nuisances=nuisance_estimates(beside, taken_back.values, found),
-            nuisance_covariance=nuisance_covariance(beside, found),
-            trace_tests=trace_tests(rows, beside, names, found),
-        )
+        plain = _estimate(method, tree, equations, found, minimal, drives)
+        estimate = _with_instrument(plain, rows, beside, taken_back.values, found)
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
     warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
     return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
@@ -277,4 +274,18 @@ def _estimate(
         drives=drives,
         joints=tree.names,
         noise=found.noise,
+    )
+
+
+def _with_instrument(
+    estimate: Estimate, rows: Layout, beside: Side, numbers: Array, found: Refined
+) -> Estimate:
+    """With the instrument's unknowns, and what was tested of it."""
+    spread, across = nuisance_covariance(beside, found)
+    return replace(
+        estimate,
+        nuisances=nuisance_estimates(beside, numbers, found),
+        nuisance_covariance=spread,
+        nuisance_cross=across,
+        trace_tests=trace_tests(rows, beside, estimate.names, found),
     )

@@ -8,7 +8,7 @@ the robot's, and its covariance counts them.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,15 +17,15 @@ from testbed.arrays import Array
 from testbed.errors import SettingsError
 from testbed.identification.coloured import Refined, further_values
 from testbed.identification.finding import few
-from testbed.identification.known import MASS, Facts, facts
+from testbed.identification.known import Facts, facts
 from testbed.identification.noise.units import Beside
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
 from testbed.identification.nuisances.foretold import row_filter
-from testbed.identification.nuisances.offsets import BIAS, SLOPE
-from testbed.identification.nuisances.structure import Imitated, told_apart
+from testbed.identification.nuisances.offsets import SLOPE
+from testbed.identification.nuisances.structure import Imitated, still_open, told_apart
 from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.passes import Passes
 from testbed.identification.plate_doubt import PlateDoubt
@@ -122,10 +122,7 @@ class Side:
 
     def _left(self, values: Array, numbers: Array) -> Facts:
         """What is known of what is still to be added to all unknowns."""
-        stated = self.stated
-        return replace(
-            stated, values=stated.values - stated.rows @ np.concatenate([values, numbers])
-        )
+        return self.stated.around(np.concatenate([values, numbers]))
 
 
 def side(
@@ -169,7 +166,7 @@ def side(
         imitated=imitated,
         tested=unknowns_of(tree, looked_for) if tests else none,
         trends=unknowns_of(tree, [SLOPE]) if tests and SLOPE not in asked else none,
-        stated=replace(stated, rows=stated.rows[:, about]),
+        stated=stated.about(about),
         taken=frozenset(taken),
     )
 
@@ -184,14 +181,7 @@ def _check_whole(every: Unknowns, imitated: Sequence[Imitated], settings: Settin
     kinds = dict(zip(every.names, every.kinds, strict=True))
     open_ones = [each for each in imitated if kinds[each.name] in needed]
     if open_ones:
-        told = "; ".join(f"{each.name} from {few(each.by)}" for each in open_ones)
-        zero = "; while the zero of Fz is unknown, the mass alone does not" * (
-            MASS in settings.known and BIAS.kind in settings.nuisances
-        )
-        raise SettingsError(
-            f"no motion tells {told}: what is known has to. A total mass (mass=20) and a gain "
-            f"(gain/Fz=1) fix the scale{zero}; so does any of these numbers itself"
-        )
+        raise SettingsError(still_open(open_ones, settings.known, settings.nuisances))
 
 
 class Settled(NamedTuple):
@@ -256,15 +246,17 @@ def nuisance_estimates(side: Side, values: Array, found: Refined) -> tuple[Nuisa
     )
 
 
-def nuisance_covariance(side: Side, found: Refined) -> Array:
-    """Covariance of the instrument's numbers, in the order of `nuisance_estimates`, (s, s).
+def nuisance_covariance(side: Side, found: Refined) -> tuple[Array, Array]:
+    """Covariance of the instrument's numbers, (s, s), and of the robot's with them, (p, s).
+
+    Both in the order of `nuisance_estimates`.
 
     Args:
         side: Which they are.
         found: What the last fit leaves of them.
     """
     kept = [k for k, name in enumerate(side.unknowns.names) if name not in side.taken]
-    return np.asarray(found.further_covariance[np.ix_(kept, kept)])
+    return found.further_covariance[np.ix_(kept, kept)], found.across[:, kept]
 
 
 def nuisance_warnings(side: Side, found: Settled) -> list[str]:

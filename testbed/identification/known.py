@@ -1,4 +1,4 @@
-"""What is known before any data: a total mass, a gain of the plate, any single unknown.
+"""What is known before any data: a total mass, its centre, a gain, any single unknown.
 
 Facts are linear in the unknowns. They are put in exactly, one unknown fewer each; how uncertain
 they are themselves comes back into the covariance afterwards.
@@ -7,23 +7,21 @@ they are themselves comes back into the covariance afterwards.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
+from testbed.identification.whole_robot import CENTRE, MASS, centre_of_mass, total_mass
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
 
-MASS = "mass"
-"""Of all moving bodies together, as the plate carries it."""
+PAYLOAD = "payload/"
+"""Of a payload that one of two recordings carries: no fact about one recording."""
 
 INDEPENDENT = 1e-9
 """Part of a fact that the others do not say."""
-
-IN_SPACE = 1e-9
-"""Part of a combination that the minimal parameters cannot say, of one that they can."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,16 +32,41 @@ class Facts:
         names: What is known.
         rows: (k, m).
         values: (k,).
-        root: R with R R' the values' covariance, (k, r).
+        root: R with R R' the values' covariance, (k, r), for unknowns that make `scale` one.
+        scale: What a fact's doubt grows with, (k, m): of a centre of mass with the mass; of a row
+            of zeros with nothing.
     """
 
     names: tuple[str, ...]
     rows: Array
     values: Array
     root: Array
+    scale: Array
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def about(self, unknowns: Sequence[int]) -> Facts:
+        """The same of some of the unknowns, the others being zero.
+
+        Args:
+            unknowns: Which.
+        """
+        return replace(self, rows=self.rows[:, unknowns], scale=self.scale[:, unknowns])
+
+    def around(self, found: Array) -> Facts:
+        """About what is still to be added to unknowns; doubts as large as these make them.
+
+        Args:
+            found: The unknowns, (m,).
+        """
+        grown = np.where(self.scale.any(axis=1), np.abs(self.scale @ found), 1.0)
+        return replace(
+            self,
+            values=self.values - self.rows @ found,
+            root=self.root * grown[:, None],
+            scale=np.zeros_like(self.scale),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,36 +118,34 @@ def facts(
         minimal: Its minimal parameters.
         names: Of its unknowns, these first.
         numbers: Names of the instrument's.
-        given: Value and sigma by name: "mass" [kg], a minimal parameter, or a number.
+        given: Value and sigma by name: "mass" [kg], "centre/x" [m], a minimal parameter, or a
+            number.
 
     Raises:
         UnknownName: There is no such name.
         SettingsError: No minimal parameters say it, or facts repeat each other.
     """
     unknowns = (*names, *numbers)
-    rows = np.zeros((len(given), len(unknowns)))
-    for row, name in zip(rows, given, strict=True):
+    rows, scale = (np.zeros((len(given), len(unknowns))) for _ in range(2))
+    values, sigmas = np.array(list(given.values())).reshape(-1, 2).T
+    for k, name in enumerate(given):
         if name == MASS:
-            row[: minimal.count] = _total_mass(tree, minimal)
+            rows[k, : minimal.count] = total_mass(tree, minimal)
+        elif name.startswith(CENTRE):
+            row = centre_of_mass(tree, minimal, name, float(values[k]))
+            rows[k, : minimal.count], values[k] = row, 0.0
+            scale[k, : minimal.count] = total_mass(tree, minimal)
         elif name in unknowns:
-            row[unknowns.index(name)] = 1.0
+            rows[k, unknowns.index(name)] = 1.0
+        elif name.startswith(PAYLOAD):
+            raise SettingsError(
+                f"'{name}': a payload that the robot always carries is a part of its link and "
+                "tells nothing; record the robot without it, too: testbed calibrate WITHOUT "
+                f"--loaded WITH --known {PAYLOAD}mass=1.5"
+            )
         else:
-            raise UnknownName("known fact", name, (MASS, *unknowns))
-    values = np.array(list(given.values())).reshape(-1, 2)
-    return Facts(tuple(given), rows, values[:, 0], np.diag(values[:, 1]))
-
-
-def _total_mass(tree: Tree, minimal: MinimalSet) -> Array:
-    """The combination of minimal parameters that is the mass of all moving bodies, (N,)."""
-    wanted = np.zeros((tree.n, 10))
-    wanted[[k for k, joint in enumerate(tree.joints) if joint.parent < 0], 0] = 1.0
-    found = wanted.ravel() @ minimal.lift
-    if np.abs(found @ minimal.matrix - wanted.ravel()).max() > IN_SPACE:
-        raise SettingsError(
-            "the total mass is not among what this recording tells: it needs the plate, and its "
-            "weight without tare"
-        )
-    return np.asarray(found)
+            raise UnknownName("known fact", name, (MASS, f"{CENTRE}x", *unknowns))
+    return Facts(tuple(given), rows, values, np.diag(sigmas), scale)
 
 
 def free(given: Facts) -> Free:

@@ -65,4 +65,5 @@ class PlateDoubt:
             rows=np.vstack([given.rows, rows]),
             values=np.append(given.values, list(right.values())),
             root=block_diag(given.root, root),
+            scale=np.vstack([given.scale, np.zeros_like(rows)]),
         )

@@ -68,7 +68,8 @@ class Settings:
 
     known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
-    of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
+    of all moving bodies [kg], "centre/x" where its centre is [m]; any minimal parameter and any
+    number of a nuisance can be known."""
 
     span: Sequence[float] | None = None
     """Samples from the first to before the second time count [s]. Default: those that the recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import rerun as rr
@@ -13,6 +13,9 @@ from testbed.experiment.predictions import Signal
 from testbed.identification.estimate import Method
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.tree import Tree
+from testbed.viewer.constant_bars import TALL
+from testbed.viewer.drive_notes import BAND
+from testbed.viewer.heat_map import CELL, TITLES
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import CUTOFF, Scene, root, safe
 
@@ -33,7 +36,8 @@ def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
 
     Args:
         scenes: One run, or several side by side.
-        tab: Which tab is in front: "wrench", "joints", "friction", "estimates", "notes".
+        tab: Which tab is in front: "wrench", "joints", "friction", "drives", "plate", "estimates",
+            "notes".
     """
     count = len(scenes)
     roots = [root(k, count) for k in range(count)]
@@ -134,6 +138,7 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
     views.append(_joints(at, torque, scene.window))
     if scene.predictions.unexplained_torque is not None:
         views.append(rrb.Grid(*_friction(scene, at), name="friction"))
+    views += [*_drives(scene, at), *_plate(scene, at)]
     if scene.growth:
         columns = [_stack(_growth(scene, at, method), method) for method in scene.growth]
         many = scene.run.tree.n > MOST_ROWS
@@ -183,6 +188,32 @@ def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
         )
         for joint in scene.run.tree.joints
     ]
+
+
+def _drives(scene: Scene, at: str) -> Iterator[rrb.Horizontal]:
+    """Torque constants, where the drives were held against the plate."""
+    if scene.run.drives is not None:
+        count = scene.run.tree.n
+        view = rrb.Spatial2DView(
+            origin=f"{at}/constants",
+            name=f"torque constants, reported over true, ± {BAND:g} sigma; line: the data sheet's",
+            visual_bounds=rrb.VisualBounds2D(
+                x_range=[-1, count], y_range=[-TALL - 0.5, TALL + 0.5]
+            ),
+        )
+        yield rrb.Horizontal(view, name="drives")
+
+
+def _plate(scene: Scene, at: str) -> Iterator[rrb.Horizontal]:
+    """The plate's matrix before and after, where it was estimated."""
+    if scene.matrix is not None:
+        reach = [-1.2 * CELL, 6.2 * CELL]
+        bounds = rrb.VisualBounds2D(x_range=reach, y_range=reach)
+        maps = [
+            rrb.Spatial2DView(origin=f"{at}/plate/{name}", name=title, visual_bounds=bounds)
+            for name, title in TITLES.items()
+        ]
+        yield rrb.Horizontal(*maps, name="plate")
 
 
 def _growth(scene: Scene, at: str, method: Method) -> list[rrb.TimeSeriesView]:

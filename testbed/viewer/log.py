@@ -9,7 +9,9 @@ import rerun as rr
 
 from testbed.files import replacing
 from testbed.viewer.blueprint import blueprint
+from testbed.viewer.constant_bars import log_constants
 from testbed.viewer.curves import log_friction, log_growth, log_signals
+from testbed.viewer.heat_map import log_matrix
 from testbed.viewer.robot_drawing import log_bodies, log_reaction, log_robot
 from testbed.viewer.scene import Scene, root
 
@@ -45,5 +47,9 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_signals(stream, scene, at)
     log_friction(stream, scene, f"{at}/friction")
     log_growth(stream, scene, f"{at}/estimate")
+    if scene.run.drives is not None:
+        log_constants(stream, scene.run.drives.estimates, f"{at}/constants")
+    if scene.matrix is not None:
+        log_matrix(stream, scene.matrix, f"{at}/plate")
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
     stream.log(f"{at}/notes", notes, static=True)

@@ -14,6 +14,7 @@ from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
 from testbed.experiment.growth import Growth
+from testbed.experiment.matrix_errors import MatrixErrors, matrix_errors
 from testbed.experiment.predictions import Predictions, predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
@@ -118,6 +119,11 @@ class Scene:
         for k, body in enumerate(self.run.estimates[method].minimal.bodies):
             found.setdefault(body, []).append(k)
         return dict(sorted(found.items()))
+
+    @cached_property
+    def matrix(self) -> MatrixErrors | None:
+        """What was wrong with the plate's matrix, if it was estimated."""
+        return matrix_errors(self.run)
 
     @cached_property
     def notes(self) -> str:

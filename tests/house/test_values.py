@@ -17,9 +17,11 @@ from testbed.excitation.fourier import Fourier
 from testbed.excitation.limit_terms import PlateRange
 from testbed.excitation.limits import Limits
 from testbed.excitation.stencil import Stencil
+from testbed.experiment.matrix_errors import MatrixErrors
 from testbed.identification.combined import Combined, Disagreement
 from testbed.identification.consistency import Bent, Consistent
 from testbed.identification.friction_curves import FrictionCurve
+from testbed.identification.known_payload import KnownPayload
 from testbed.identification.payload import PayloadEstimate
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.rest import Pose
@@ -79,7 +81,7 @@ EXAMPLES: dict[str, Any] = {
     "Estimate": lambda: tb.Estimate(
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2, 2), some(3), ("Fx",),
         ("N",), some(1), some(1), (5,), 1.0, NOTHING, (), (), NOTHING, None, ("a",),
-        nuisance_covariance=some(3, 3),
+        nuisance_covariance=some(3, 3), nuisance_cross=some(2, 3),
     ),
     "Prior": lambda: Prior(some(2, 10), some(2), some(2, 2, 3)),
     "Link": lambda: Link("a", 0, True, some(3, 3), some(3), NOTHING),
@@ -100,6 +102,8 @@ EXAMPLES: dict[str, Any] = {
     "Combined": lambda: Combined(("a", "b"), some(2), some(2), some(3), some(3), NOTHING),
     "Disagreement": lambda: Disagreement(("a", "b"), some(2), 1.0),
     "PlateDoubt": lambda: PlateDoubt(("a", "b"), some(2, 3)),
+    "MatrixErrors": lambda: MatrixErrors(some(6, 6), some(6, 6)),
+    "KnownPayload": lambda: KnownPayload("a", some(10), some(10, 4), ()),
     "Pose": lambda: Pose(some(3), some(6), some(6), 0.5),
     "PayloadEstimate": lambda: PayloadEstimate(
         "a", (), (), (), some(10), some(10), some(10, 10), 10, 1.0

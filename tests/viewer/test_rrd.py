@@ -8,12 +8,17 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from testbed.experiment.growth import growing_errors, growth
+from testbed.experiment.matrix_errors import MatrixErrors
 from testbed.identification.estimate import METHODS
+from testbed.identification.torque_constants import DriveEstimate
 from testbed.robot.visuals.appearance import bounds
+from testbed.viewer.constant_bars import TALL, largest, log_constants
 from testbed.viewer.curves import tick
+from testbed.viewer.heat_map import CELL, log_matrix, picture
 from testbed.viewer.log import write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, scene_of
@@ -164,3 +169,33 @@ def test_a_recording_without_forces_still_shows_the_robot(tmp_path: Path) -> Non
     write_rrd([scene_of(run, growth(run))], path)
     assert "/world/robot/3" in entities(path)
     assert "no estimate could be made" in words(path, "/notes", "TextDocument:text")[0]
+
+
+def test_constants_and_the_matrix_are_in_the_file(scene: Scene, tmp_path: Path) -> None:
+    """What the notes say in words: bars as long as two sigma, cells as dark as they are wrong."""
+    drives = [
+        DriveEstimate(joint, constant, sigma, (), 0.1, "N m", 100)
+        for joint, constant, sigma in (("waist", 1.08, 2e-3), ("elbow", 0.96, 5e-3))
+    ]
+    rng = np.random.default_rng(0)
+    matrix = MatrixErrors(rng.normal(size=(6, 6)), 0.1 * rng.uniform(size=(6, 6)))
+    path = tmp_path / "drives.rrd"
+    stream = rr.RecordingStream("testbed", recording_id="drives")
+    stream.save(path)
+    log_constants(stream, drives, "/constants")
+    log_matrix(stream, matrix, "/plate")
+    stream.flush()
+    stream.disconnect()
+    strips = columns(path, "/constants/bars", "LineStrips2D:strips", static=True).reshape(-1, 2, 2)
+    scale = TALL / largest(drives)
+    for bar, drive in zip(strips[::3], drives, strict=True):
+        low, high = sorted(-bar[:, 1] / scale + 1)
+        np.testing.assert_allclose(
+            [low, high], drive.constant + np.array([-2, 2]) * drive.sigma, atol=1e-6
+        )
+    said = words(path, "/plate/before/numbers", "Points2D:labels")
+    np.testing.assert_allclose([float(each) for each in said], matrix.error.ravel(), rtol=0.06)
+    brightness = picture(matrix.error, matrix.most)[::CELL, ::CELL].sum(axis=2)
+    order = np.argsort(np.abs(matrix.error).ravel())
+    assert (np.diff(brightness.ravel()[order].astype(int)) <= 0).all()
+    assert picture(matrix.sigma, matrix.most).sum() > picture(matrix.error, matrix.most).sum()

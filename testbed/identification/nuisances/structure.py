@@ -6,7 +6,7 @@ others there does so always.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,10 +14,13 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
+from testbed.identification.finding import few
 from testbed.identification.known import Facts, free
 from testbed.identification.nuisances.foretold import Foretold, RowFilter
 from testbed.identification.nuisances.nuisance import Nuisance
+from testbed.identification.nuisances.offsets import BIAS
 from testbed.identification.nuisances.unknowns import Unknowns, unknowns_of
+from testbed.identification.whole_robot import MASS
 from testbed.kernel.layout import Layout
 
 DEPENDENT = 1e-6
@@ -25,6 +28,9 @@ DEPENDENT = 1e-6
 
 NAMED = 1e-6
 """Share of a combination, in units of its largest, that is worth a name."""
+
+MOST = 2
+"""Numbers that are open and named, with what imitates each."""
 
 SEED = 1996
 
@@ -65,8 +71,10 @@ def told_apart(
         stated: What is known of parameters and of all numbers of the nuisances.
     """
     wanted = unknowns_of(layout.tree, nuisances)
-    count = len(wanted.parts)
-    own, theirs = _generic(layout, nuisances, tare, 40 + (len(names) + count) // 2)
+    count, rng = len(wanted.parts), np.random.default_rng(SEED)
+    theta = generic_robot(layout, rng)
+    rows = enough(len(names) + count)
+    own, theirs = generic_columns(layout, nuisances, tare, rows, theta, rng)
     labels, sure = list(names), [False] * count
     if stated is not None and len(stated):
         left = free(stated)
@@ -76,11 +84,32 @@ def told_apart(
         labels = [
             names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
         ]
-    known = _unit(own)
-    basis, _ = np.linalg.qr(known)
+    kept, imitated = in_turn((own, labels), (theirs, wanted.names), sure)
+    return replace(wanted, kept=kept), imitated
+
+
+Named = tuple[Array, Sequence[str]]
+"""Columns, (rows, k), and what they are called."""
+
+
+def in_turn(
+    known: Named, others: Named, sure: Sequence[bool]
+) -> tuple[tuple[int, ...], tuple[Imitated, ...]]:
+    """Which columns those before them do not show, too.
+
+    Args:
+        known: The first.
+        others: Taken one after the other.
+        sure: Which of them are known anyway.
+
+    Returns:
+        Places of those that are told; the rest.
+    """
+    columns, labels = _unit(known[0]), list(known[1])
+    basis, _ = np.linalg.qr(columns)
     kept: list[int] = []
     imitated = []
-    for k, column in enumerate(_unit(theirs).T):
+    for k, column in enumerate(_unit(others[0]).T):
         if sure[k]:
             kept.append(k)
             continue
@@ -89,14 +118,56 @@ def told_apart(
         length = float(np.linalg.norm(rest))
         if length > DEPENDENT:
             basis = np.column_stack([basis, rest / length])
-            known = np.column_stack([known, column])
-            labels.append(wanted.parts[k].name)
+            columns = np.column_stack([columns, column])
+            labels.append(others[1][k])
             kept.append(k)
             continue
-        share = np.abs(np.linalg.lstsq(known, column, rcond=None)[0])
+        share = np.abs(np.linalg.lstsq(columns, column, rcond=None)[0])
         by = [n for n, s in zip(labels, share, strict=True) if s > NAMED * share.max()]
-        imitated.append(Imitated(wanted.parts[k].name, tuple(by)))
-    return replace(wanted, kept=tuple(kept)), tuple(imitated)
+        imitated.append(Imitated(others[1][k], tuple(by)))
+    return tuple(kept), tuple(imitated)
+
+
+def still_open(
+    open_ones: Sequence[Imitated], known: Collection[str], nuisances: Collection[str]
+) -> str:
+    """What no motion tells, and which facts would, in a line.
+
+    Args:
+        open_ones: Numbers of the plate.
+        known: Names of the facts.
+        nuisances: Kinds that are estimated.
+    """
+    told = "; ".join(f"{each.name} from {few(each.by)}" for each in open_ones[:MOST])
+    zero = "; while the zero of Fz is unknown, the mass alone does not" * (
+        MASS in known and BIAS.kind in nuisances
+    )
+    return (
+        f"no motion tells {told}{' ...' * (len(open_ones) > MOST)}: what is known has to. A total "
+        f"mass (mass=20) and a gain (gain/Fz=1) fix the scale{zero}; so does a gain with "
+        "a measured centre of mass (centre/x=0.1), a payload of known mass (--loaded), or any of "
+        "these itself"
+    )
+
+
+def enough(unknowns: int) -> int:
+    """Instants of a generic motion for so many unknowns.
+
+    Args:
+        unknowns: How many.
+    """
+    return 40 + unknowns // 2
+
+
+def generic_robot(layout: Layout, rng: np.random.Generator) -> Array:
+    """Barycentric parameters of which none has a special value, (n, 10).
+
+    Args:
+        layout: The robot's rows.
+        rng: Draws them.
+    """
+    lead = layout.theta @ layout.basis
+    return np.asarray(lead @ rng.normal(size=lead.shape[2]))
 
 
 def _unit(columns: Array) -> Array:
@@ -104,11 +175,24 @@ def _unit(columns: Array) -> Array:
     return np.asarray(columns / np.where(length > 0, length, 1.0))
 
 
-def _generic(
-    layout: Layout, nuisances: Sequence[Nuisance], tare: Array, rows: int
+def generic_columns(
+    layout: Layout,
+    nuisances: Sequence[Nuisance],
+    tare: Array,
+    rows: int,
+    theta: Array,
+    rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .)."""
-    rng = np.random.default_rng(SEED)
+    """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
+
+    Args:
+        layout: The robot's rows.
+        nuisances: The kinds.
+        tare: Static wrench of the pedestal, (6,) [N, N m].
+        rows: Instants.
+        theta: Barycentric parameters, (n, 10).
+        rng: Draws the motion.
+    """
     n = layout.tree.n
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
     weights = np.array([0, 0, 1.0, 0, 0])
@@ -121,7 +205,6 @@ def _generic(
     rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
     motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
     lead = layout.theta @ layout.basis
-    theta = lead @ rng.normal(size=lead.shape[2])
     middle = time[2:-2] - time.mean()
     none = np.zeros((rows, 6, 5))  # nothing was measured
     found = Foretold(layout.tree, layout.gravity, theta, motion, tare, middle, filtered, none)
