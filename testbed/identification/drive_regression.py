@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +15,7 @@ from scipy.linalg import block_diag
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
+from testbed.identification.bodies_doubt import TINY, doubt_about, undiluted
 from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
@@ -41,11 +41,6 @@ from testbed.robot.tree import Tree
 ROUNDING = 1e-20
 """Of a torque's square: what exact data leave."""
 
-LEAST = 0.5
-"""Reliability below which a constant is not told: most of its column may be error."""
-
-TINY = float(np.finfo(float).tiny)
-
 
 @dataclass(frozen=True, eq=False)
 class JointRegression:
@@ -62,7 +57,7 @@ class JointRegression:
             the covariance has it [N m or N].
         rows: How many counted.
         reliability: Share of the constant that is left where what the bodies need is not known
-            exactly: it is put back, and below `LEAST` there is nothing to put back.
+            exactly: it is put back, and below `bodies_doubt.LEAST` there is nothing to put back.
     """
 
     joint: int
@@ -192,7 +187,7 @@ def regressions(
         normal, _, _ = equations.of_channel(joint)
         plain = np.diagonal(scaled_inverse(lead.T @ normal @ lead))
         noise = float(np.sqrt(np.mean(np.diagonal(fit.covariance) / plain)))
-        undone = _undiluted(fit, lead.T @ normal @ lead, _doubt(normal, torques.lift, bodies))
+        undone = undiluted(fit, lead.T @ normal @ lead, doubt_about(normal, torques.lift, bodies))
         moved = undone.slope @ _by_bodies(equations, joint, lead, torques.lift, undone.values)
         found.append(
             JointRegression(
@@ -221,57 +216,6 @@ def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> No
             f"its torque constant and {len(size) - 1} numbers of its friction and rotor apart: "
             "record longer, or a richer motion of it"
         )
-
-
-class _Undiluted(NamedTuple):
-    """A regression as it would be, were the bodies known exactly.
-
-    Attributes:
-        values: (1 + q,).
-        covariance: Without what the bodies' own adds to first order, (1 + q, 1 + q).
-        slope: How the values move with those before, (1 + q, 1 + q).
-        reliability: Share of the constant that was left.
-    """
-
-    values: Array
-    covariance: Array
-    slope: Array
-    reliability: float
-
-
-def _undiluted(fit: NoiseFit, square: Array, doubt: tuple[float, float]) -> _Undiluted:
-    """What errors of the bodies take of a constant is put back ([Ful87] section 1.2).
-
-    A column with errors has more square than what it stands for, by `doubt` on average, and the
-    coefficient is too small in proportion. What the doubt itself may be off counts in sigma.
-
-    Args:
-        fit: Of the columns as they are.
-        square: Products of the columns, (1 + q, 1 + q).
-        doubt: Mean and standard deviation of what errors add to the first column's square.
-    """
-    size = len(fit.values)
-    alone = 1.0 / max(float(scaled_inverse(square)[0, 0]), TINY)  # square that terms do not show
-    share, loose = doubt[0] / alone, doubt[1] / alone
-    reliability = 1.0 - share
-    kept = max(reliability, LEAST)
-    toward = fit.covariance[:, 0] / max(float(fit.covariance[0, 0]), TINY)
-    slope = np.eye(size) + np.outer(toward, np.eye(size)[0]) * (1 / kept - 1)
-    values = slope @ fit.values
-    unsure = loose / kept if reliability > LEAST else 1.0
-    unsure *= abs(float(values[0])) if reliability > LEAST else max(1.0, abs(float(values[0])))
-    return _Undiluted(
-        values,
-        slope @ fit.covariance @ slope.T + unsure**2 * np.outer(toward, toward),
-        slope,
-        reliability,
-    )
-
-
-def _doubt(normal: Array, lift: Array, bodies: Estimate) -> tuple[float, float]:
-    """Mean and standard deviation of the square of what the bodies' errors make of a column."""
-    spread = lift.T @ normal @ lift @ bodies.covariance
-    return float(np.trace(spread)), float(np.sqrt(max(2 * np.trace(spread @ spread), 0.0)))
 
 
 def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
