@@ -22,6 +22,10 @@ NAMED = 3
 
 UNTESTED = ("elastic joints or structure", "cables or hoses")
 
+LEVEL = "a bedplate that is not level"
+LIKE_TILT = {"crosstalk", "gains", "pose"}
+"""Kinds whose traces weight that leans resembles."""
+
 LACKING = "something on the plate that the model lacks"
 
 
@@ -39,13 +43,15 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
         yield from _repetition(estimate)
         return
     best = clear[0]
+    named = [test.nuisance.said for test in clear[:NAMED]]
+    leaning = [LEVEL] if LIKE_TILT & {test.nuisance.kind for test in clear[:NAMED]} else []
     yield Finding(
         "the plate's residuals",
         f"hold what noise does not explain ({_chance(best.chance)}), but {best.nuisance.said} "
         f"would ({', '.join(best.largest(NAMED))}); estimating it would move {best.parameter} by "
         f"{best.shift:.2g} sigma",
         best.shift,
-        (*(test.nuisance.said for test in clear[:NAMED]), LACKING),
+        (*named, *leaning, LACKING),
         best.nuisance.remedy,
     )
 
