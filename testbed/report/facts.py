@@ -122,9 +122,10 @@ def origin(run: Run) -> Facts:
 
 
 def _motion(motion: MotionTable) -> str:
+    rests = ", from rest to rest" if motion.at_rest else ""
     if motion.file:
-        return f"{motion.duration:g} s of the one in {Path(motion.file).name}"
+        return f"{motion.duration:g} s of the one in {Path(motion.file).name}{rests}"
     return (
         f"{motion.duration:g} s, repeats at {motion.fundamental:g} Hz with {motion.harmonics} "
-        f"harmonics, the best of {motion.candidates}"
+        f"harmonics, the best of {motion.candidates}{rests}"
     )
