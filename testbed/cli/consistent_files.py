@@ -102,8 +102,10 @@ class Writing:
         """
         from testbed.experiment.consistent_run import prior_from
         from testbed.identification.prior_choice import consistent_by_held_out
+        from testbed.recordings.coupled_gear import with_gear
 
-        tree, wishes = reading.tree(model), reading.tables().consistent
+        tree = with_gear(reading.tree(model), source)
+        wishes = reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
         return consistent_by_held_out(tree, estimates, prior, wishes, source, identified)

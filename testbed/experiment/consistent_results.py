@@ -36,7 +36,7 @@ def consistent_as_json(found: Consistent) -> dict[str, Any]:
             for k, (link, joint) in enumerate(zip(found.links, found.joints, strict=True))
         },
         "terms": {
-            f"{term.law.kind}/{found.joints[term.joint]}": {
+            f"{term.law.kind}/{found.places[term.joint]}": {
                 "value": float(value),
                 "sigma": float(sigma),
             }

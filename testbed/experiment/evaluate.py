@@ -15,6 +15,7 @@ from testbed.recordings.recording import Recording
 from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
 from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.shafts import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 
@@ -65,6 +66,7 @@ def robot_of(experiment: Experiment) -> Tree:
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
     tree = tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
+    tree = with_shafts(tree, experiment.robot.coupling)
     for effect in effects_of(experiment, tree):
         tree = effect.robot(tree)
     return tree

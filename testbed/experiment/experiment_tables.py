@@ -87,6 +87,9 @@ class RobotTable(Table):
     """Joints that mimic others are held where their masters' zero puts them."""
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
+    coupling: dict[str, dict[str, Finite]] = {}
+    """Motor shafts that turn with several joints: by a name of your own, how much with each joint.
+    Default: those of an imported recording's [gear]."""
 
     @property
     def settings(self) -> dict[str, dict[str, object]]:

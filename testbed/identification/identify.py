@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
@@ -30,6 +31,7 @@ from testbed.identification.estimate import (
     channels_of,
 )
 from testbed.identification.finding import in_lines
+from testbed.identification.held_out import TermChoice
 from testbed.identification.instrument import (
     Start,
     nuisance_covariance,
@@ -43,15 +45,17 @@ from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
-from testbed.identification.settings import Settings
+from testbed.identification.settings import AUTO, Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
+from testbed.identification.term_choice import choose_terms, with_usual_terms
 from testbed.identification.weights import noise_weights
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Question, products_wanted
-from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
@@ -101,11 +105,12 @@ def identify(
     if zeros is not None:
         settings = replace(settings, zeros=zeros)
     check_source(source, tree, method)
-    tree = in_its_gravity(tree, source, gravity)
+    tree = with_gear(in_its_gravity(tree, source, gravity), source)
     minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
-    if method == "internal" and settings.open_speed:
-        settings = with_speed(tree, source, minimal, settings, threads, progress)
-    drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
+    drives, choice = None, None
+    if method == "internal":
+        settings, choice = _with_terms(tree, source, minimal, settings, threads, progress)
+        drives = drive_set(tree, minimal, settings.words)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
     channels = channels_of(tree, method)
@@ -136,10 +141,30 @@ def identify(
             nuisances=nuisance_estimates(beside, taken_back.values, found),
             nuisance_covariance=nuisance_covariance(beside, found),
             trace_tests=trace_tests(rows, beside, names, found),
+            choice=choice,
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
     warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
     return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
+
+
+def _with_terms(
+    tree: Tree,
+    source: Source,
+    minimal: MinimalSet,
+    settings: Settings,
+    threads: int | None,
+    progress: Progress,
+) -> tuple[Settings, TermChoice | None]:
+    """Settings that say all terms, and the evidence where held-out data chose them."""
+    choice = None
+    settings = with_usual_terms(settings, source)
+    if settings.terms == AUTO:
+        choice = choose_terms(tree, source, settings, threads, progress)
+        settings = replace(settings, terms=choice.words)
+    if settings.open_speed:
+        settings = with_speed(tree, source, minimal, settings, threads, progress)
+    return settings, choice
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

@@ -12,10 +12,16 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
-from testbed.robot.friction import STRIBECK, JointLaw, joint_law
+from testbed.robot.friction import STRIBECK, JointLaw, law_of
 
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
+
+USUAL = ("coulomb", "viscous")
+"""Terms of which nothing else is said."""
+
+AUTO = "auto"
+"""Terms that held-out data choose."""
 
 Cutoff = float | Literal["off"]
 """A frequency [Hz], or "off"."""
@@ -48,10 +54,12 @@ class Settings:
     filter on rows spreads dry friction's jump [s]. Default: as far as all but 3 % of the
     filter's weight reaches, 0.15 s at 5 Hz."""
 
-    terms: Sequence[str | JointLaw] = ("coulomb", "viscous")
+    terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", and "stribeck@0.1", friction that
-    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py)."""
+    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py). Each
+    holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
+    held-out data choose. Default: "coulomb" and "viscous", and "offset" of imported recordings."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
@@ -117,12 +125,19 @@ class Settings:
     @property
     def laws(self) -> tuple[JointLaw, ...]:
         """The terms as laws of the joints' torque; of one with an open speed, none yet."""
-        return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms if t != STRIBECK)
+        return tuple(dict.fromkeys(law_of(term) for term in self.words))
+
+    @property
+    def words(self) -> tuple[str | JointLaw, ...]:
+        """The terms but for one with an open speed: "rotor" of all joints, "rotor/elbow" of one."""
+        if self.terms is None or isinstance(self.terms, str):
+            return USUAL
+        return tuple(term for term in self.terms if term != STRIBECK)
 
     @property
     def open_speed(self) -> bool:
         """Whether the speed at which friction fades out is to be found."""
-        return STRIBECK in self.terms
+        return self.terms is not None and STRIBECK in self.terms
 
     @property
     def facts(self) -> dict[str, tuple[float, float]]:
@@ -176,15 +191,17 @@ def _reach(given: object) -> float | None:
     return number
 
 
-def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
+def _terms(given: object) -> tuple[str | JointLaw, ...] | str | None:
+    if given is None or given == AUTO:
+        return AUTO if given else None
     if isinstance(given, str) or not isinstance(given, Sequence):
-        raise SettingsError(f"terms is a list of names, found {given!r}")
+        raise SettingsError(f'terms is a list of names, or "auto", found {given!r}')
     kinds = []
     for term in given:
         if not isinstance(term, str | JointLaw):
             raise SettingsError(f"terms is a list of names, found {term!r} in it")
-        if isinstance(term, str) and term != STRIBECK:
-            term = joint_law(term)
+        if term != STRIBECK:
+            law_of(term)
         kinds.append(term if isinstance(term, str) else term.kind)
     if len(set(kinds)) < len(kinds):
         raise SettingsError(f"terms names something twice: {', '.join(kinds)}")

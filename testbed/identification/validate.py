@@ -31,8 +31,10 @@ from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated, as_estimated, rows_of, stated
+from testbed.identification.term_choice import as_settled, with_usual_terms
 from testbed.identification.windows import make_plan
 from testbed.kernel.records import products_wanted
+from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
@@ -142,7 +144,9 @@ def validate(
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
     source, settings = open_source(recording), settings or Settings()
     check_source(source, tree, said.method)
-    tree = in_its_gravity(tree.with_gravity(said.gravity), source, gravity)
+    tree = with_gear(in_its_gravity(tree.with_gravity(said.gravity), source, gravity), source)
+    made = [] if isinstance(estimate, Stated) else [estimate]
+    settings = with_usual_terms(as_settled(settings, made), source)
     rows = rows_of(tree, said, settings)
     channels = channels_of(tree, said.method)
     if len(said.residual) != len(channels):

@@ -22,6 +22,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.shafts import shares
 from testbed.robot.tree import Tree
 
 TINY = 1e-13
@@ -65,8 +66,8 @@ class Layout:
 
     @property
     def compiles(self) -> bool:
-        """Whether the compiled kernel knows all columns: those of laws in LAWS."""
-        return all(term.law in LAWS for term in self.terms)
+        """Whether the compiled kernel knows all columns: those of laws in LAWS, at joints."""
+        return all(term.law in LAWS and term.joint < self.tree.n for term in self.terms)
 
 
 def layout(
@@ -92,12 +93,13 @@ def layout(
         entry = ORDER.index(parameter % 10)
         places[frames.place[parameter // 10]].append((entry, column))
     draft = Draft(frames, [sorted(each) for each in places])
+    turn = shares(tree)
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):
             extra = [
                 (LAWS.index(term.law) if term.law in LAWS else UNKNOWN, len(picked) + k)
                 for k, term in enumerate(terms)
-                if term.joint == j
+                if turn[term.joint, j]
             ]
             draft.channel(link, frames.links[link].slides, extra)
     else:

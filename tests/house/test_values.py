@@ -20,6 +20,7 @@ from testbed.excitation.stencil import Stencil
 from testbed.identification.combined import Combined, Disagreement
 from testbed.identification.consistency import Bent, Consistent
 from testbed.identification.friction_curves import FrictionCurve
+from testbed.identification.held_out import HeldOut
 from testbed.identification.payload import PayloadEstimate
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.rest import Pose
@@ -87,9 +88,10 @@ EXAMPLES: dict[str, Any] = {
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0, 1.0
     ),
     "Consistent": lambda: Consistent(
-        ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10), (NOTHING,),
-        some(1), some(1), (), some(2, 4), some(2), (), 0.0, 0.5, {}, (),
+        ("a", "b"), ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10),
+        (NOTHING,), some(1), some(1), (), some(2, 4), some(2), (), 0.0, 0.5, {}, (),
     ),
+    "HeldOut": lambda: HeldOut(("a",), ("N m",), some(1), some(1), some(1)),
     "Validation": lambda: Validation(
         "external", ("Fx",), ("N",), (5,), some(1), some(1), some(1), some(1), some(1)
     ),
