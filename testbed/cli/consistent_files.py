@@ -111,7 +111,7 @@ class Writing:
         return consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
 
     def written(
-        self, found: Consistent, reading: Reading, model: Path, recording: Path
+        self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
     ) -> list[str]:
         """Write the file that was asked for; a line for each thing to know.
 
@@ -119,7 +119,7 @@ class Writing:
             found: What is written.
             reading: How the model file is read.
             model: The model file.
-            recording: What it was identified from.
+            recordings: What it was identified from.
 
         Raises:
             ModelError: The file cannot be written.
@@ -137,7 +137,7 @@ class Writing:
                 robot_of(found, file.tree()),
                 self.write,
                 fixed=self.fixed.value,
-                note=provenance(found, file, recording),
+                note=provenance(found, file, recordings),
                 over_source=self.in_place,
             )
         )

@@ -46,7 +46,10 @@ class _Method(StrEnum):
 
 @app.command()
 def identify(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
+    recordings: Annotated[
+        list[Path],
+        typer.Argument(metavar="RECORDING...", help="Parquet or mapping files, of one robot."),
+    ],
     model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
     settings: RecordingSet = None,
     method: Annotated[_Method, typer.Option(help="Which estimates to make.")] = _Method.both,
@@ -66,10 +69,11 @@ def identify(
     threads: Threads = None,
     as_json: Json = False,
 ) -> None:
-    """Identify the minimal parameters from a recording, by bedplate and by torques.
+    """Identify the minimal parameters from recordings, by bedplate and by torques.
 
-    The recording may be larger than memory. A method whose signal it lacks is left out. One that
-    was imported is held against the model first: signs, units, order, zeros, clocks.
+    They may be larger than memory; several make one estimate. A method whose signal they lack is
+    left out. Those that were imported are held against the model first: signs, units, order,
+    zeros, clocks.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 
@@ -86,8 +90,8 @@ def identify(
     writing = Writing(consistent, write, fixed, in_place)
     writing.check(reading, model)
     table, tree = reading.tables().identification, reading.tree(model)
-    source, doubt = reading.source(recording, tree), reading.doubt(tree)
-    accepted = reading.accepted(source, tree, unchecked=unchecked)
+    source, accepted = reading.joined(recordings, tree, unchecked=unchecked)
+    doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     lacking = [name for name in wanted if name not in there]
@@ -109,7 +113,7 @@ def identify(
     bodies = None
     if writing.wanted:
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
-        warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recording)]
+        warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         content = identified_as_json(estimates, reading.model_file(model), reading.tables())
         if bodies is not None:

@@ -69,6 +69,23 @@ class Reading:
         """A recording, as a perfect plate would have made it where the plate is known."""
         return corrected_source(opened(path), tree, self.plate)
 
+    def joined(
+        self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
+    ) -> tuple[Source, list[str]]:
+        """Recordings as one source, each held against the robot, and what to doubt of them.
+
+        Raises:
+            RecordingError: One of them cannot be true of this robot, or they are not alike.
+        """
+        from testbed.recordings.joined import joined
+
+        sources = [self.source(path, tree) for path in paths]
+        several, warnings = len(paths) > 1, []
+        for path, source in zip(paths, sources, strict=True):
+            said = self.accepted(source, tree, unchecked=unchecked)
+            warnings += [f"{path.name}: {line}" if several else line for line in said]
+        return joined(sources), warnings
+
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
         """What to doubt of an imported recording; nothing is said of others.
 

@@ -58,7 +58,7 @@ from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source, open_source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 
@@ -101,20 +101,18 @@ def identify(
     """
     if method not in METHODS:
         raise UnknownName("method", method, METHODS)
-    source, settings = open_source(recording), settings or Settings()
-    if zeros is not None:
-        settings = replace(settings, zeros=zeros)
+    source = open_source(recording)
     check_source(source, tree, method)
+    settings = _fitting(settings or Settings(), source, method, zeros)
     tree = with_gear(in_its_gravity(tree, source, gravity), source)
-    minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
+    minimal = set_of(tree, method, settings)
     drives, choice = None, None
     if method == "internal":
         settings, choice = _with_terms(tree, source, minimal, settings, threads, progress)
         drives = drive_set(tree, minimal, settings.words)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
-    channels = channels_of(tree, method)
-    tare = tare_of(tree, source)
+    channels, tare = channels_of(tree, method), tare_of(tree, source)
 
     def begin(source: Source) -> Start:
         plan = make_plan(source, rows, tare, settings)
@@ -146,6 +144,29 @@ def identify(
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
     warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
     return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
+
+
+def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
+    """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        method: By plate or by torques.
+        settings: Which parameters are zero, and whether the tare is known.
+    """
+    tared = method == "external" and settings.tare == "unknown"
+    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
+
+
+def _fitting(
+    settings: Settings, source: Source, method: Method, zeros: bool | Sequence[str] | None
+) -> Settings:
+    """Settings with filters that fit the recording, and a zero that nobody knows."""
+    if zeros is not None:
+        settings = replace(settings, zeros=zeros)
+    if method == "external" and settings.tare == "unknown" and "bias" not in settings.nuisances:
+        settings = replace(settings, nuisances=(*settings.nuisances, "bias"))
+    return settings.fitted(source.rate)
 
 
 def _with_terms(
@@ -232,6 +253,12 @@ def _layout(
         )
     if drives is not None:
         warnings += _not_asked_for(tree, settings)
+    passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
+    if drives is None and passing and len(segments_of(source)) > 1:
+        warnings.append(
+            f"{' and '.join(passing)} are one for all recordings: of a plate that was zeroed "
+            "between them, identify each alone"
+        )
     return rows, warnings
 
 

@@ -38,7 +38,8 @@ def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[M
         whole = slice(0, recording.samples)
         rates = recording.velocity, recording.acceleration
         return Motion(recording.time, recording.position, *rates), whole
-    taps = motion_taps(recording.rate, (settings or Settings()).position_low_pass)
+    fitted = (settings or Settings()).fitted(recording.rate)
+    taps = motion_taps(recording.rate, fitted.position_low_pass)
     reach = taps.shape[1] // 2
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,11 +20,20 @@ KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "ta
 USUAL = ("coulomb", "viscous")
 """Terms of which nothing else is said."""
 
+FIT: Final = "fit"
+"""A filter that fits the sampling rate."""
+
 AUTO = "auto"
 """Terms that held-out data choose."""
 
-Cutoff = float | Literal["off"]
-"""A frequency [Hz], or "off"."""
+Cutoff = float | Literal["off", "fit"]
+"""A frequency [Hz], or "off", or what the sampling rate allows."""
+
+POSITION_CUTOFF, ROW_CUTOFF = 40.0, 5.0
+"""Where the sampling rate allows them [Hz]."""
+
+SLOWEST_ROWS = 0.1
+"""Share of a sampling rate up to which differences of positions are good derivatives."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +47,14 @@ class Settings:
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Cutoff | None = 40.0
+    position_cutoff: Cutoff | None = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
-    twice `cutoff`: what it takes from the motion would bias the estimate."""
+    twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
+    none where the sampling is too slow for that."""
 
-    cutoff: Cutoff | None = 5.0
-    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off"."""
+    cutoff: Cutoff | None = "fit"
+    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
+    5 Hz, or a tenth of the sampling rate where that is less."""
 
     deadband: float = 0.02
     """Rows of joints that are slower do not count: dry friction there has no sign
@@ -74,6 +85,11 @@ class Settings:
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
 
+    tare: Literal["known", "unknown"] = "known"
+    """Whether it is known what of the wrench is the pedestal's. If not, the plate tells only how
+    its wrench changes: the parameters are those of the tared set, and "bias" is among the
+    nuisances."""
+
     known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
     of all moving bodies [kg]; any minimal parameter and any number of a nuisance can be known."""
@@ -97,6 +113,7 @@ class Settings:
             "noise": _one_of("noise", self.noise, ("ar", "white")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "nuisances": _nuisances(self.nuisances),
+            "tare": _one_of("tare", self.tare, ("known", "unknown")),
             "known": stated_values(self.known),
         }
         for name, value in checked.items():
@@ -115,12 +132,24 @@ class Settings:
     @property
     def position_low_pass(self) -> float | None:
         """Cutoff of the low-pass on positions [Hz]; None for none."""
-        return _hertz(self.position_cutoff)
+        return _hertz(self.position_cutoff, POSITION_CUTOFF)
 
     @property
     def row_low_pass(self) -> float | None:
         """Cutoff of the low-pass on rows [Hz]; None for none."""
-        return _hertz(self.cutoff)
+        return _hertz(self.cutoff, ROW_CUTOFF)
+
+    def fitted(self, rate: float) -> Settings:
+        """The same with filters that fit a recording.
+
+        Args:
+            rate: Samples a second [Hz].
+        """
+        rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate) if self.cutoff == FIT else self.cutoff
+        positions: Cutoff | None = self.position_cutoff
+        if positions == FIT:
+            positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
+        return replace(self, cutoff=rows, position_cutoff=positions)
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
@@ -155,7 +184,9 @@ class Settings:
         return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
 
 
-def _hertz(cutoff: Cutoff | None) -> float | None:
+def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
+    if cutoff == FIT:
+        return fit
     return None if cutoff is None or isinstance(cutoff, str) else cutoff
 
 
@@ -171,6 +202,8 @@ def _zeros(given: object) -> bool | tuple[str, ...]:
 def _cutoff(name: str, given: object) -> Cutoff:
     if given is None or given == "off":
         return "off"
+    if given == FIT:
+        return FIT
     number = finite_number(given)
     if number is None or number <= 0:
         raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')

@@ -83,8 +83,9 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
         SettingsError: They are not those of this robot, gravity and settings.
     """
     model = MODEL_OF[said.method]
-    minimal = minimal_set(tree, model, zeros=settings.zeros)
-    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros)
+    tared = said.method == "external" and settings.tare == "unknown"
+    minimal = minimal_set(tree, model, zeros=settings.zeros, tared=tared)
+    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros, tared=tared)
     if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
         raise SettingsError(
             f"the estimate was made under gravity {components(said.gravity)}, the recording has "
