@@ -205,9 +205,12 @@ def _loaded(
     path: Path, tree: Tree, reading: Reading, *, unchecked: bool
 ) -> tuple[Recording, tuple[str, ...]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
+    from testbed.recordings.measured_base import with_base_joints
     from testbed.recordings.recording import Recording
 
     source = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    if tree.floating:
+        source = with_base_joints(source)
     accepted = reading.accepted(source, tree, unchecked=unchecked)
     if reading.plate is None:
         return source, accepted
@@ -221,7 +224,8 @@ def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> tu
 
     other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
     done = validated(run, other)
-    lines = [f"{path.name}: {line}" for line in doubted]
+    said = (*other.facts.get("warnings", ()), *doubted)
+    lines = [f"{path.name}: {line}" for line in said]
     return replace(done, warnings=tuple(dict.fromkeys((*done.warnings, *lines)))), other
 
 

@@ -63,11 +63,14 @@ class Reading:
         said = self.tables().robot
         mimic = mimic_joints(path) if self.lock_mimic or said.lock_mimic else ()
         held = dict.fromkeys(mimic) | said.lock | parse_lock(self.lock or ())
-        return ModelFile(path, self.weld_root, self.accept_inertia, held)
+        welded = self.weld_root or said.base == "measured"
+        return ModelFile(path, welded, self.accept_inertia, held)
 
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
-        return corrected_source(opened(path), tree, self.plate)
+        from testbed.recordings.measured_base import on_its_base
+
+        return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
 
     def joined(
         self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
@@ -87,14 +90,14 @@ class Reading:
         return joined(sources), warnings
 
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
-        """What to doubt of an imported recording; nothing is said of others.
+        """What to doubt of an imported recording; nothing is said of others, nor of free bases.
 
         Raises:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.sanity.accept import accept
 
-        imported = "mapping" in source.facts
+        imported = "mapping" in source.facts and not tree.floating
         return accept(tree, source, unchecked=unchecked).warnings if imported else ()
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
@@ -105,10 +108,7 @@ class Reading:
 
     def tree(self, path: Path) -> Tree:
         """The robot of a model file, with what --set says of its joints and shafts."""
-        from testbed.robot.shafts import with_shafts
-
-        said = self.tables().robot
-        return with_shafts(self.model_file(path).tree().with_joints(said.settings), said.coupling)
+        return self.tables().robot.on(self.model_file(path).tree())
 
 
 def opened(path: Path) -> Source:

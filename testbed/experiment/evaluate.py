@@ -15,7 +15,6 @@ from testbed.recordings.recording import Recording
 from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
 from testbed.robot.rotor_spin import with_rotor_spin
-from testbed.robot.shafts import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 
@@ -65,8 +64,11 @@ def robot_of(experiment: Experiment) -> Tree:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    tree = tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
-    tree = with_shafts(tree, experiment.robot.coupling)
+    if experiment.robot.base == "measured":
+        raise ExperimentError(
+            'robot.base = "measured" is for recordings: experiments have a bedplate'
+        )
+    tree = experiment.robot.on(tree).with_gravity(experiment.gravity)
     for effect in effects_of(experiment, tree):
         tree = effect.robot(tree)
     return tree

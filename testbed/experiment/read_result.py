@@ -25,7 +25,6 @@ from testbed.identification.estimate import METHODS, Method
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated
 from testbed.robot.model_file import ModelFile
-from testbed.robot.shafts import with_shafts
 from testbed.robot.tree import Tree
 from testbed.toml_text import Finite, checked, override
 
@@ -162,8 +161,7 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, kept.accept_inertia, held)
-    tree = file.tree().with_joints(tables.robot.settings)
-    return with_shafts(tree, tables.robot.coupling), tables.identification
+    return tables.robot.on(file.tree()), tables.identification
 
 
 def _of_run(

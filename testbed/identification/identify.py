@@ -57,6 +57,7 @@ from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import check_robot
+from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source, segments_of
 from testbed.robot.friction import LAWS
@@ -101,7 +102,7 @@ def identify(
     """
     if method not in METHODS:
         raise UnknownName("method", method, METHODS)
-    source = open_source(recording)
+    source = on_its_base(open_source(recording), tree)
     check_source(source, tree, method)
     settings = _fitting(settings or Settings(), source, method, zeros)
     tree = with_gear(in_its_gravity(tree, source, gravity), source)

@@ -35,6 +35,7 @@ from testbed.identification.term_choice import as_settled, with_usual_terms
 from testbed.identification.windows import make_plan
 from testbed.kernel.records import products_wanted
 from testbed.recordings.coupled_gear import with_gear
+from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
@@ -142,7 +143,7 @@ def validate(
         SettingsError: Robot and settings have other parameters than the estimate.
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
-    source, settings = open_source(recording), settings or Settings()
+    source, settings = on_its_base(open_source(recording), tree), settings or Settings()
     check_source(source, tree, said.method)
     tree = with_gear(in_its_gravity(tree.with_gravity(said.gravity), source, gravity), source)
     made = [] if isinstance(estimate, Stated) else [estimate]

@@ -166,6 +166,7 @@ class Tree:
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
         warnings: What was accepted on loading although it is wrong, one line each.
         shafts: Motor shafts that turn with several joints.
+        floating: Whether the first six joints are the coordinates of a free base.
     """
 
     name: str
@@ -175,6 +176,7 @@ class Tree:
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     warnings: tuple[str, ...] = ()
     shafts: tuple[Shaft, ...] = ()
+    floating: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gravity", readonly(self.gravity, (3,), "gravity"))

@@ -108,7 +108,7 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
-        some(6),
+        some(6), some(4, 7),
     ),
 }  # fmt: skip
 FREE = {
