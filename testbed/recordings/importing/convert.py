@@ -110,7 +110,8 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     sources = {
         name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
     }
-    tables_of: dict[str, AnyTable] = {**mapping.signals, **mapping.others}
+    tables_of: dict[str, AnyTable] = dict(mapping.signals.items())
+    tables_of |= mapping.others
     samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}

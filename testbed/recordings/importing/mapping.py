@@ -237,10 +237,12 @@ class Mapping(MappingTable):
                 _check_wrench(table)
         if self.base is not None and not slides(self.base.unit):
             raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
-        for label, each in (*self.signals.items(), *self.others.items()):
-            if each.source not in self.sources:
+        read: dict[str, AnyTable] = {**self.others}
+        read.update(self.signals.items())
+        for label, found in read.items():
+            if found.source not in self.sources:
                 known = ", ".join(self.sources)
-                raise ValueError(f"{label}.source: there is no source '{each.source}' ({known})")
+                raise ValueError(f"{label}.source: there is no source '{found.source}' ({known})")
         return self
 
 
