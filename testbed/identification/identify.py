@@ -31,7 +31,6 @@ from testbed.identification.estimate import (
     channels_of,
 )
 from testbed.identification.finding import in_lines
-from testbed.identification.held_out import TermChoice
 from testbed.identification.instrument import (
     Start,
     nuisance_covariance,
@@ -42,13 +41,12 @@ from testbed.identification.instrument import (
     trace_tests,
 )
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
-from testbed.identification.settings import AUTO, Settings
+from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
-from testbed.identification.term_choice import choose_terms, with_usual_terms
+from testbed.identification.term_choice import with_all_terms
 from testbed.identification.weights import noise_weights
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import Layout, layout
@@ -109,7 +107,7 @@ def identify(
     minimal = set_of(tree, method, settings)
     drives, choice = None, None
     if method == "internal":
-        settings, choice = _with_terms(tree, source, minimal, settings, threads, progress)
+        settings, choice = with_all_terms(tree, source, minimal, settings, threads, progress)
         drives = drive_set(tree, minimal, settings.words)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
@@ -168,25 +166,6 @@ def _fitting(
     if method == "external" and settings.tare == "unknown" and "bias" not in settings.nuisances:
         settings = replace(settings, nuisances=(*settings.nuisances, "bias"))
     return settings.fitted(source.rate)
-
-
-def _with_terms(
-    tree: Tree,
-    source: Source,
-    minimal: MinimalSet,
-    settings: Settings,
-    threads: int | None,
-    progress: Progress,
-) -> tuple[Settings, TermChoice | None]:
-    """Settings that say all terms, and the evidence where held-out data chose them."""
-    choice = None
-    settings = with_usual_terms(settings, source)
-    if settings.terms == AUTO:
-        choice = choose_terms(tree, source, settings, threads, progress)
-        settings = replace(settings, terms=choice.words)
-    if settings.open_speed:
-        settings = with_speed(tree, source, minimal, settings, threads, progress)
-    return settings, choice
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

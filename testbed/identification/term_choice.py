@@ -19,6 +19,7 @@ from testbed.identification.estimate import Estimate, channel_units
 from testbed.identification.held_out import HeldOut, Parts, TermChoice, grown, stretches
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.offered_laws import ALWAYS, OFFERED, rivals
+from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import AUTO, USUAL, Settings
 from testbed.identification.weights import noise_weights
@@ -26,7 +27,7 @@ from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
-from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.coupled_gear import is_imported
 from testbed.recordings.source import Source
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm
@@ -77,6 +78,34 @@ def usual_laws(source: Source) -> tuple[JointLaw, ...]:
         source: The recording.
     """
     return (*ALWAYS, OFFSET) if is_imported(source) else ALWAYS
+
+
+def with_all_terms(
+    tree: Tree,
+    source: Source,
+    minimal: MinimalSet,
+    settings: Settings,
+    threads: int | None,
+    progress: Progress,
+) -> tuple[Settings, TermChoice | None]:
+    """Settings that say all terms, and the evidence where held-out data chose them.
+
+    Args:
+        tree: The robot, under the recording's gravity.
+        source: With joint torques.
+        minimal: The dynamic set.
+        settings: Those that were asked for.
+        threads: How many to use.
+        progress: Called with samples done and samples in all.
+    """
+    choice = None
+    settings = with_usual_terms(settings, source)
+    if settings.terms == AUTO:
+        choice = choose_terms(tree, source, settings, threads, progress)
+        settings = replace(settings, terms=choice.words)
+    if settings.open_speed:
+        settings = with_speed(tree, source, minimal, settings, threads, progress)
+    return settings, choice
 
 
 def choose_terms(

@@ -232,9 +232,9 @@ class Mapping(MappingTable):
             raise ValueError(f"gear: {len(self.gear.motor_of_joint)} motors, {n} joints")
         for kind, table in self.signals.items():
             _check_signal(kind, table, n, self.gear is not None)
-        for table in self.others.values():
-            if isinstance(table, WrenchTable):
-                _check_wrench(table)
+        for plate in self.others.values():
+            if isinstance(plate, WrenchTable):
+                _check_wrench(plate)
         if self.base is not None and not slides(self.base.unit):
             raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
         read: dict[str, AnyTable] = {**self.others}
