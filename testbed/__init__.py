@@ -34,10 +34,12 @@ if TYPE_CHECKING:
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
+    from testbed.recordings.joined import Joined as Joined
     from testbed.recordings.recording import Recording as Recording
     from testbed.recordings.stored import StoredRecording as StoredRecording
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
+    from testbed.robot.shafts import with_shafts as with_shafts
     from testbed.robot.tree import Joint as Joint
     from testbed.robot.tree import Tree as Tree
     from testbed.symbolic.compare import compare_equations as compare_equations
@@ -63,6 +65,7 @@ _HOMES = {
     "testbed.identification.normal_equations": ("NormalEquations",),
     "testbed.identification.solvers": ("fit",),
     "testbed.identification.validate": ("validate",),
+    "testbed.recordings.joined": ("Joined",),
     "testbed.recordings.stored": ("StoredRecording",),
     "testbed.recordings.recording": ("Recording",),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
@@ -73,6 +76,7 @@ _HOMES = {
     "testbed.symbolic.languages": ("write_equations",),
     "testbed.robot.inertia": ("Inertia",),
     "testbed.robot.load": ("load_tree",),
+    "testbed.robot.shafts": ("with_shafts",),
     "testbed.robot.tree": ("Joint", "Tree"),
 }
 

@@ -101,17 +101,19 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
-        from testbed.identification.counted import open_counted
+        from testbed.identification.open_counted import open_counted
         from testbed.identification.prior_choice import consistent_by_held_out
+        from testbed.recordings.coupled_gear import with_gear
 
-        tree, wishes = reading.tree(model), reading.tables().consistent
+        tree = with_gear(reading.tree(model), source)
+        wishes = reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
         part = open_counted(source, reading.tables().identification)
         return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
 
     def written(
-        self, found: Consistent, reading: Reading, model: Path, recording: Path
+        self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
     ) -> list[str]:
         """Write the file that was asked for; a line for each thing to know.
 
@@ -119,7 +121,7 @@ class Writing:
             found: What is written.
             reading: How the model file is read.
             model: The model file.
-            recording: What it was identified from.
+            recordings: What it was identified from.
 
         Raises:
             ModelError: The file cannot be written.
@@ -137,7 +139,7 @@ class Writing:
                 robot_of(found, file.tree()),
                 self.write,
                 fixed=self.fixed.value,
-                note=provenance(found, file, recording),
+                note=provenance(found, file, recordings),
                 over_source=self.in_place,
             )
         )

@@ -92,9 +92,9 @@ def minimal(
 
     Example: testbed minimal models/puma562.urdf --zeros --map --verify
     """
+    from testbed.dynamics.drive_set import drive_set
     from testbed.dynamics.witnesses import verify, verify_drives
     from testbed.parameters.identifiability import identifiability
-    from testbed.parameters.joint_terms import with_joint_terms
     from testbed.parameters.minimal_set import minimal_set
     from testbed.report import terminal
     from testbed.report.minimal_tables import Findings, print_latex, print_sets
@@ -103,7 +103,7 @@ def minimal(
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
-    drives = with_joint_terms(tree, dynamic, terms) if terms else None
+    drives = drive_set(tree, dynamic, terms) if terms else None
     seen = identifiability(tree, gravity, known) if show_map or as_json else ()
     found = Findings(tree, dynamic, reaction, drives, seen)
     if check:

@@ -74,6 +74,13 @@ RecordingSet = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="As identification.cutoff=8, robot.lock.j=0."),
 ]
+Terms = Annotated[
+    str | None,
+    typer.Option(
+        metavar="TERM,...|auto",
+        help="Of the joints' torques, as coulomb,viscous,rotor/elbow; auto: held-out data choose.",
+    ),
+]
 Weld = Annotated[bool, typer.Option("--weld-root", help="Weld a floating root to the bedplate.")]
 Lock = Annotated[
     list[str] | None,

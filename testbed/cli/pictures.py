@@ -3,16 +3,31 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Lock, LockMimic, Plate, RecordingSet, Weld, Zeros, app
+from testbed.cli.consistent_files import ConsistentBodies
+from testbed.cli.options import (
+    Accept,
+    Lock,
+    LockMimic,
+    Plate,
+    RecordingSet,
+    Terms,
+    Unchecked,
+    Weld,
+    Zeros,
+    app,
+)
 from testbed.cli.reading import Reading, corrected_source
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
+    from testbed.recordings.recording import Recording
+    from testbed.robot.tree import Tree
 
 
 @app.command()
@@ -40,19 +55,24 @@ def view(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    terms: Terms = None,
+    unchecked: Unchecked = False,
 ) -> None:
     """Show runs in the Rerun viewer: robot, reaction, predictions, friction, estimates.
 
     Of a motion that `testbed excite` wrote: the robot on its path, and what is left of every limit.
+    A recording is shown with what its own estimates predict.
 
     Example: testbed view runs/table6-286a25ef
+
+    Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.experiment.growth import growth
     from testbed.report import terminal
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     if [path.suffix.lower() for path in runs] == [".toml"]:
         path = save or _beside(runs[0], ".rrd")
         warnings = _write_motion(runs[0], settings or [], path)
@@ -63,7 +83,7 @@ def view(
     with terminal.Progress("looking") as progress:
         for k, path in enumerate(runs):
             progress(k, len(runs))
-            run = _run_at(path, model, reading)
+            run = _run_at(path, model, reading, unchecked=unchecked)
             scenes.append(scene_of(run, growth(run)))
     path = save or _beside(runs[0], ".rrd")
     write_rrd(scenes, path)
@@ -117,10 +137,21 @@ def report(
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
+    terms: Terms = None,
+    consistent: ConsistentBodies = False,
+    validate: Annotated[
+        Path | None,
+        typer.Option(help="Another recording of the robot, on which the estimates are judged."),
+    ] = None,
+    unchecked: Unchecked = False,
 ) -> None:
     """Write a run's report: one HTML file that needs nothing else, and its numbers as JSON.
 
+    Of a recording, too: what was identified from it, held against another one by --validate.
+
     Example: testbed report runs/table6-286a25ef
+
+    Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
     from testbed.experiment.carry_out import checked_elsewhere
     from testbed.report import terminal
@@ -133,11 +164,16 @@ def report(
         raise typer.BadParameter(
             f"--out {path}: the numbers go into that file; name the page .html"
         )
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
-    _check_said([run], model, reading)
-    done = _run_at(run, model, reading)
-    with terminal.Progress("simulating an unseen motion") as progress:
-        done, other = checked_elsewhere(done, progress)
+    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
+    _check_said([run], model, reading, consistent=consistent, other=validate)
+    done = _run_at(run, model, reading, unchecked=unchecked)
+    if consistent:
+        done = _with_bodies(done, reading)
+    if validate is None:
+        with terminal.Progress("simulating an unseen motion") as progress:
+            done, other = checked_elsewhere(done, progress)
+    else:
+        done, other = _judged_on(done, validate, reading, unchecked=unchecked)
     beside = write_report(done, path, other)
     terminal.console().print(
         f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
@@ -151,23 +187,30 @@ def _beside(run: Path, ending: str) -> Path:
     return (run.parent if run.name else whole.parent) / name
 
 
-def _check_said(paths: list[Path], model: Path | None, reading: Reading) -> None:
+def _check_said(
+    paths: list[Path],
+    model: Path | None,
+    reading: Reading,
+    *,
+    consistent: bool = False,
+    other: Path | None = None,
+) -> None:
     """Whether what was said of recordings has one to be about."""
     from testbed.errors import ExperimentError
 
-    if all(path.is_dir() for path in paths) and (model is not None or reading != Reading()):
+    said = model is not None or reading != Reading() or consistent or other is not None
+    if all(path.is_dir() for path in paths) and said:
         raise ExperimentError(
             f"'{paths[0]}' is a run folder: it has its own model and settings; --model, --set and "
             "the like are for recordings"
         )
 
 
-def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
+def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.errors import ExperimentError
     from testbed.experiment.run import assemble_run
     from testbed.experiment.run_folder import read_run
-    from testbed.recordings.recording import Recording
 
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'")
@@ -175,11 +218,9 @@ def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")
-    tree, recording = reading.tree(model), Recording.load(path)
-    if reading.plate is not None:
-        source = corrected_source(recording, tree, reading.plate)
-        recording = source.part(0, source.samples)
-    return assemble_run(
+    tree = reading.tree(model)
+    recording, accepted = _loaded(path, tree, reading, unchecked=unchecked)
+    run = assemble_run(
         tree,
         recording,
         name=path.stem,
@@ -187,3 +228,39 @@ def _run_at(path: Path, model: Path | None, reading: Reading) -> Run:
         model=reading.model_file(model),
         doubt=reading.doubt(tree),
     )
+    return replace(run, warnings=tuple(dict.fromkeys((*accepted, *run.warnings))))
+
+
+def _loaded(
+    path: Path, tree: Tree, reading: Reading, *, unchecked: bool
+) -> tuple[Recording, tuple[str, ...]]:
+    """A recording in memory, the plate's faults taken back, and what to doubt of it."""
+    from testbed.recordings.measured_base import with_base_joints
+    from testbed.recordings.recording import Recording
+
+    source = Recording.from_mapping(path) if path.suffix == ".toml" else Recording.load(path)
+    if tree.floating:
+        source = with_base_joints(source)
+    accepted = reading.accepted(source, tree, unchecked=unchecked)
+    if reading.plate is None:
+        return source, accepted
+    corrected = corrected_source(source, tree, reading.plate)
+    return corrected.part(0, corrected.samples), accepted
+
+
+def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> tuple[Run, Recording]:
+    """A run with its estimates held against another recording, and that recording."""
+    from testbed.experiment.unseen import validated
+
+    other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
+    done = validated(run, other)
+    said = (*other.facts.get("warnings", ()), *doubted)
+    lines = [f"{path.name}: {line}" for line in said]
+    return replace(done, warnings=tuple(dict.fromkeys((*done.warnings, *lines)))), other
+
+
+def _with_bodies(run: Run, reading: Reading) -> Run:
+    """A recording's run with bodies that can exist."""
+    from testbed.experiment.consistent_run import recorded_bodies
+
+    return recorded_bodies(run, reading.tables().consistent)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,7 @@ class Reading:
         lock: Words of --lock.
         lock_mimic: Whether --lock-mimic was given.
         plate: The file of --plate.
+        terms: The word of --terms.
     """
 
     settings: Sequence[str] | None = None
@@ -36,6 +38,7 @@ class Reading:
     lock: Sequence[str] | None = None
     lock_mimic: bool = False
     plate: Path | None = None
+    terms: str | None = None
 
     def tables(self) -> RecordingTables:
         """Settings of robot and identification.
@@ -45,8 +48,11 @@ class Reading:
         """
         from testbed.experiment.experiment import RecordingTables
 
-        zeros = ["identification.zeros=true"] if self.zeros else []
-        return RecordingTables.of([*(self.settings or ()), *zeros])
+        said = ["identification.zeros=true"] if self.zeros else []
+        if self.terms is not None:
+            listed = self.terms if self.terms == "auto" else self.terms.split(",")
+            said.append(f"identification.terms={json.dumps(listed)}")
+        return RecordingTables.of([*(self.settings or ()), *said])
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
@@ -57,23 +63,41 @@ class Reading:
         said = self.tables().robot
         mimic = mimic_joints(path) if self.lock_mimic or said.lock_mimic else ()
         held = dict.fromkeys(mimic) | said.lock | parse_lock(self.lock or ())
-        return ModelFile(path, self.weld_root, self.accept_inertia, held)
+        welded = self.weld_root or said.base == "measured"
+        return ModelFile(path, welded, self.accept_inertia, held)
 
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
-        from testbed.recordings.source import open_source
+        from testbed.recordings.measured_base import on_its_base
 
-        return corrected_source(open_source(path), tree, self.plate)
+        return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
+
+    def joined(
+        self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
+    ) -> tuple[Source, list[str]]:
+        """Recordings as one source, each held against the robot, and what to doubt of them.
+
+        Raises:
+            RecordingError: One of them cannot be true of this robot, or they are not alike.
+        """
+        from testbed.recordings.joined import joined
+
+        sources = [self.source(path, tree) for path in paths]
+        several, warnings = len(paths) > 1, []
+        for path, source in zip(paths, sources, strict=True):
+            said = self.accepted(source, tree, unchecked=unchecked)
+            warnings += [f"{path.name}: {line}" if several else line for line in said]
+        return joined(sources), warnings
 
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
-        """What to doubt of an imported recording; nothing is said of others.
+        """What to doubt of an imported recording; nothing is said of others, nor of free bases.
 
         Raises:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.sanity.accept import accept
 
-        imported = "mapping" in source.facts
+        imported = "mapping" in source.facts and not tree.floating
         return accept(tree, source, unchecked=unchecked).warnings if imported else ()
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
@@ -83,8 +107,24 @@ class Reading:
         return None if self.plate is None else read_plate(self.plate, tree).doubt
 
     def tree(self, path: Path) -> Tree:
-        """The robot of a model file, with what --set says of its joints."""
-        return self.model_file(path).tree().with_joints(self.tables().robot.settings)
+        """The robot of a model file, with what --set says of its joints and shafts."""
+        return self.tables().robot.on(self.model_file(path).tree())
+
+
+def opened(path: Path) -> Source:
+    """A recording that stays in its file, or one that a mapping file makes.
+
+    Args:
+        path: Parquet, or TOML for a mapping.
+
+    Raises:
+        RecordingError: It is no recording.
+        ExperimentError: The mapping is not understood.
+    """
+    from testbed.recordings.recording import Recording
+    from testbed.recordings.source import open_source
+
+    return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:

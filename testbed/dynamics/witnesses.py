@@ -19,6 +19,7 @@ from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import Space, distance, row_space
 from testbed.parameters.rules import Model
+from testbed.robot.friction import term_torque
 from testbed.robot.tree import Tree
 
 ZERO = 1e-10
@@ -178,8 +179,7 @@ def verify_drives(tree: Tree, drives: DriveSet, seed: int = 0) -> DriveAgreement
     rows[:, minimal.known_zero.ravel()] = 0.0
     torques = np.zeros((len(states.qd), tree.n, len(drives.asked)))
     for k, term in enumerate(drives.asked):
-        columns = term.law.columns(states.qd, states.qdd)
-        torques[:, term.joint, k] = columns[:, term.joint]
+        torques[:, :, k] = term_torque(tree, term, states.qd, states.qdd)
     terms = torques.reshape(len(rows), len(drives.asked))
     every = np.hstack([rows, terms])
     space = row_space(every, ZERO)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def consistent_as_json(found: Consistent) -> dict[str, Any]:
             for k, (link, joint) in enumerate(zip(found.links, found.joints, strict=True))
         },
         "terms": {
-            f"{term.law.kind}/{found.joints[term.joint]}": {
+            f"{term.law.kind}/{found.places[term.joint]}": {
                 "value": float(value),
                 "sigma": float(sigma),
             }
@@ -61,19 +62,20 @@ def consistent_as_json(found: Consistent) -> dict[str, Any]:
     }
 
 
-def provenance(found: Consistent, model: ModelFile, recording: Path) -> list[str]:
+def provenance(found: Consistent, model: ModelFile, recordings: Sequence[Path]) -> list[str]:
     """Where the numbers of a written file come from, for a comment.
 
     Args:
         found: What is written.
         model: The file that is copied.
-        recording: What it was identified from.
+        recordings: What it was identified from.
     """
     methods = " and ".join(each.method for each in found.bent)
     return [
         f"testbed {versions()['testbed']}: inertials and joint losses are physically consistent",
-        f"ones by the {methods} method from {recording.name} (sha256",
-        f"{fingerprint(recording)[:DIGITS]}), prior {model.path.name} (sha256",
+        f"ones by the {methods} method from",
+        *(f"{each.name} (sha256 {fingerprint(each)[:DIGITS]})," for each in recordings),
+        f"prior {model.path.name} (sha256",
         f"{fingerprint(model.path)[:DIGITS]}) taken to be wrong by {found.prior_error:g}; all else",
         "is that file, unchanged",
     ]

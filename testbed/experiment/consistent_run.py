@@ -13,10 +13,11 @@ from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, root_mean_square
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.consistency import Consistent
-from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.identify import identify
+from testbed.identification.open_counted import open_counted
 from testbed.identification.prior_choice import consistent_by_held_out
+from testbed.identification.wishes import Wishes
 from testbed.instruments.stage import stream
 from testbed.parameters.barycentric import standard
 from testbed.parameters.minimal_set import minimal_set
@@ -53,9 +54,26 @@ def with_consistent(run: Run) -> Run:
     experiment = run.experiment
     if experiment is None or experiment.consistent is None or not run.estimates:
         return run
-    wishes = experiment.consistent
-    wrong = wrong_prior(run.tree, experiment)
-    prior = prior_from(wrong, run.model, shapes=wishes.centres_in_shapes)
+    run = _with_bodies(run, wrong_prior(run.tree, experiment), experiment.consistent)
+    if run.score is None or run.consistent is None:
+        return run
+    metrics = {**run.score.metrics, **_metrics(run, run.consistent)}
+    return replace(run, score=replace(run.score, metrics=metrics))
+
+
+def recorded_bodies(run: Run, wishes: Wishes) -> Run:
+    """A recording's run with bodies that can exist, near those of the model file.
+
+    Args:
+        run: The run.
+        wishes: What is asked of the bodies.
+    """
+    return _with_bodies(run, run.tree, wishes) if run.estimates else run
+
+
+def _with_bodies(run: Run, believed: Tree, wishes: Wishes) -> Run:
+    """A run with its consistent bodies, or with a warning that says why there are none."""
+    prior = prior_from(believed, run.model, shapes=wishes.centres_in_shapes)
 
     def identified(part: Source, method: Method) -> Estimate:
         return identify(run.tree, part, method, settings=run.settings)
@@ -67,11 +85,7 @@ def with_consistent(run: Run) -> Run:
     except TestbedError as error:
         return replace(run, warnings=(*run.warnings, f"no consistent bodies: {error}"))
     warnings = tuple(dict.fromkeys((*run.warnings, *found.warnings)))
-    run = replace(run, consistent=found, warnings=warnings)
-    if run.score is None:
-        return run
-    metrics = {**run.score.metrics, **_metrics(run, found)}
-    return replace(run, score=replace(run.score, metrics=metrics))
+    return replace(run, consistent=found, warnings=warnings)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

@@ -64,7 +64,11 @@ def robot_of(experiment: Experiment) -> Tree:
                 raise ExperimentError(
                     f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
                 )
-    tree = tree.with_joints(experiment.robot.settings).with_gravity(experiment.gravity)
+    if experiment.robot.base == "measured":
+        raise ExperimentError(
+            'robot.base = "measured" is for recordings: experiments have a bedplate'
+        )
+    tree = experiment.robot.on(tree).with_gravity(experiment.gravity)
     for effect in effects_of(experiment, tree):
         tree = effect.robot(tree)
     return tree

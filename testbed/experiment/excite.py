@@ -135,7 +135,8 @@ def excite(
 
 def pipeline_of(experiment: Experiment) -> Pipeline:
     """What the experiment's estimates make of its recording."""
-    settings, rate = experiment.identification, experiment.measurement.rate
+    rate = experiment.measurement.rate
+    settings = experiment.identification.fitted(rate)
     sensed = experiment.measurement.senses_kinematics
     taps = 1 if sensed else motion_taps(rate, settings.position_low_pass).shape[1]
     weights = row_weights(rate, settings.row_low_pass)

@@ -13,6 +13,9 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.errors import UnknownName
 from testbed.kind_table import AsTable
+from testbed.robot.free_base import on_free_base
+from testbed.robot.shafts import with_shafts
+from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of
 from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive
@@ -85,8 +88,13 @@ class RobotTable(Table):
     """Joints that are held, and where [rad or m]: their bodies become part of the carriers."""
     lock_mimic: bool = False
     """Joints that mimic others are held where their masters' zero puts them."""
+    base: Literal["fixed", "measured"] = "fixed"
+    """Whether the root is welded to the bedplate, or free and its pose in the recording."""
     joint: dict[str, JointTable] = {}
     """By joint: limits and friction, instead of the model file's."""
+    coupling: dict[str, dict[str, Finite]] = {}
+    """Motor shafts that turn with several joints: by a name of your own, how much with each joint.
+    Default: those of an imported recording's [gear]."""
 
     @property
     def settings(self) -> dict[str, dict[str, object]]:
@@ -96,6 +104,19 @@ class RobotTable(Table):
             name: table.model_dump(exclude_none=True, exclude=left_out)
             for name, table in self.joint.items()
         }
+
+    def on(self, tree: Tree) -> Tree:
+        """The robot of a model file with all that is said here of its base, joints and shafts.
+
+        Args:
+            tree: As the file has it, the root welded.
+
+        Raises:
+            UnknownName: There is no such joint.
+            ModelError: Something is said that no robot has.
+        """
+        whole = on_free_base(tree) if self.base == "measured" else tree
+        return with_shafts(whole.with_joints(self.settings), self.coupling)
 
     @property
     def spins(self) -> dict[str, float]:

@@ -161,7 +161,7 @@ def _of_recording(
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
     file = ModelFile(place, kept.weld_root, kept.accept_inertia, held)
-    return file.tree().with_joints(tables.robot.settings), tables.identification
+    return tables.robot.on(file.tree()), tables.identification
 
 
 def _of_run(

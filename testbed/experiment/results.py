@@ -17,6 +17,8 @@ from testbed.experiment.score import Errors
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.estimate import Estimate
+from testbed.identification.held_out import TermChoice
+from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation
 from testbed.robot.model_file import ModelFile
 
@@ -77,6 +79,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
             }
             for t in estimate.trace_tests
         ],
+        "choice": choice_as_json(estimate.choice),
         "doubtful": estimate.doubtful,
         "warnings": list(estimate.warnings),
     }
@@ -121,7 +124,8 @@ def identified_as_json(
         model: The model file, and how it was read.
         tables: What else was said of robot and identification.
     """
-    settings = tables.model_dump(mode="json", exclude_none=True)
+    estimates = list(estimates)
+    settings = _settled(tables, estimates).model_dump(mode="json", exclude_none=True)
     for key in ("lock", "lock_mimic"):  # the model's lock is all that was held
         settings["robot"].pop(key)
     return {
@@ -134,6 +138,35 @@ def identified_as_json(
             "lock": dict(model.lock),
         },
         "settings": settings,
+    }
+
+
+def _settled(tables: RecordingTables, estimates: list[Estimate]) -> RecordingTables:
+    """The same with the terms and the shafts that the estimates have."""
+    robot = tables.robot
+    for drives in (estimate.drives for estimate in estimates):
+        if drives is not None and drives.tree.shafts:
+            names = drives.tree.names
+            said = {s.name: {names[j]: turn for j, turn in s.turns} for s in drives.tree.shafts}
+            robot = robot.model_copy(update={"coupling": said})
+    identification = as_settled(tables.identification, estimates)
+    return tables.model_copy(update={"robot": robot, "identification": identification})
+
+
+def choice_as_json(choice: TermChoice | None) -> dict[str, Any] | None:
+    """How held-out data chose terms, as JSON takes it; null where they did not."""
+    if choice is None:
+        return None
+    found = choice.growth
+    return {
+        "terms": list(choice.words),
+        "parts": choice.parts,
+        "steps": [asdict(step) for step in found.steps],
+        "next_best": None if found.next_best is None else asdict(found.next_best),
+        "held_out": {
+            which: {"rms": each.rms, "residual": each.residual.tolist()}
+            for which, each in (("before", choice.before), ("after", choice.after))
+        },
     }
 
 

@@ -22,7 +22,9 @@ from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
+from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation
+from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
@@ -120,7 +122,7 @@ def assemble_run(
         RecordingError: The recording is of another robot.
     """
     recording = recording.ordered(tree)
-    tree = in_its_gravity(tree, recording)
+    tree = with_gear(in_its_gravity(tree, recording), recording)
     settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
@@ -149,7 +151,7 @@ def assemble_run(
         recording=recording,
         estimates=estimates,
         failures=failures,
-        settings=settings,
+        settings=as_settled(settings, estimates.values()),
         experiment=experiment,
         score=judged,
         model=model,

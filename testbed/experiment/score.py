@@ -12,6 +12,8 @@ from testbed.dynamics.motion import Motion
 from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.robot.friction import term_torque
+from testbed.robot.shafts import shares
 from testbed.robot.tree import Tree
 
 SMALL = 0.01
@@ -159,9 +161,13 @@ def _of_terms(
     estimate: Estimate, truth: Array, motion: Motion, torque: Array | None
 ) -> Iterator[Array]:
     """Scales of the joints' terms, (1,) each: what would make a small part of the torque."""
-    for term, true in zip(estimate.joint_terms, truth[estimate.minimal.count :], strict=True):
-        j = estimate.joints.index(term.joint)
-        column = term.law.columns(motion.qd[:, j], motion.qdd[:, j])
+    if estimate.drives is None:
+        return
+    tree, terms = estimate.drives.tree, estimate.drives.terms
+    for term, true in zip(terms, truth[estimate.minimal.count :], strict=True):
+        columns = term_torque(tree, term, motion.qd, motion.qdd)
+        j = int(np.argmax(np.abs(shares(tree)[term.joint])))
+        column = columns[:, j]
         makes, all_of_it = _root_mean_square(column), 0.0
         if torque is not None and makes > 0:
             all_of_it = _root_mean_square(torque[:, j]) / makes

@@ -222,7 +222,7 @@ def _drowned(found: Undiluted | None, lead: Array, names: tuple[str, ...]) -> tu
 def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | None:
     """None where the motion has no period, or rows have gaps or are too far apart for it."""
     plan, surveyor = passes.plan, passes.surveyor
-    if plan.layout.model != "reaction":
+    if plan.layout.model != "reaction" or len(plan.spans) > 1:
         return None
     samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
     rows = round(samples / plan.step)

@@ -27,6 +27,7 @@ from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import matrices
 from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.shafts import places
 from testbed.robot.tree import Tree
 
 CLOSE = 1e-6
@@ -90,6 +91,7 @@ class Consistent:
 
     Attributes:
         joints: The joints' names, (n,).
+        places: Those and the names of shafts that turn with several: where terms are.
         links: The bodies' names, (n,).
         standard: Standard parameters, (n, 10) [kg, kg m, kg m^2].
         sigma: Of each, data's and prior's doubt together, (n, 10).
@@ -112,6 +114,7 @@ class Consistent:
     """
 
     joints: tuple[str, ...]
+    places: tuple[str, ...]
     links: tuple[str, ...]
     standard: Array
     sigma: Array
@@ -193,6 +196,7 @@ def _consistent(
     edge = [j.body for j, own in zip(tree.joints, margin, strict=True) if own < THIN]
     return Consistent(
         joints=tree.names,
+        places=places(tree),
         links=tuple(joint.body for joint in tree.joints),
         standard=bodies,
         sigma=sigma[: 10 * tree.n].reshape(-1, 10),
@@ -237,7 +241,8 @@ def robot_of(found: Consistent, tree: Tree) -> Tree:
     """
     settings: dict[str, dict[str, object]] = {}
     for term, value in zip(found.terms, found.coefficients, strict=True):
-        if term.law in LAWS and term.law.parameter is not None:
+        held = term.law in LAWS and term.law.parameter is not None and term.joint < tree.n
+        if held and term.law.parameter is not None:
             own = settings.setdefault(tree.names[term.joint], {})
             own[term.law.parameter] = max(float(value), 0.0)
     return with_standard(tree, np.array(found.standard)).with_joints(settings)

@@ -116,7 +116,8 @@ def scaled(
     roots = np.array([upper_root(each) for each in matrices(bodies)]).reshape(count, 4, 4)
     sizes = np.zeros(len(terms))
     for k, term in enumerate(terms):
-        known[k] = prior.rotors[term.joint] if term.law == ROTOR else 0.0
+        joints_own = term.law == ROTOR and term.joint < tree.n
+        known[k] = prior.rotors[term.joint] if joints_own else 0.0
         column = np.concatenate([each.white @ each.rows[:, 10 * tree.n + k] for each in told])
         steep = float(np.linalg.norm(column))
         sizes[k] = known[k] or _usual(tree, prior, term) or (1 / steep if steep else 1.0)

@@ -15,6 +15,7 @@ from testbed.arrays import Array
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.finding import Finding, in_lines
 from testbed.parameters.minimal_set import selection
+from testbed.robot.shafts import shares
 
 LEAST, MOST = 0.77, 1.3
 """Factors between which a torque constant may be wrong."""
@@ -108,8 +109,9 @@ def torque_factor(internal: Estimate, known: Array, spread: Array, joint: int) -
     normal, right, square = internal.normal_equations.of_channel(joint)
     count = internal.minimal.count
     own = [k for k, body in enumerate(internal.minimal.axial) if body == joint]
-    terms = () if internal.drives is None else internal.drives.terms
-    own += [count + k for k, term in enumerate(terms) if term.joint == joint]
+    if internal.drives is not None:
+        turn = shares(internal.drives.tree)[:, joint]
+        own += [count + k for k, term in enumerate(internal.drives.terms) if turn[term.joint]]
     foretold = np.zeros(len(right))
     foretold[:count] = known
     foretold[own] = 0.0  # a rotor may be part of it

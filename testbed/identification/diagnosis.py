@@ -19,6 +19,7 @@ from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
 from testbed.identification.trace_findings import trace_findings
+from testbed.robot.shafts import shares
 from testbed.robot.tree import Tree
 
 SIGNIFICANT = 0.3
@@ -180,9 +181,13 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
 
 def _friction(estimate: Estimate) -> Iterator[Finding]:
     """Friction that would drive the joint."""
-    equations = estimate.normal_equations
+    equations, drives = estimate.normal_equations, estimate.drives
+    if drives is None:
+        return
+    most = np.argmax(np.abs(shares(drives.tree)), axis=1)  # the joint that feels a place most
     for k, term in enumerate(estimate.joint_terms, start=estimate.minimal.count):
-        normal, _, square = equations.of_channel(estimate.joints.index(term.joint))
+        place = drives.terms[k - estimate.minimal.count].joint
+        normal, _, square = equations.of_channel(int(most[place]))
         torque = abs(term.value) * np.sqrt(normal[k, k])
         sure = term.value < -SURE * term.sigma and torque > NOTICEABLE * np.sqrt(square)
         if term.law.resists and sure:

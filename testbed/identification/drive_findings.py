@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from numpy.typing import ArrayLike
 
 from testbed.identification.combined import Combined, combined
-from testbed.identification.counted import open_counted
 from testbed.identification.drive_laws import choices, offered
 from testbed.identification.drive_regression import regressions, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.friction_curves import FrictionCurve, friction_curves
+from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Progress
 from testbed.identification.settings import Settings
 from testbed.identification.torque_constants import ChosenTerms, DriveEstimate

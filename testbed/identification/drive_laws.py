@@ -14,51 +14,15 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.identification.drive_regression import Torques
-from testbed.identification.noise.scaled import scaled_solve
-from testbed.robot.friction import (
-    ASYMMETRIC,
-    COULOMB,
-    OFFSET,
-    QUADRATIC,
-    ROTOR,
-    SQUARE_ROOT,
-    VISCOUS,
-    JointLaw,
-    stribeck,
-)
-
-ALWAYS = (COULOMB, VISCOUS)
-"""What every joint has."""
-
-SPEEDS = tuple(float(f"{speed:.2g}") for speed in np.geomspace(0.02, 1.0, 14))
-"""At which friction may fade out [rad/s or m/s]."""
-
-OFFERED = (OFFSET, ASYMMETRIC, QUADRATIC, SQUARE_ROOT, *(stribeck(speed) for speed in SPEEDS))
-"""What may be added."""
+from testbed.identification.held_out import Parts, Step, grown
+from testbed.identification.offered_laws import ALWAYS, OFFERED, rivals
+from testbed.robot.friction import ROTOR, JointLaw
 
 PARTS = 8
 """Of a recording."""
 
 RUN = 16
 """Rows whose products are kept as one."""
-
-SURE = 2.0
-"""Standard errors that a gain has to have."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of a choice.
-
-    Attributes:
-        kind: The law that was added, or "" for what every joint has.
-        residual: Rms of what is left of unseen parts, over that of the torque.
-        gain: How many standard errors it is better than without the law; 0 for the first step.
-    """
-
-    kind: str
-    residual: float
-    gain: float
 
 
 @dataclass(frozen=True)
@@ -120,49 +84,12 @@ def _products(torques: Torques) -> list[Array]:
 def _choice(products: Array, place: dict[JointLaw, int]) -> Choice:
     """Of one joint's products: laws are added as long as one gains enough."""
     laws = [law for law in place if law in (*ALWAYS, ROTOR)]
-    open_laws = [law for law in OFFERED if law in place]
-    left = _held_out(products, [place[law] for law in laws])
-    steps = [Step("", _rms(left), 0.0)]
-    while True:
-        tried = {law: _held_out(products, [place[k] for k in (*laws, law)]) for law in open_laws}
-        if not tried:
-            return Choice(tuple(laws), tuple(steps), None)
-        best = min(tried, key=lambda law: float(tried[law][:, 0].sum()))
-        step = Step(best.kind, _rms(tried[best]), _gain(left, tried[best]))
-        if step.gain < SURE:
-            return Choice(tuple(laws), tuple(steps), step)
-        laws.append(best)
-        steps.append(step)
-        left = tried[best]
-        fades = best.kind.startswith("stribeck")
-        open_laws = [
-            law
-            for law in open_laws
-            if law != best and not (fades and law.kind.startswith("stribeck"))
-        ]
-
-
-def _held_out(products: Array, columns: list[int]) -> Array:
-    """What fits of all other parts leave of each: squares and squares of the torque, (PARTS, 2)."""
-    own, y = np.array([0, *columns]), products.shape[1] - 1
-    whole = products.sum(axis=0)
-    found = np.zeros((len(products), 2))
-    for k, part in enumerate(products):
-        others = whole - part
-        values = scaled_solve(others[np.ix_(own, own)], others[own, y])
-        ends = np.append(-values, 1.0)
-        at = np.append(own, y)
-        found[k] = max(float(ends @ part[np.ix_(at, at)] @ ends), 0.0), part[y, y]
-    return found
-
-
-def _rms(left: Array) -> float:
-    """Of what is left, over that of the torque."""
-    return float(np.sqrt(left[:, 0].sum() / max(left[:, 1].sum(), np.finfo(float).tiny)))
-
-
-def _gain(before: Array, after: Array) -> float:
-    """How many standard errors better, part by part."""
-    gained = before[:, 0] - after[:, 0]
-    error = float(gained.std(ddof=1) / np.sqrt(len(gained)))
-    return float(gained.mean()) / max(error, np.finfo(float).tiny)
+    parts = Parts(products, products.sum(axis=0) - products)
+    more, how = grown(
+        parts,
+        [0, *(place[law] for law in laws)],
+        {law: place[law] for law in OFFERED if law in place},
+        lambda law: law.kind,
+        rivals,
+    )
+    return Choice((*laws, *more), how.steps, how.next_best)

@@ -14,9 +14,9 @@ from scipy.linalg import block_diag
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.dynamics.drive_set import drive_set
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.bodies_doubt import TINY, doubt_about, undiluted
-from testbed.identification.counted import open_counted
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.noise.autoregression import HIGHEST
@@ -26,12 +26,13 @@ from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
 from testbed.identification.noise.units import counted
 from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import products_wanted
-from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
@@ -144,9 +145,14 @@ def torques_beside(
     """
     settings = settings or Settings()
     source = open_counted(recording, settings)
+    if tree.shafts:
+        raise SettingsError(
+            "joints are held against the plate one by one, and robot.coupling joins some: "
+            'leave identification.drives "off"'
+        )
     check_source(source, tree, "internal")
     tree = in_its_gravity(tree, source, gravity)
-    drives = with_joint_terms(tree, minimal_set(tree, "dynamic", zeros=settings.zeros), laws)
+    drives = drive_set(tree, minimal_set(tree, "dynamic", zeros=settings.zeros), laws)
     lift = _lift(tree, bodies, drives, settings)
     rows = layout(tree.without_inertias(), drives.minimal, drives.terms, False)
     plan = make_plan(source, rows, tare_of(tree, source), settings)

@@ -14,6 +14,7 @@ from testbed.arrays import Array, readonly
 from testbed.errors import TestbedError
 from testbed.identification.estimate_text import Words
 from testbed.identification.finding import Finding
+from testbed.identification.held_out import TermChoice
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
@@ -22,6 +23,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.friction import JointLaw
+from testbed.robot.shafts import places
 from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]
@@ -114,7 +116,7 @@ class TermEstimate:
 
     Attributes:
         law: Which law.
-        joint: The joint's name.
+        joint: The joint's name, or that of a shaft that turns with several.
         name: `kind/JOINT`; another term of the joint that it takes up is named in it.
         unit: Of the coefficient.
         value: The coefficient.
@@ -163,6 +165,7 @@ class Estimate:
         trace_tests: Faults of the instrument whose traces were looked for in the residuals.
         nuisance_covariance: Of the instrument's numbers, (s, s).
         nuisance_cross: Of the parameters with them, (p, s).
+        choice: How held-out data chose the joints' terms, where they did.
     """
 
     method: Method
@@ -189,6 +192,7 @@ class Estimate:
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    choice: TermChoice | None = None
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)
@@ -231,17 +235,19 @@ class Estimate:
     @cached_property
     def joint_terms(self) -> tuple[TermEstimate, ...]:
         """The joints' own terms, law by law; none for the external method."""
-        terms = () if self.drives is None else self.drives.terms
+        if self.drives is None:
+            return ()
+        names = places(self.drives.tree)
         return tuple(
             TermEstimate(
                 law=term.law,
-                joint=self.joints[term.joint],
+                joint=names[term.joint],
                 name=self.names[k],
                 unit=self.units[k],
                 value=float(self.values[k]),
                 sigma=float(self.sigma[k]),
             )
-            for k, term in enumerate(terms, start=self.minimal.count)
+            for k, term in enumerate(self.drives.terms, start=self.minimal.count)
         )
 
     @property

@@ -13,11 +13,11 @@ import numpy as np
 from scipy.linalg import null_space
 
 from testbed.arrays import Array
+from testbed.dynamics.drive_set import drive_set
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.noise.scaled import inverse_root
 from testbed.identification.rigid_bodies import sizes
 from testbed.parameters.barycentric import on_standard
-from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.friction import JointTerm
 from testbed.robot.tree import Tree
@@ -152,7 +152,7 @@ def _on_barycentric(tree: Tree, estimate: Estimate) -> tuple[Array, Array]:
     told = whole.matrix
     if drives is not None:
         laws = tuple(dict.fromkeys(term.law for term in drives.asked))
-        told = with_joint_terms(tree, whole, laws).matrix
+        told = drive_set(tree, whole, laws).matrix
     size = np.linalg.norm(told, axis=1, keepdims=True)
     told = told / size
     kept = np.array(told)

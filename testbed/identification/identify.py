@@ -9,17 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.coloured import Refined, under_coloured_noise
-from testbed.identification.counted import open_counted
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
 from testbed.identification.estimate import (
@@ -43,21 +42,24 @@ from testbed.identification.instrument import (
     trace_tests,
 )
 from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_speed import with_speed
+from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
+from testbed.identification.term_choice import with_all_terms
 from testbed.identification.weights import noise_weights
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import Question, products_wanted
-from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import check_robot
+from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.recordings.source import Source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 
@@ -100,19 +102,18 @@ def identify(
     """
     if method not in METHODS:
         raise UnknownName("method", method, METHODS)
-    said: dict[str, Any] = {} if zeros is None else {"zeros": zeros}
-    settings = replace(settings or Settings(), **said)
-    source = open_counted(recording, settings)
+    source = on_its_base(open_counted(recording, settings or Settings()), tree)
     check_source(source, tree, method)
-    tree = in_its_gravity(tree, source, gravity)
-    minimal = minimal_set(tree, MODEL_OF[method], zeros=settings.zeros)
-    if method == "internal" and settings.open_speed:
-        settings = with_speed(tree, source, minimal, settings, threads, progress)
-    drives = None if method == "external" else with_joint_terms(tree, minimal, settings.laws)
+    settings = _fitting(settings or Settings(), source, method, zeros)
+    tree = with_gear(in_its_gravity(tree, source, gravity), source)
+    minimal = set_of(tree, method, settings)
+    drives, choice = None, None
+    if method == "internal":
+        settings, choice = with_all_terms(tree, source, minimal, settings, threads, progress)
+        drives = drive_set(tree, minimal, settings.words)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
-    channels = channels_of(tree, method)
-    tare = tare_of(tree, source)
+    channels, tare = channels_of(tree, method), tare_of(tree, source)
 
     def begin(source: Source) -> Start:
         plan = make_plan(source, rows, tare, settings)
@@ -135,10 +136,34 @@ def identify(
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
         plain = _estimate(method, tree, equations, found, minimal, drives)
-        estimate = _with_instrument(plain, rows, beside, taken_back.values, found)
+        told = _with_instrument(plain, rows, beside, taken_back.values, found)
+        estimate = replace(told, choice=choice)
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
     warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
     return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
+
+
+def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
+    """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        method: By plate or by torques.
+        settings: Which parameters are zero, and whether the tare is known.
+    """
+    tared = method == "external" and settings.tare == "unknown"
+    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
+
+
+def _fitting(
+    settings: Settings, source: Source, method: Method, zeros: bool | Sequence[str] | None
+) -> Settings:
+    """Settings with filters that fit the recording, and a zero that nobody knows."""
+    if zeros is not None:
+        settings = replace(settings, zeros=zeros)
+    if method == "external" and settings.tare == "unknown" and "bias" not in settings.nuisances:
+        settings = replace(settings, nuisances=(*settings.nuisances, "bias"))
+    return settings.fitted(source.rate)
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:
@@ -206,6 +231,12 @@ def _layout(
         )
     if drives is not None:
         warnings += _not_asked_for(tree, settings)
+    passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
+    if drives is None and passing and len(segments_of(source)) > 1:
+        warnings.append(
+            f"{' and '.join(passing)} are one for all recordings: of a plate that was zeroed "
+            "between them, identify each alone"
+        )
     return rows, warnings
 
 

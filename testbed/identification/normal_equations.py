@@ -6,8 +6,8 @@ second look at the samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -56,6 +56,20 @@ class NormalEquations:
         """Of one channel alone: X' X, (p, p), X' y, (p,), and y' y."""
         at = (c, c) if self.joined else (c,)
         return self.normal[at], self.right[at], float(self.square[at])
+
+    def of_unknowns(self, kept: Sequence[int]) -> NormalEquations:
+        """The same without the other unknowns.
+
+        Args:
+            kept: Numbers of those that stay.
+        """
+        at = np.array(kept, dtype=np.int64)
+        return replace(
+            self,
+            unknowns=tuple(self.unknowns[k] for k in kept),
+            normal=self.normal[..., at[:, None], at],
+            right=self.right[..., at],
+        )
 
     def matrix(self, weights: Array) -> Array:
         """X' W X, (p, p).

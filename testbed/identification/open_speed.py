@@ -12,6 +12,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.dynamics.drive_set import drive_set
 from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress
@@ -20,7 +21,7 @@ from testbed.identification.weights import noise_weights
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import products_wanted
-from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.recordings.source import Source
 from testbed.robot.friction import STRIBECK, stribeck
@@ -53,8 +54,8 @@ def with_speed(
     """
 
     def best(speeds: tuple[float, ...]) -> int:
-        laws = (*settings.laws, *(stribeck(speed) for speed in speeds))
-        drives = with_joint_terms(tree, minimal, laws)
+        laws = (*settings.words, *(stribeck(speed) for speed in speeds))
+        drives = drive_set(tree, minimal, laws)
         rows = layout(tree.without_inertias(), minimal, drives.terms, False)
         passes = Passes(make_plan(source, rows, np.zeros(6), settings), threads, progress, 1)
         with one_blas_thread():
@@ -67,7 +68,8 @@ def with_speed(
     low, high = SPEEDS[max(first - 1, 0)], SPEEDS[min(first + 1, len(SPEEDS) - 1)]
     closer = tuple(float(f"{speed:.3g}") for speed in np.geomspace(low, high, CLOSER))
     found = f"{STRIBECK}@{closer[best(closer)]:g}"
-    return replace(settings, terms=[found if t == STRIBECK else t for t in settings.terms])
+    asked = settings.terms or ()
+    return replace(settings, terms=[found if term == STRIBECK else term for term in asked])
 
 
 def _with_one(equations: NormalEquations, drives: DriveSet, speed: float) -> NormalEquations:
@@ -77,13 +79,7 @@ def _with_one(equations: NormalEquations, drives: DriveSet, speed: float) -> Nor
     for k, term in enumerate(drives.terms, start=drives.minimal.count):
         if not term.law.kind.startswith(kind) or term.law == ours:
             kept.append(k)
-    at = np.array(kept)
-    return replace(
-        equations,
-        unknowns=tuple(equations.unknowns[k] for k in kept),
-        normal=equations.normal[..., at[:, None], at],
-        right=equations.right[..., at],
-    )
+    return equations.of_unknowns(kept)
 
 
 def _cost(equations: NormalEquations) -> float:

@@ -94,10 +94,14 @@ class Passes:
             combined: How the unknowns' columns are combined, (p, q).
             beside: Makes the further columns of a window, (C, rows, s).
         """
-        layout = self.plan.layout
+        layout, done = self.plan.layout, 0
         lead = layout.basis @ combined
-        for blocks, further in self._pass(partial(self._rows, beside)):
-            first = 0
+        answers = self._pass(partial(self._rows, beside))
+        for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
+            if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
+                none = np.zeros((layout.width, window.row - done, lead.shape[1]))
+                yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
+            done, first = window.row + window.rows, 0
             for block in blocks:
                 columns = np.empty((layout.width, block.shape[1], lead.shape[1]))
                 for c, own in enumerate(layout.channels):

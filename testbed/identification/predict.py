@@ -20,6 +20,7 @@ from testbed.identification.filters import motion_taps
 from testbed.identification.identify import in_its_gravity, tare_of
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
+from testbed.robot.friction import term_torque
 from testbed.robot.tree import Tree
 
 
@@ -37,7 +38,8 @@ def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[M
         whole = slice(0, recording.samples)
         rates = recording.velocity, recording.acceleration
         return Motion(recording.time, recording.position, *rates), whole
-    taps = motion_taps(recording.rate, (settings or Settings()).position_low_pass)
+    fitted = (settings or Settings()).fitted(recording.rate)
+    taps = motion_taps(recording.rate, fitted.position_low_pass)
     reach = taps.shape[1] // 2
     inner = slice(reach, recording.samples - reach)
     if recording.samples <= 2 * reach:
@@ -114,9 +116,11 @@ def own_torque(motion: Motion, estimate: Estimate) -> Array:
         estimate: Of either method; the external one knows none.
     """
     found = np.zeros_like(motion.qd)
-    for term in estimate.joint_terms:
-        j = estimate.joints.index(term.joint)
-        found[:, j] += term.value * term.law.columns(motion.qd[:, j], motion.qdd[:, j])
+    drives = estimate.drives
+    if drives is not None:
+        own = estimate.values[estimate.minimal.count :]
+        for term, value in zip(drives.terms, own, strict=True):
+            found += value * term_torque(drives.tree, term, motion.qd, motion.qdd)
     return found
 
 

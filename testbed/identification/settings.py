@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,13 +12,28 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
 from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
-from testbed.robot.friction import STRIBECK, JointLaw, joint_law
+from testbed.robot.friction import STRIBECK, JointLaw, law_of
 
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
 
-Cutoff = float | Literal["off"]
-"""A frequency [Hz], or "off"."""
+USUAL = ("coulomb", "viscous")
+"""Terms of which nothing else is said."""
+
+FIT: Final = "fit"
+"""A filter that fits the sampling rate."""
+
+AUTO = "auto"
+"""Terms that held-out data choose."""
+
+Cutoff = float | Literal["off", "fit"]
+"""A frequency [Hz], or "off", or what the sampling rate allows."""
+
+POSITION_CUTOFF, ROW_CUTOFF = 40.0, 5.0
+"""Where the sampling rate allows them [Hz]."""
+
+SLOWEST_ROWS = 0.1
+"""Share of a sampling rate up to which differences of positions are good derivatives."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +47,14 @@ class Settings:
     """Barycentric parameters that are known to be zero: true for all that are zero in the
     model file, or their names, such as "mb1x" or "K2xy"."""
 
-    position_cutoff: Cutoff | None = 40.0
+    position_cutoff: Cutoff | None = "fit"
     """Low-pass on encoder positions before they are differentiated [Hz], or "off". At least
-    twice `cutoff`: what it takes from the motion would bias the estimate."""
+    twice `cutoff`: what it takes from the motion would bias the estimate. By default 40 Hz, or
+    none where the sampling is too slow for that."""
 
-    cutoff: Cutoff | None = 5.0
-    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off"."""
+    cutoff: Cutoff | None = "fit"
+    """Low-pass on the regressor's columns and the measurement alike [Hz], or "off". By default
+    5 Hz, or a tenth of the sampling rate where that is less."""
 
     deadband: float = 0.02
     """Rows of joints that are slower do not count: dry friction there has no sign
@@ -48,10 +65,12 @@ class Settings:
     filter on rows spreads dry friction's jump [s]. Default: as far as all but 3 % of the
     filter's weight reaches, 0.15 s at 5 Hz."""
 
-    terms: Sequence[str | JointLaw] = ("coulomb", "viscous")
+    terms: Sequence[str | JointLaw] | Literal["auto"] | None = None
     """What a joint's torque holds besides the forces that move the bodies: "coulomb", "viscous",
     "offset", "rotor", "asymmetric", "quadratic", "square_root", and "stribeck@0.1", friction that
-    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py)."""
+    fades out at 0.1 rad/s; "stribeck" looks for the speed, too (testbed/robot/friction.py). Each
+    holds at all joints and at all shafts that couple some, "rotor/elbow" at that one. "auto" lets
+    held-out data choose. Default: "coulomb" and "viscous", and "offset" of imported recordings."""
 
     weights: Literal["channels", "full"] | Sequence[Sequence[float]] = "channels"
     """Weights of the channels: "channels", by each one's own noise; "full", by the covariance
@@ -65,6 +84,11 @@ class Settings:
     nuisances: Sequence[str] = ()
     """What of the instrument is unknown beside the parameters, for the external method: "bias",
     "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare" (docs/uncertainty.md)."""
+
+    tare: Literal["known", "unknown"] = "known"
+    """Whether it is known what of the wrench is the pedestal's. If not, the plate tells only how
+    its wrench changes: the parameters are those of the tared set, and "bias" is among the
+    nuisances."""
 
     known: Mapping[str, float | Sequence[float]] = field(default_factory=dict, hash=False)
     """What is known exactly, or with a sigma: a value, or value and sigma, by name. "mass" is that
@@ -95,6 +119,7 @@ class Settings:
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
             "span": _span(self.span),
             "nuisances": _nuisances(self.nuisances),
+            "tare": _one_of("tare", self.tare, ("known", "unknown")),
             "known": stated_values(self.known),
         }
         for name, value in checked.items():
@@ -113,22 +138,41 @@ class Settings:
     @property
     def position_low_pass(self) -> float | None:
         """Cutoff of the low-pass on positions [Hz]; None for none."""
-        return _hertz(self.position_cutoff)
+        return _hertz(self.position_cutoff, POSITION_CUTOFF)
 
     @property
     def row_low_pass(self) -> float | None:
         """Cutoff of the low-pass on rows [Hz]; None for none."""
-        return _hertz(self.cutoff)
+        return _hertz(self.cutoff, ROW_CUTOFF)
+
+    def fitted(self, rate: float) -> Settings:
+        """The same with filters that fit a recording.
+
+        Args:
+            rate: Samples a second [Hz].
+        """
+        rows = min(ROW_CUTOFF, SLOWEST_ROWS * rate) if self.cutoff == FIT else self.cutoff
+        positions: Cutoff | None = self.position_cutoff
+        if positions == FIT:
+            positions = POSITION_CUTOFF if rate / 2 > POSITION_CUTOFF else "off"
+        return replace(self, cutoff=rows, position_cutoff=positions)
 
     @property
     def laws(self) -> tuple[JointLaw, ...]:
         """The terms as laws of the joints' torque; of one with an open speed, none yet."""
-        return tuple(joint_law(t) if isinstance(t, str) else t for t in self.terms if t != STRIBECK)
+        return tuple(dict.fromkeys(law_of(term) for term in self.words))
+
+    @property
+    def words(self) -> tuple[str | JointLaw, ...]:
+        """The terms but for one with an open speed: "rotor" of all joints, "rotor/elbow" of one."""
+        if self.terms is None or isinstance(self.terms, str):
+            return USUAL
+        return tuple(term for term in self.terms if term != STRIBECK)
 
     @property
     def open_speed(self) -> bool:
         """Whether the speed at which friction fades out is to be found."""
-        return STRIBECK in self.terms
+        return self.terms is not None and STRIBECK in self.terms
 
     @property
     def facts(self) -> dict[str, tuple[float, float]]:
@@ -146,7 +190,9 @@ class Settings:
         return None if isinstance(self.weights, str) else np.array(self.weights, dtype=float)
 
 
-def _hertz(cutoff: Cutoff | None) -> float | None:
+def _hertz(cutoff: Cutoff | None, fit: float) -> float | None:
+    if cutoff == FIT:
+        return fit
     return None if cutoff is None or isinstance(cutoff, str) else cutoff
 
 
@@ -162,6 +208,8 @@ def _zeros(given: object) -> bool | tuple[str, ...]:
 def _cutoff(name: str, given: object) -> Cutoff:
     if given is None or given == "off":
         return "off"
+    if given == FIT:
+        return FIT
     number = finite_number(given)
     if number is None or number <= 0:
         raise SettingsError(f'{name} is a positive frequency [Hz] or "off", found {given!r}')
@@ -192,15 +240,17 @@ def _span(given: object) -> tuple[float, float] | None:
     return numbers[0], numbers[1]
 
 
-def _terms(given: Sequence[str | JointLaw]) -> tuple[str | JointLaw, ...]:
+def _terms(given: object) -> tuple[str | JointLaw, ...] | str | None:
+    if given is None or given == AUTO:
+        return AUTO if given else None
     if isinstance(given, str) or not isinstance(given, Sequence):
-        raise SettingsError(f"terms is a list of names, found {given!r}")
+        raise SettingsError(f'terms is a list of names, or "auto", found {given!r}')
     kinds = []
     for term in given:
         if not isinstance(term, str | JointLaw):
             raise SettingsError(f"terms is a list of names, found {term!r} in it")
-        if isinstance(term, str) and term != STRIBECK:
-            term = joint_law(term)
+        if term != STRIBECK:
+            law_of(term)
         kinds.append(term if isinstance(term, str) else term.kind)
     if len(set(kinds)) < len(kinds):
         raise SettingsError(f"terms names something twice: {', '.join(kinds)}")

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.dynamics.drive_set import drive_set
 from testbed.errors import SettingsError
 from testbed.identification.estimate import MODEL_OF, Estimate, Method
 from testbed.identification.finding import components, few
 from testbed.identification.nuisances.corrected import lastingly_corrected
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout, layout
-from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
@@ -83,8 +83,9 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
         SettingsError: They are not those of this robot, gravity and settings.
     """
     model = MODEL_OF[said.method]
-    minimal = minimal_set(tree, model, zeros=settings.zeros)
-    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros)
+    tared = said.method == "external" and settings.tare == "unknown"
+    minimal = minimal_set(tree, model, zeros=settings.zeros, tared=tared)
+    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros, tared=tared)
     if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
         raise SettingsError(
             f"the estimate was made under gravity {components(said.gravity)}, the recording has "
@@ -92,7 +93,7 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
         )
     drives = None
     if said.method == "internal":
-        drives = with_joint_terms(tree, minimal, settings.laws)
+        drives = drive_set(tree, minimal, settings.words)
     names = minimal.names if drives is None else drives.names
     if names != said.names:
         extra = [name for name in said.names if name not in names]

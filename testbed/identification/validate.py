@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.counted import open_counted
 from testbed.identification.estimate import (
     Estimate,
     Method,
@@ -29,11 +28,15 @@ from testbed.identification.estimate import (
 from testbed.identification.finding import Finding, in_lines
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated, as_estimated, rows_of, stated
+from testbed.identification.term_choice import as_settled, with_usual_terms
 from testbed.identification.windows import make_plan
 from testbed.kernel.records import products_wanted
+from testbed.recordings.coupled_gear import with_gear
+from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
@@ -142,9 +145,11 @@ def validate(
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
     settings = settings or Settings()
-    source = open_counted(recording, settings)
+    source = on_its_base(open_counted(recording, settings), tree)
     check_source(source, tree, said.method)
-    tree = in_its_gravity(tree.with_gravity(said.gravity), source, gravity)
+    tree = with_gear(in_its_gravity(tree.with_gravity(said.gravity), source, gravity), source)
+    made = [] if isinstance(estimate, Stated) else [estimate]
+    settings = with_usual_terms(as_settled(settings, made), source)
     rows = rows_of(tree, said, settings)
     channels = channels_of(tree, said.method)
     if len(said.residual) != len(channels):

@@ -25,7 +25,7 @@ from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.recordings.source import Source, segments_of
 
 ROWS_PER_CUTOFF = {"white": 4.0, "ar": 2.0}
 """Rows kept a second per Hz of the parallel filter's cutoff: for an autoregression as many as
@@ -68,7 +68,7 @@ class Plan:
         deadband: Joints at lower speeds rest [rad/s or m/s].
         rest_reach: Rows of a joint that rests within so many samples do not count.
         step: Samples from row to row.
-        rows: Number of rows.
+        spans: Rows that no gap of the source touches: the first of each run, and how many.
     """
 
     source: Source
@@ -79,7 +79,13 @@ class Plan:
     deadband: float
     rest_reach: int
     step: int
-    rows: int
+    spans: tuple[tuple[int, int], ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows, those that gaps leave out counted: they are zero."""
+        first, number = self.spans[-1]
+        return first + number
 
     @property
     def reach(self) -> int:
@@ -95,12 +101,15 @@ class Plan:
         """All rows in order, in windows of whole blocks: the same whatever the source."""
         block = self.layout.rows.block
         size = max(1, WINDOW // (block * self.step)) * block
-        for row in range(0, self.rows, size):
-            rows = min(size, self.rows - row)
-            first = row * self.step
-            last = first + (rows - 1) * self.step + 2 * self.reach + 1
-            # one more, so that every step of time is within some window
-            yield Window(row, rows, first, min(last + 1, self.source.samples))
+        ends = [last for _, last in segments_of(self.source)]
+        for begin, number in self.spans:
+            for row in range(begin, begin + number, size):
+                rows = min(size, begin + number - row)
+                first = row * self.step
+                last = first + (rows - 1) * self.step + 2 * self.reach + 1
+                end = min(end for end in ends if end >= last)
+                # one more, so that every step of time is within some window
+                yield Window(row, rows, first, min(last + 1, end))
 
     @property
     def looked_at(self) -> frozenset[int]:
@@ -117,7 +126,7 @@ class Plan:
 
     def own(self, window: Window) -> int:
         """How many of a window's samples come before the next window's first."""
-        last = window.row + window.rows == self.rows
+        last = any(window.row + window.rows == sum(span) for span in self.spans)
         return window.last - window.first if last else window.rows * self.step
 
     def signals(self, part: Recording, window: Window) -> Signals:
@@ -155,6 +164,7 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         RecordingError: The recording is too short, or sampled too slowly.
     """
     rate, sensed = source.rate, source.senses_kinematics
+    settings = settings.fitted(rate)
     slow, position = settings.row_low_pass, None if sensed else settings.position_low_pass
     fast = [cutoff for cutoff in (slow, position) if cutoff is not None and cutoff >= rate / 2]
     if fast:
@@ -163,8 +173,10 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         )
     far = low_pass_reach(rate, slow, ROW_ATTENUATION)
     far += low_pass_reach(rate, position, POSITION_ATTENUATION)
-    if 2 * far >= source.samples:  # before weights are made: they could be endless
-        raise _too_short(source, far)
+    segments = segments_of(source)
+    lengths = [last - first for first, last in segments]
+    if 2 * far >= max(lengths):  # before weights are made: they could be endless
+        raise _too_short(source, int(np.argmax(lengths)), far)
     unit = np.array([[1.0], [0.0], [0.0]])
     taps = unit if sensed else motion_taps(rate, position)
     weights = row_weights(rate, slow)
@@ -174,16 +186,27 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         if slow is None
         else int((1 + 1e-9) * rate / (ROWS_PER_CUTOFF[settings.noise] * slow)) or 1
     )
-    rows = len(range(reach, source.samples - reach, step))
-    if rows < 2:
-        raise _too_short(source, reach)
+    spans = tuple(_rows_in(segment, reach, step) for segment in segments)
+    short = [k for k, (_, rows) in enumerate(spans) if rows < 2]
+    if short:
+        raise _too_short(source, short[0], reach)
     deadband = settings.deadband if layout.model == "dynamic" else 0.0
     nearby = reversal_samples(weights, settings.reversal_reach, rate)
-    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, rows)
+    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, spans)
 
 
-def _too_short(source: Source, reach: float) -> RecordingError:
+def _rows_in(segment: tuple[int, int], reach: int, step: int) -> tuple[int, int]:
+    """The first row whose samples are all of one segment, and how many there are."""
+    first = -(-segment[0] // step)
+    return first, len(range(first * step + 2 * reach, segment[1], step))
+
+
+def _too_short(source: Source, number: int, reach: float) -> RecordingError:
+    """What to say of the segment of a number."""
+    segments = segments_of(source)
+    first, last = segments[number]
+    which = "the recording" if len(segments) == 1 else f"recording {number + 1}"
     return RecordingError(
-        f"the recording lasts {source.samples / source.rate:.3g} s, too short: the filters take "
+        f"{which} lasts {(last - first) / source.rate:.3g} s, too short: the filters take "
         f"{reach / source.rate:.3g} s at each end; record longer or raise the cutoff frequencies"
     )

@@ -22,6 +22,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.shafts import shares
 from testbed.robot.tree import Tree
 
 TINY = 1e-13
@@ -65,8 +66,8 @@ class Layout:
 
     @property
     def compiles(self) -> bool:
-        """Whether the compiled kernel knows all columns: those of laws in LAWS."""
-        return all(term.law in LAWS for term in self.terms)
+        """Whether the compiled kernel knows all columns: those of laws in LAWS, at joints."""
+        return all(term.law in LAWS and term.joint < self.tree.n for term in self.terms)
 
 
 def layout(
@@ -82,7 +83,7 @@ def layout(
     """
     frames = canonical(tree)
     turns = frames.to_canonical()
-    picked, lead = _columns(turns, minimal)
+    picked, lead = _columns(turns, minimal, whole=tree.floating)
     own = len(terms)
     basis = np.zeros((len(picked) + own, minimal.count + own))
     basis[: len(picked), : minimal.count] = lead
@@ -92,12 +93,13 @@ def layout(
         entry = ORDER.index(parameter % 10)
         places[frames.place[parameter // 10]].append((entry, column))
     draft = Draft(frames, [sorted(each) for each in places])
+    turn = shares(tree)
     if minimal.model == "dynamic":
         for j, link in enumerate(frames.place):
             extra = [
                 (LAWS.index(term.law) if term.law in LAWS else UNKNOWN, len(picked) + k)
                 for k, term in enumerate(terms)
-                if term.joint == j
+                if turn[term.joint, j]
             ]
             draft.channel(link, frames.links[link].slides, extra)
     else:
@@ -151,16 +153,17 @@ def _robot(frames: Canonical, gravity: Array) -> Robot:
     )
 
 
-def _columns(turn: Array, minimal: MinimalSet) -> tuple[list[int], Array]:
+def _columns(turn: Array, minimal: MinimalSet, *, whole: bool) -> tuple[list[int], Array]:
     """Canonical parameters to take as columns, and how they make up the minimal ones.
 
     As many as there are minimal parameters where their span allows it, else all that the
-    lift needs. Returns indices among the 10 n, and (P, N).
+    lift needs; with `whole` always these, since the masses of a free base's coordinates are one.
+    Returns indices among the 10 n, and (P, N).
     """
     lift = np.einsum("jab,jbn->jan", turn, minimal.lift.reshape(len(turn), 10, -1))
     lift = lift.reshape(10 * len(turn), -1)
     needed = np.flatnonzero(np.abs(lift).max(axis=1) > TINY)
-    if len(needed) > minimal.count:
+    if len(needed) > minimal.count and not whole:
         back = np.linalg.inv(turn)
         allowed = ~(np.abs(back) * minimal.known_zero[:, :, None] > TINY).any(axis=1).ravel()
         seen = np.einsum("njb,jbc->njc", minimal.matrix.reshape(-1, len(turn), 10), back)

@@ -12,6 +12,7 @@ from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Question, Signals, Sums, blocks, sums_for
+from testbed.robot.shafts import at_places, shares
 
 SAMPLES = 1024
 """Samples taken at once."""
@@ -109,14 +110,16 @@ def _unfiltered(layout: Layout, signals: Signals, first: int, motion: Motion) ->
     """Rows at consecutive samples, (slots, samples)."""
     joints, base = linear(layout.tree, motion, layout.theta, layout.gravity)
     phi = joints if layout.model == "dynamic" else base  # (samples, channels, columns)
-    own = {term.law: term.law.columns(motion.qd, motion.qdd) for term in layout.terms}
+    turn = shares(layout.tree)
+    turning = at_places(layout.tree, motion.qd), at_places(layout.tree, motion.qdd)
+    own = {term.law: term.law.columns(*turning) for term in layout.terms}
     y = np.zeros((layout.rows.slots, motion.samples))
     for c, columns in enumerate(layout.channels):
         at, bodies = layout.rows.start[c], columns[columns < phi.shape[2]]
         y[at : at + len(bodies)] = phi[:, c, bodies].T
         for k, column in enumerate(columns[len(bodies) :]):
             term = layout.terms[column - phi.shape[2]]
-            y[at + len(bodies) + k] = own[term.law][:, term.joint]
+            y[at + len(bodies) + k] = turn[term.joint, c] * own[term.law][:, term.joint]
         y[layout.rows.measured[c]] = signals.measured[first : first + motion.samples, c]
     return y
 

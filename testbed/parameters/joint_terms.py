@@ -12,7 +12,7 @@ Source    derived for this project (docs/minimal-sets.md)
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,7 +26,8 @@ from testbed.parameters.formulas import Lengths
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
-from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_law, joint_terms
+from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_terms
+from testbed.robot.shafts import places
 from testbed.robot.tree import Tree
 
 
@@ -42,13 +43,14 @@ class DriveSet:
         asked: All terms, law by law, each in tree order.
         terms: Those with a column of their own, in the same order.
         columns: What a unit of every asked term adds to the unknowns, (count, asked).
+        tree: The robot; only its geometry and its shafts matter.
     """
 
     minimal: MinimalSet
     asked: tuple[JointTerm, ...]
     terms: tuple[JointTerm, ...]
     columns: Array
-    _tree: Tree
+    tree: Tree
 
     @property
     def count(self) -> int:
@@ -76,7 +78,7 @@ class DriveSet:
     @property
     def units(self) -> tuple[str, ...]:
         """One an unknown."""
-        return (*self.minimal.units, *(term.unit(self._tree) for term in self.terms))
+        return (*self.minimal.units, *(term.unit(self.tree) for term in self.terms))
 
     @cached_property
     def matrix(self) -> Array:
@@ -112,14 +114,17 @@ class DriveSet:
             theta: Barycentric parameters, (n, 10).
             tree: Gives the coefficients of the terms.
         """
-        terms = [float(term.law.coefficients(tree)[term.joint]) for term in self.asked]
+        terms = [
+            float(term.law.coefficients(tree)[term.joint]) if term.joint < tree.n else 0.0
+            for term in self.asked
+        ]
         found: Array = self.columns @ np.array(terms)
         found[: self.minimal.count] += self.minimal.values(theta)
         return found
 
     def symbol(self, term: JointTerm) -> DriveSymbol:
         """Name of a term as a value: rotor/waist."""
-        return DriveSymbol(term.law.kind, self._tree.names[term.joint])
+        return DriveSymbol(term.law.kind, places(self.tree)[term.joint])
 
     def _added(self, unknown: int) -> Iterator[Term]:
         """Terms without a column of their own that add to an unknown."""
@@ -134,19 +139,20 @@ def with_joint_terms(tree: Tree, minimal: MinimalSet, laws: Sequence[str | Joint
     Args:
         tree: The robot; only its geometry matters.
         minimal: Its dynamic set.
-        laws: Of the joints' own torque, by name or as values; each holds at every joint.
-            Laws of one's own are taken for friction: functions of the velocity that are odd
-            in it.
+        laws: Of the joints' own torque, by name or as values; each holds at every joint, or, as
+            "rotor/elbow", at one. Laws of one's own are taken for friction: functions of the
+            velocity that are odd in it. Shafts are left out: see `drive_set`.
 
     Raises:
-        UnknownName: There is no such law.
+        UnknownName: There is no such law or joint.
         ValueError: The set is not the joint torques'.
     """
     if minimal.model != "dynamic":
         raise ValueError(f"joint terms belong to the dynamic set, this is the {minimal.model} one")
-    wanted = dict.fromkeys(joint_law(law) if isinstance(law, str) else law for law in laws)
-    asked = joint_terms(tree, wanted)
-    lone = _lone(tree, minimal.gravity, OFFSET in wanted) if ROTOR in wanted else {}
+    asked = tuple(term for term in joint_terms(tree, laws) if term.joint < tree.n)
+    rotors, offsets = ({t.joint for t in asked if t.law == law} for law in (ROTOR, OFFSET))
+    lone = _lone(tree, minimal.gravity, offsets) if rotors else {}
+    lone = {joint: force for joint, force in lone.items() if joint in rotors}
     merged = _merged(minimal, tuple(lone))
     terms = tuple(t for t in asked if t.law != ROTOR or t.joint not in merged.regrouped)
     place = {term: minimal.count + k for k, term in enumerate(terms)}
@@ -233,7 +239,7 @@ def _reduced(rows: Array) -> dict[int, Array]:
     return found
 
 
-def _lone(tree: Tree, gravity: Array, offsets: bool) -> dict[int, float]:
+def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, float]:
     """Joints whose own acceleration alone tells the inertia that it moves.
 
     Returns:
@@ -248,6 +254,6 @@ def _lone(tree: Tree, gravity: Array, offsets: bool) -> dict[int, float]:
             continue
         if heavy <= NEW * max(1.0, float(np.linalg.norm(each.weight))):
             found[j] = 0.0
-        elif offsets:
+        elif j in offsets:
             found[j] = float(weight @ inertia) / size**2
     return found

@@ -21,6 +21,7 @@ from testbed.parameters.formulas import Lengths, Namer
 from testbed.parameters.regroup import Body, regroup
 from testbed.parameters.rules import Model, Triad, across
 from testbed.parameters.symbols import Formula, Label
+from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 
 NO_MATTER = 1e-12
@@ -126,6 +127,8 @@ class MinimalSet:
         for k, parts in enumerate(self._elimination.directions):
             for body, numbers in parts.items():
                 lift[10 * body : 10 * body + 10, k] = numbers
+        if self._tree.floating:  # what carries the base's coordinates weighs as much as it carries
+            lift[: 10 * (FREE - 1) : 10] = lift[10 * (FREE - 1)]
         return readonly(lift, lift.shape, "lift")
 
     @cached_property
@@ -218,7 +221,7 @@ def minimal_set(
     known_zero = known_zeros(tree, zeros)
     bodies = regroup(tree, model, g)
     entries = list_entries(tree, bodies, model, g, tared)
-    if model == "reaction":
+    if model == "reaction" and not tree.floating:
         entries = dynamic_first(tree, entries, bodies, regroup(tree, "dynamic", g))
     chosen = eliminate(tree, bodies, entries, known_zero)
     return MinimalSet(model, g, tared, known_zero, tree, bodies, tuple(entries), chosen)

@@ -18,7 +18,8 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.parameters.barycentric import TENSOR, UPPER
 from testbed.parameters.mobility import mobilities
-from testbed.parameters.rules import Model, Row, rule
+from testbed.parameters.rules import Model, Row, base_rule, rule
+from testbed.robot.free_base import FREE
 from testbed.robot.tree import Joint, Tree
 
 _UPPER = tuple(zip(*UPPER, strict=True))
@@ -49,8 +50,9 @@ def regroup(tree: Tree, model: Model, gravity: Array) -> tuple[Body, ...]:
         gravity: In the bedplate frame, (3,) [m/s^2].
     """
     bodies = []
-    for joint, ahead in zip(tree.joints, mobilities(tree, gravity), strict=True):
-        row = rule(joint, ahead, model)
+    for j, (joint, ahead) in enumerate(zip(tree.joints, mobilities(tree, gravity), strict=True)):
+        of_base = tree.floating and j < FREE
+        row = base_rule(is_base=j == FREE - 1) if of_base else rule(joint, ahead, model)
         passing = migration(joint, row)
         gain = np.tensordot(np.concatenate([[1.0], joint.offset]), passing, 1)
         bodies.append(Body(row, passing, gain))
@@ -78,6 +80,8 @@ def migration(joint: Joint, row: Row) -> Array:
     K*^i = K^i + (migrating part of K^j) - (l~ b~ + b~ l~), where
     l~ b~ + b~ l~ = b l' + l b' - 2 (l . b) 1.
     """
+    if row.tensor == "none":
+        return np.zeros((4, 10, 10))
     turn = joint.rotation
     b = turn @ row.passed  # (3, 3): b = this times mb^j
     gains = np.zeros((4, 10, 10))

@@ -35,6 +35,8 @@ REASONS = {
     "4.4": "turns on a body that turns about another direction, too, all about one resting point",
     "5.1": "turns on a body that turns about another direction, too",
     "5.2": "turns on a body that turns about the axis only, or not at all",
+    "free": "the base of a robot whose root is free: all of it is seen",
+    "none": "a coordinate of a free base, that has no matter",
     "base": "the static wrench of all that stands on the bedplate",
 }
 """Why a parameter is in the set: what the joint does, by table and row."""
@@ -86,15 +88,34 @@ class Row:
         kept: The parameters kept for the joint, in printing order.
         passed: Projector onto the part of mb^j that migrates, frame j, (3, 3).
         tensor: How K^j migrates: "all" of it, or the "mean" of the two moments across
-            the axis, K_s of eq. (37).
+            the axis, K_s of eq. (37); or "none".
         triad: What components are named after, frame j.
     """
 
     number: str
     kept: tuple[Kept, ...]
     passed: Array
-    tensor: Literal["all", "mean"]
+    tensor: Literal["all", "mean", "none"]
     triad: Triad
+
+
+def base_rule(*, is_base: bool) -> Row:
+    """The row of a free base's coordinate: all ten of the base stay, others have nothing.
+
+    Args:
+        is_base: Whether it is the last coordinate, which moves the base itself.
+    """
+    if not is_base:
+        return Row("none", (), np.zeros((3, 3)), "none", _OWN)
+    pairs = [(a, b) for a in range(3) for b in range(a, 3)]
+    tensor = tuple(
+        Kept(((1.0, "K", "xyz"[a] + "xyz"[b]),), _tensor_form(u, v), part)
+        for a, b in pairs
+        for u, v in [(np.eye(3)[a], np.eye(3)[b])]
+        for part in [_tensor_part(u, v) * (1.0 if a == b else 2.0)]
+    )
+    mass = Kept(((1.0, "mbar", ""),), np.eye(10)[0], np.eye(10)[0])
+    return Row("free", (mass, *_moments(_OWN, 3), *tensor), np.zeros((3, 3)), "none", _OWN)
 
 
 def rule(joint: Joint, mobility: Mobility, model: Model) -> Row:

@@ -4,7 +4,8 @@ A file format knows nothing of robots: it yields columns and metadata (`Table`),
 rest of this room makes a recording of them.
 
 Columns   time, position/JOINT, velocity/JOINT, acceleration/JOINT, torque/JOINT, wrench/Fx
-          ... wrench/Mz; in simulated recordings truth/..., which no estimator reads
+          ... wrench/Mz, base/x ... base/qz; in simulated recordings truth/..., which no
+          estimator reads
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ PLATE_UNITS = ("N", "N", "N", "N m", "N m", "N m")
 JOINT_SIGNALS = ("position", "velocity", "acceleration", "torque")
 """What is measured joint by joint."""
 
-SIGNALS = ("time", *JOINT_SIGNALS, "wrench")
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+"""Of a base that moves: position [m] and quaternion of its frame on the ground."""
+
+SIGNALS = ("time", *JOINT_SIGNALS, "wrench", "base")
 """What is measured."""
 
 TRUE_SIGNALS = ("position", "velocity", "acceleration", "torque", "friction", "wrench")
@@ -78,6 +82,8 @@ def unit_of(column: str, kinds: Mapping[str, str]) -> str:
     signal, _, member = column.removeprefix("truth/").partition("/")
     if signal == "wrench":
         return axis_unit(member)
+    if signal == "base":
+        return "1" if member.startswith("q") else "m"
     return UNITS[kinds.get(member, "revolute")][signal]
 
 
@@ -85,6 +91,16 @@ def signal_of(column: str) -> str:
     """truth/position/elbow -> truth/position; position/elbow -> position; time -> time."""
     parts = column.split("/")
     return "/".join(parts[:2]) if parts[0] == "truth" else parts[0]
+
+
+def members_of(signal: str, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """What a signal's columns are of: the plate's channels, a pose's numbers, or joints.
+
+    Args:
+        signal: Of `SIGNALS`, those of the truth too.
+        joints: Their names.
+    """
+    return {"wrench": AXES, "base": POSE}.get(signal.removeprefix("truth/"), joints)
 
 
 def joints_in(columns: Sequence[str]) -> tuple[str, ...]:

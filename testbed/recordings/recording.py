@@ -18,11 +18,11 @@ from testbed.errors import RecordingError
 from testbed.files import replacing
 from testbed.recordings.checks import check_columns, checked_metadata
 from testbed.recordings.columns import (
-    AXES,
     JOINT_SIGNALS,
     SIGNALS,
     TRUE_SIGNALS,
     joints_in,
+    members_of,
     signal_of,
     unit_of,
 )
@@ -72,6 +72,8 @@ class Recording:
         acceleration: Where the instrument senses it, (M, n) [rad/s^2 or m/s^2].
         tare: Known static wrench of the pedestal that stands on the plate, (6,) [N, N m];
             None if the recording does not say: the model's pedestal is then assumed.
+        base: Position and quaternion (w, x, y, z) of a base that moves, on the ground, (M, 7)
+            [m]; the wrench is then the ground's, about the ground's origin.
         truth: What really happened, where a simulation made the recording.
         facts: What is known about the run: robot, model hash, seed, versions.
     """
@@ -84,12 +86,13 @@ class Recording:
     velocity: Array | None = None
     acceleration: Array | None = None
     tare: Array | None = None
+    base: Array | None = None
     truth: Truth | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         samples, n = len(self.time), len(self.names)
-        shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,)}
+        shapes = {"time": (samples,), "wrench": (samples, 6), "tare": (6,), "base": (samples, 7)}
         for name in (*SIGNALS, "tare"):
             value = getattr(self, name)
             if value is not None:
@@ -286,7 +289,7 @@ def _split(signal: str, values: Array, joints: tuple[str, ...]) -> dict[str, Arr
     """A signal's columns by name."""
     if signal == "time":
         return {signal: values}
-    members = AXES if signal == "wrench" else joints
+    members = members_of(signal, joints)
     return {f"{signal}/{member}": values[:, k] for k, member in enumerate(members)}
 
 
@@ -300,7 +303,7 @@ def _joined(
     """
     if signal == "time":
         return columns[signal]
-    keys = [f"{signal}/{m}" for m in (AXES if signal.endswith("wrench") else joints)]
+    keys = [f"{signal}/{member}" for member in members_of(signal, joints)]
     missing = [key for key in keys if key not in columns]
     if missing:
         raise RecordingError(f"{source}: channel '{missing[0]}' is missing")

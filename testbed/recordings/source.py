@@ -102,9 +102,25 @@ class Stretch:
         """Whether velocities and accelerations were sensed, both."""
         return self.whole.senses_kinematics
 
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        cut = [np.clip(s, self.first, self.last) - self.first for s in segments_of(self.whole)]
+        return tuple((int(first), int(last)) for first, last in cut if last > first)
+
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1 of the stretch, without the truth."""
         return self.whole.part(self.first + first, self.first + last)
+
+
+def segments_of(source: Source) -> tuple[tuple[int, int], ...]:
+    """Stretches without a gap: the first sample of each, and the one after its last.
+
+    Args:
+        source: One stretch, unless it says otherwise.
+    """
+    found: tuple[tuple[int, int], ...] = getattr(source, "segments", ((0, source.samples),))
+    return found
 
 
 def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:

@@ -55,7 +55,7 @@ def _terms(found: Consistent) -> Table:
     for term, value, sigma in zip(
         found.terms, found.coefficients, found.coefficient_sigma, strict=True
     ):
-        name = f"{term.law.kind}/{found.joints[term.joint]}"
+        name = f"{term.law.kind}/{found.places[term.joint]}"
         table.add_row(printable(name, 40), number_with_sigma(value, sigma, short=True))
     return table
 

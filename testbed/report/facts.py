@@ -9,6 +9,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
+from testbed.report.choice_table import choice_lines
 
 Facts = list[tuple[str, str]]
 
@@ -29,7 +30,8 @@ def asked(run: Run) -> Facts:
         facts.append(("model file", run.model.path.name))
         facts += [("held", held)] if (held := _held(run.model.lock)) else []
     facts += _of_recording(run) if run.experiment is None else _of_experiment(run.experiment)
-    return [*facts, ("identification", _treatment(run))]
+    chosen = [("terms", line) for line in choice_lines(run.estimates.values())]
+    return [*facts, ("identification", _treatment(run)), *chosen]
 
 
 def _held(lock: Mapping[str, float | None]) -> str:
@@ -87,7 +89,7 @@ def _of_experiment(experiment: Experiment) -> Facts:
 
 def _treatment(run: Run) -> str:
     """How the signals became equations."""
-    settings = run.settings
+    settings = run.settings.fitted(run.recording.rate)
     cutoffs = [
         cutoff if isinstance(cutoff, str) else f"{cutoff:g} Hz"
         for cutoff in (settings.position_cutoff, settings.cutoff)

@@ -17,6 +17,7 @@ from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import REASONS, Model
 from testbed.parameters.symbols import Formula, Label, summands
+from testbed.robot.shafts import places
 from testbed.robot.tree import Tree
 
 GLYPHS = ("·", "+", "#")
@@ -247,9 +248,10 @@ def _explained(found: Findings, lengths: Lengths) -> Iterator[str]:
 def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
     """Which terms of the joints have columns of their own, and where the others are."""
     for law in dict.fromkeys(term.law for term in drives.asked):
-        joints = [tree.names[term.joint] for term in drives.terms if term.law == law]
+        names = places(tree)
+        joints = [names[term.joint] for term in drives.terms if term.law == law]
         if joints:
-            whose = "every joint" if len(joints) == tree.n else ", ".join(joints)
+            whose = "every joint" if tuple(joints) == tree.names else ", ".join(joints)
             yield f"{law.kind}: a column of its own for {whose}"
     for term, column in drives.regrouped.items():
         holders = [name for name, share in zip(drives.names, column, strict=True) if share]

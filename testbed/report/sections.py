@@ -235,7 +235,7 @@ def _term_rows(run: Run) -> list[list[str]]:
     internal = run.estimates.get("internal")
     terms = () if internal is None else internal.joint_terms
     rows = []
-    for joint in run.tree.names:
+    for joint in dict.fromkeys((*run.tree.names, *(term.joint for term in terms))):
         for term in terms:
             if term.joint == joint:
                 truth = run.truths.get(term.name)

@@ -15,6 +15,7 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 from testbed.experiment.summary import validation_lines
+from testbed.report.choice_table import choice_lines
 from testbed.report.consistent_table import consistent_lines, consistent_tables
 from testbed.report.drive_table import drive_lines, drive_tables
 from testbed.report.payload_table import payload_lines, payload_table
@@ -85,7 +86,7 @@ def print_estimates(
     out = console()
     for table in result_tables(out, estimates, {}):
         out.print(table)
-    for line in quality_lines(estimates):
+    for line in [*quality_lines(estimates), *choice_lines(estimates)]:
         out.print(line, soft_wrap=True)
     if bodies is not None:
         for table in consistent_tables(bodies):

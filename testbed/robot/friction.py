@@ -20,6 +20,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import UnknownName
+from testbed.robot.shafts import places, shares
 from testbed.robot.tree import Joint, Tree
 
 
@@ -154,11 +155,11 @@ def stribeck(speed: float) -> JointLaw:
 
 @dataclass(frozen=True)
 class JointTerm:
-    """One law at one joint.
+    """One law at one joint, or at a shaft that turns with several.
 
     Attributes:
         law: Which.
-        joint: Index of the joint.
+        joint: Index of the joint; of a shaft, that among `places`.
     """
 
     law: JointLaw
@@ -166,16 +167,52 @@ class JointTerm:
 
     def name(self, tree: Tree) -> str:
         """Name of the coefficient: rotor/waist."""
-        return f"{self.law.kind}/{tree.names[self.joint]}"
+        return f"{self.law.kind}/{places(tree)[self.joint]}"
 
     def unit(self, tree: Tree) -> str:
         """Unit of the coefficient."""
-        return self.law.unit(tree.joints[self.joint])
+        shaft = self.joint - tree.n
+        joint = self.joint if shaft < 0 else tree.shafts[shaft].turns[0][0]
+        return self.law.unit(tree.joints[joint])
 
 
-def joint_terms(tree: Tree, laws: Iterable[JointLaw]) -> tuple[JointTerm, ...]:
-    """Every law at every joint, law by law."""
-    return tuple(JointTerm(law, j) for law in laws for j in range(tree.n))
+def joint_terms(tree: Tree, words: Iterable[str | JointLaw]) -> tuple[JointTerm, ...]:
+    """The terms that words ask for, law by law, each in the order of `places`.
+
+    Args:
+        tree: The robot.
+        words: A law, by name or as a value, holds at every joint and shaft; "rotor/elbow" holds
+            there alone. Offsets are the joints' alone: a shaft's is told from no two of those.
+
+    Raises:
+        UnknownName: There is no such law, joint or shaft.
+    """
+    names = places(tree)
+    wanted: dict[JointLaw, set[int]] = {}
+    for word in words:
+        law, place = (word, "") if isinstance(word, JointLaw) else _law_at(word)
+        if place and place not in names:
+            raise UnknownName(f"place of '{law.kind}'", place, names)
+        everywhere = range(tree.n if law == OFFSET else len(names))
+        wanted.setdefault(law, set()).update([names.index(place)] if place else everywhere)
+    return tuple(JointTerm(law, k) for law, at in wanted.items() for k in sorted(at))
+
+
+def _law_at(word: str) -> tuple[JointLaw, str]:
+    kind, _, place = word.partition("/")
+    return joint_law(kind), place
+
+
+def law_of(word: str | JointLaw) -> JointLaw:
+    """The law of a word such as "rotor" or "rotor/elbow".
+
+    Args:
+        word: Or the law itself.
+
+    Raises:
+        UnknownName: There is no such law.
+    """
+    return word if isinstance(word, JointLaw) else _law_at(word)[0]
 
 
 def joint_law(kind: str) -> JointLaw:
@@ -191,6 +228,19 @@ def joint_law(kind: str) -> JointLaw:
     if kind not in known:
         raise UnknownName("term of a joint's torque", kind, (*known, f"{STRIBECK}@0.1"))
     return known[kind]
+
+
+def term_torque(tree: Tree, term: JointTerm, qd: Array, qdd: Array) -> Array:
+    """What a unit of a term's coefficient adds to the joints' torques, (M, n) [N m or N].
+
+    Args:
+        tree: The robot.
+        term: At a joint or a shaft.
+        qd: Joint velocities, (M, n) [rad/s or m/s].
+        qdd: Joint accelerations, (M, n) [rad/s^2 or m/s^2].
+    """
+    turn = shares(tree)[term.joint]
+    return np.outer(term.law.columns(qd @ turn, qdd @ turn), turn)
 
 
 def _is_speed(text: str) -> bool:

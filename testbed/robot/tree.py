@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.errors import ModelError, UnknownName
 from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.shafts import Shaft
 
 Kind = Literal["revolute", "prismatic"]
 
@@ -164,6 +165,8 @@ class Tree:
         pedestal: What is welded to the bedplate, in the bedplate frame; known, not moving.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
         warnings: What was accepted on loading although it is wrong, one line each.
+        shafts: Motor shafts that turn with several joints.
+        floating: Whether the first six joints are the coordinates of a free base.
     """
 
     name: str
@@ -172,6 +175,8 @@ class Tree:
     pedestal: Inertia = NOTHING
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     warnings: tuple[str, ...] = ()
+    shafts: tuple[Shaft, ...] = ()
+    floating: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gravity", readonly(self.gravity, (3,), "gravity"))

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.finding import Finding, few
+from testbed.recordings.columns import AXES
 from testbed.robot.tree import Tree
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.search import Reading
@@ -23,8 +24,22 @@ WHAT = {
     "position_order": "positions in another order of joints",
     "torque_order": "torques in another order of joints",
     "joint_order": "joints in another order",
+    "radians": "radians taken for degrees",
+    "force_unit": "another unit of the plate's forces",
+    "moment_unit": "another unit of the plate's moments",
+    "plate_order": "the plate's columns in another order",
 }
 """By the kind of mistake."""
+
+OTHER_UNIT = {
+    ("N", 1e-3): "kN",
+    ("kN", 1e3): "N",
+    ("N m", 1e3): "N mm",
+    ("N m", 1e-3): "kN m",
+    ("N mm", 1e-3): "N m",
+    ("kN m", 1e3): "N m",
+}
+"""What a unit was taken for, and how many times too large its numbers came out."""
 
 
 def mistake_finding(
@@ -127,23 +142,40 @@ def _line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
     n = tree.n
     signal = "torque" if mistake.kind.startswith("torque") else "position"
     table = mapping.get(signal, {})
-    if mistake.kind == "wrench_sense":
-        said = mapping.get("wrench", {}).get("sense")
-        return f'[wrench] sense = "{"on_plate" if said == "on_robot" else "on_robot"}"'
+    if mistake.kind in ("wrench_sense", "force_unit", "moment_unit", "plate_order"):
+        return _plate_line(mistake, mapping.get("wrench", {}))
     if mistake.kind.endswith("sign"):
         if "matrix" in table:
             return f"turn the signs of these joints' rows in the matrix of [{signal}]"
         return "; ".join(_turned(tree, mistake, key, signal, mapping) for key in _keys(table))
-    if mistake.kind == "degrees":
-        units = ["deg" if k in mistake.joints else "rad" for k in range(n)]
-        every = all(unit == "deg" for unit in units)
-        return f"[position] unit = {json.dumps('deg' if every else units)}"
+    if mistake.kind in ("degrees", "radians"):
+        right, other = ("deg", "rad") if mistake.kind == "degrees" else ("rad", "deg")
+        units = [right if k in mistake.joints else other for k in range(n)]
+        every = all(unit == right for unit in units)
+        return f"[position] unit = {json.dumps(right if every else units)}"
     if mistake.kind == "zero":
         offsets = _by_name(tree, table.get("offset"), mapping, 0.0)
         for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
             offsets[joint] += angle
         return f"[position] offset = {_numbers(_by_mapping(tree, offsets, mapping))}"
     return _order_line(tree, mistake, mapping)
+
+
+def _plate_line(mistake: Mistake, table: Mapping[str, Any]) -> str:
+    """What to write of the plate's sense, units or columns."""
+    if mistake.kind == "wrench_sense":
+        other = "on_plate" if table.get("sense") == "on_robot" else "on_robot"
+        return f'[wrench] sense = "{other}"'
+    if mistake.kind == "plate_order":
+        columns = table.get("columns", AXES)
+        if len(columns) != len(AXES):
+            columns = AXES
+        return f"[wrench] columns = {json.dumps([columns[k] for k in mistake.order])}"
+    place = 0 if mistake.kind == "force_unit" else 1
+    units = list(table.get("units", ("N", "N m")))
+    units[place] = OTHER_UNIT.get((units[place], mistake.factor), f"{units[place]} of another size")
+    times = f"{mistake.factor:g} times what they should be"
+    return f"[wrench] units = {json.dumps(units)}: {('forces', 'moments')[place]} are {times}"
 
 
 def _keys(table: Mapping[str, Any]) -> tuple[str, ...]:
@@ -196,6 +228,17 @@ def _by_mapping(tree: Tree, values: Sequence[Any], mapping: Mapping[str, Any]) -
     """A list in the order of the tree's joints, in the mapping's own order."""
     found = dict(zip(tree.names, values, strict=True))
     return [found[name] for name in mapping.get("joints", tree.names)]
+
+
+def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
+    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
+
+    Args:
+        tree: The robot.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    said = mapping.get("position", {}).get("offset")
+    return np.array(_by_name(tree, said, mapping, 0.0), dtype=np.float64)
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -13,8 +13,8 @@ from testbed.arrays import Array
 from testbed.robot.tree import Tree
 
 Kind = Literal[
-    "position_sign", "torque_sign", "wrench_sense", "degrees", "zero",
-    "position_order", "torque_order", "joint_order",
+    "position_sign", "torque_sign", "wrench_sense", "degrees", "radians", "zero",
+    "position_order", "torque_order", "joint_order", "force_unit", "moment_unit", "plate_order",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
@@ -25,6 +25,18 @@ SCANNED = tuple(np.deg2rad(angle) for angle in range(-165, 180, 15) if angle % 9
 
 BEYOND = 2 * np.pi
 """Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
+
+LITTLE = np.deg2rad(2 * BEYOND)
+"""Excursions below this may be radians that were taken for degrees [rad]."""
+
+PLATE_UNITS = (1e-3, 1e3)
+"""Times that forces or moments are taken too small or too large: N mm for N m, kN for N."""
+
+PLATE_ORDERS = (
+    (3, 4, 5, 0, 1, 2), (1, 0, 2, 4, 3, 5), (0, 2, 1, 3, 5, 4), (2, 1, 0, 5, 4, 3),
+    (1, 2, 0, 4, 5, 3), (2, 0, 1, 5, 3, 4),
+)  # fmt: skip
+"""Moments before forces, and axes in another order."""
 
 MERGED = ("position_sign", "torque_sign", "degrees", "zero")
 """Kinds of which there is one line in a mapping for all joints."""
@@ -41,11 +53,13 @@ class Signals:
         position: (M, n) [rad or m].
         torque: (M, n) [N m or N], if measured.
         wrench: (M, 6) [N, N m], if measured.
+        offset: What the mapping has added to the positions, (n,) [rad or m].
     """
 
     position: Array
     torque: Array | None
     wrench: Array | None
+    offset: Array | float = 0.0
 
 
 @dataclass(frozen=True)
@@ -56,13 +70,15 @@ class Mistake:
         kind: What is wrong.
         joints: Indices of the joints that it is about.
         angles: Of zeros that are missing, one a joint [rad].
-        order: Of orders: the k-th joint's column stands in place order[k].
+        order: Of orders: the k-th joint's, or the plate's k-th, column stands in place order[k].
+        factor: Of the plate's units: what is measured is so many times too large.
     """
 
     kind: Kind
     joints: tuple[int, ...] = ()
     angles: tuple[float, ...] = ()
     order: tuple[int, ...] = ()
+    factor: float = 1.0
 
     def undone(self, signals: Signals) -> Signals:
         """What the data would be without it.
@@ -78,8 +94,10 @@ class Mistake:
             torque = torque[:, list(self.order)]
         if self.kind == "torque_sign" and torque is not None:
             torque = _times(torque, here, -1.0)
-        if self.kind == "wrench_sense" and wrench is not None:
-            wrench = -wrench
+        if wrench is not None:
+            wrench = self._plate(wrench)
+        if self.kind == "radians":
+            position = _times(position - signals.offset, here, 180 / np.pi) + signals.offset
         if self.kind == "position_sign":
             position = _times(position, here, -1.0)
         if self.kind == "degrees":
@@ -88,6 +106,17 @@ class Mistake:
             position = position.copy()
             position[:, here] += self.angles
         return replace(signals, position=position, torque=torque, wrench=wrench)
+
+    def _plate(self, wrench: Array) -> Array:
+        """The plate's channels without it."""
+        if self.kind == "wrench_sense":
+            return -wrench
+        if self.kind == "plate_order":
+            return wrench[:, list(self.order)]
+        if self.kind in ("force_unit", "moment_unit"):
+            part = [0, 1, 2] if self.kind == "force_unit" else [3, 4, 5]
+            return _times(wrench, part, 1 / self.factor)
+        return wrench
 
 
 def merged(mistakes: Sequence[Mistake]) -> list[Mistake]:
@@ -125,8 +154,14 @@ def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
         yield Mistake("torque_sign", everyone)
     if signals.wrench is not None:
         yield Mistake("wrench_sense")
+        yield from (Mistake("force_unit", factor=factor) for factor in PLATE_UNITS)
+        yield from (Mistake("moment_unit", factor=factor) for factor in PLATE_UNITS)
+        yield from (Mistake("plate_order", order=order) for order in PLATE_ORDERS)
     if large:
         yield Mistake("degrees", tuple(_turning(tree, everyone)))
+    span = np.ptp(signals.position[:, _turning(tree, everyone)], axis=0)
+    if span.size and span.max() < LITTLE:
+        yield Mistake("radians", tuple(_turning(tree, everyone)))
     orders = [tuple(np.roll(everyone, k).tolist()) for k in range(1, tree.n)] + [everyone[::-1]]
     for order in orders:
         if 2 < tree.n <= MOST_JOINTS:

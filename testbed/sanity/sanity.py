@@ -19,10 +19,23 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.cures import gain_finding, mistake_finding, position_finding
+from testbed.sanity.cures import (
+    gain_finding,
+    mistake_finding,
+    position_finding,
+    position_offset,
+)
 from testbed.sanity.mistakes import QUARTERS, Signals, merged
 from testbed.sanity.scaled_fit import LEAST, MOST
-from testbed.sanity.search import EXPLAINED, NOISY, Reading, as_given, best_reading, doubted_joints
+from testbed.sanity.search import (
+    EXPLAINED,
+    NOISY,
+    Reading,
+    as_given,
+    best_reading,
+    doubted_joints,
+    larger_motion,
+)
 
 CERTAIN, LIKELY = 40.0, 15.0
 """Differences of minus the logarithm of likelihood from which a mistake is certain, or likely."""
@@ -97,8 +110,9 @@ def check_sanity(tree: Tree, source: Source) -> Sanity:
     tree = tree.with_gravity(source.facts.get("gravity"))
     first = max(0, (source.samples - ENOUGH) // 2)
     part = source.part(first, min(source.samples, first + ENOUGH)).ordered(tree)
-    signals = Signals(np.array(part.position), part.torque, part.wrench)
     mapping: Mapping[str, Any] = source.facts.get("mapping", {})
+    offset = position_offset(tree, mapping)
+    signals = Signals(np.array(part.position), part.torque, part.wrench, offset)
     given = as_given(tree, signals, source.rate)
     sized = _likeliest(tree, given, source.rate)
     gain = given.fit.cost - sized.fit.cost
@@ -121,6 +135,7 @@ def check_sanity(tree: Tree, source: Source) -> Sanity:
 
 def _likeliest(tree: Tree, given: Reading, rate: float) -> Reading:
     """The reading that explains the data best; torques of any size only where nothing else does."""
+    given = larger_motion(tree, given, rate)
     if not doubted_joints(tree, given):
         return given
     found = freed = given

@@ -102,6 +102,20 @@ def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
     return found
 
 
+def larger_motion(tree: Tree, given: Reading, rate: float) -> Reading:
+    """The data with radians that were taken for degrees, if that explains them better.
+
+    Friction explains most of a tiny motion's torques, so that nothing need be odd about them.
+
+    Args:
+        tree: The robot, its masses roughly right.
+        given: The data as they are.
+        rate: Samples a second [Hz].
+    """
+    few = [m for m in mistakes_of_all(tree, given.signals) if m.kind == "radians"]
+    return _best(tree, given, rate, few, given)
+
+
 def _of_zeros(reading: Reading) -> bool:
     """Whether its last mistake is a zero: those of neighbours may hide behind one."""
     return reading.mistakes[-1].kind == "zero"

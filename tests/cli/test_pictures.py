@@ -17,6 +17,8 @@ from tests.helpers.runs import MODELS, noisy, robot, without
 
 pytestmark = pytest.mark.slow
 
+TX40 = ROOT / "examples/tx40"
+REAL = ("--model", str(TX40 / "tx40.urdf"), "--accept-inertia")
 PUMA = str(ROOT / "models/puma562.xml")
 
 
@@ -107,3 +109,56 @@ def test_what_cannot_be_shown_is_said(
         assert done.stderr.count("\n") == 1
         assert done.stdout == ""
     assert sorted(p.name for p in tmp_path.iterdir()) == before
+
+
+def halves(folder: Path) -> tuple[str, str]:
+    """Mapping files of the two halves of a real recording."""
+    text = (TX40 / "tx40.toml").read_text().replace('file = "', f'file = "{TX40}/')
+    for name, cut in (("first.toml", "stop = 4.6"), ("second.toml", "start = 4.6")):
+        (folder / name).write_text(text.replace("rate = 500\n", f"rate = 500\n{cut}\n", 1))
+    return "first.toml", "second.toml"
+
+
+@pytest.mark.slow
+def test_a_real_recording_is_reported_and_judged_by_another(tmp_path: Path) -> None:
+    """Two mapping files, chosen terms, bodies that can exist; no truth anywhere."""
+    first, second = halves(tmp_path)
+    words = ["report", first, *REAL, "--validate", second, "--out", "page.html"]
+    words += ["--terms", "auto", "--consistent", "--set", "identification.cutoff=10"]
+    done = command_line(*words, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    numbers = json.loads((tmp_path / "page.json").read_text())
+    assert not numbers["has_truth"]
+    ids = [section["id"] for section in numbers["figures"]]
+    assert ids == ["prediction", "spectra", "bodies"]
+    assert numbers["figures"][0]["title"].endswith("a motion that no estimate has seen")
+    assert numbers["figures"][0]["heads"][-1] == "over what is allowed, internal"
+    assert any(key == "terms" and "foretold" in said for key, said in numbers["asked"])
+    assert any(line.startswith("second.toml: ") for line in numbers["warnings"])
+
+
+@pytest.mark.slow
+def test_a_real_recording_is_shown_moving(tmp_path: Path) -> None:
+    first, _ = halves(tmp_path)
+    done = command_line("view", first, *REAL, "--save", "moving.rrd", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "moving.rrd").stat().st_size > 1e5
+
+
+@pytest.mark.slow
+def test_a_recording_that_cannot_be_true_is_not_reported(tmp_path: Path) -> None:
+    first, _ = halves(tmp_path)
+    wrong = (tmp_path / first).read_text().replace("offset = [0, -1.57", "offset = [0, 1.57")
+    (tmp_path / first).write_text(wrong)
+    for command in ("report", "view"):
+        done = command_line(command, first, *REAL, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "cannot be true of this robot" in done.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["first.toml", "second.toml"]
+
+
+def test_a_run_folder_is_judged_by_its_own_unseen_motion(folder: Path, tmp_path: Path) -> None:
+    for words in (["--validate", "other.parquet"], ["--consistent"]):
+        done = command_line("report", str(folder), *words, cwd=tmp_path)
+        assert done.returncode == 2
+        assert "are for recordings" in done.stderr

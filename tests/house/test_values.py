@@ -21,6 +21,7 @@ from testbed.experiment.matrix_errors import MatrixErrors
 from testbed.identification.combined import Combined, Disagreement
 from testbed.identification.consistency import Bent, Consistent
 from testbed.identification.friction_curves import FrictionCurve
+from testbed.identification.held_out import HeldOut
 from testbed.identification.known_payload import KnownPayload
 from testbed.identification.payload import PayloadEstimate
 from testbed.identification.plate_doubt import PlateDoubt
@@ -89,9 +90,10 @@ EXAMPLES: dict[str, Any] = {
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0, 1.0
     ),
     "Consistent": lambda: Consistent(
-        ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10), (NOTHING,),
-        some(1), some(1), (), some(2, 4), some(2), (), 0.0, 0.5, {}, (),
+        ("a", "b"), ("a", "b"), ("c", "d"), some(2, 10), some(2, 10), some(2, 10), some(2, 10),
+        (NOTHING,), some(1), some(1), (), some(2, 4), some(2), (), 0.0, 0.5, {}, (),
     ),
+    "HeldOut": lambda: HeldOut(("a",), ("N m",), some(1), some(1), some(1)),
     "Validation": lambda: Validation(
         "external", ("Fx",), ("N",), (5,), some(1), some(1), some(1), some(1), some(1)
     ),
@@ -110,7 +112,7 @@ EXAMPLES: dict[str, Any] = {
     ),
     "Recording": lambda: tb.Recording(
         ("a", "b"), np.arange(4.0), some(4, 2), some(4, 2), some(4, 6), some(4, 2), some(4, 2),
-        some(6),
+        some(6), some(4, 7),
     ),
 }  # fmt: skip
 FREE = {

@@ -10,7 +10,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.counted import open_counted
+from testbed.identification.open_counted import open_counted
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import noisy, robot

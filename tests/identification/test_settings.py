@@ -59,8 +59,16 @@ def test_off_is_off_however_it_is_said() -> None:
     assert (none.position_cutoff, none.cutoff) == ("off", "off")
     assert (none.position_low_pass, none.row_low_pass) == (None, None)
     numbers = Settings(position_cutoff=np.float64(40), cutoff=5)
-    assert numbers == Settings()
+    assert numbers == Settings().fitted(1000.0)
     assert (numbers.position_low_pass, numbers.row_low_pass) == (40.0, 5.0)
+
+
+def test_filters_fit_the_sampling_rate() -> None:
+    for rate, position, rows in ((1000.0, 40.0, 5.0), (60.0, None, 5.0), (30.0, None, 3.0)):
+        fitted = Settings().fitted(rate)
+        assert (fitted.position_low_pass, fitted.row_low_pass) == (position, rows)
+    asked = Settings(position_cutoff=10.0, cutoff=2.0)
+    assert asked.fitted(30.0) == asked
 
 
 def test_settings_are_values() -> None:

@@ -199,7 +199,7 @@ def test_large_jobs_use_the_kernel(tree: tb.Tree, recording: Recording) -> None:
     plan = make_plan(recording, found, np.zeros(6), EXACT)
     assert is_small(plan)
     whole = [recording.blind()] * 3
-    longer = replace(plan, source=open_source(whole), rows=3 * plan.rows)
+    longer = replace(plan, source=open_source(whole), spans=((0, 3 * plan.rows),))
     assert not is_small(longer)
     assert Passes(longer, None, lambda done, total: None, 2).compiled
 

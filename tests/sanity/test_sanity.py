@@ -61,6 +61,13 @@ def torque_over(recording: tb.Recording, size: tuple[float, float]) -> tb.Record
     return replace(recording, torque=recording.measured("torque") / factors)
 
 
+def as_degrees(recording: tb.Recording) -> tb.Recording:
+    """Radians that the mapping takes for degrees; its offsets are in radians all the same."""
+    said = recording.facts.get("mapping", {}).get("position", {}).get("offset", 0.0)
+    moved = np.deg2rad(recording.position - np.array(said)) + np.array(said)
+    return replace(recording, position=moved)
+
+
 WRONG: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
     "all torques' signs": (
         lambda r: replace(r, torque=-r.measured("torque")), "[torque] sign = [-1, -1, -1"
@@ -70,6 +77,7 @@ WRONG: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
     "degrees": (
         lambda r: replace(r, position=np.rad2deg(r.position)), '[position] unit = "deg"'
     ),
+    "radians as degrees": (as_degrees, '[position] unit = "rad"'),
     "order": (in_order, "in another order"),
     "motor side": (lambda r: torque_over(r, (50, 80)), '[torque] side = "motor"'),
     "currents": (lambda r: torque_over(r, (8, 11)), 'unit = "A" with gain about ['),
@@ -120,6 +128,36 @@ def test_the_sense_of_a_plate_is_told(sense: int) -> None:
     turned = replace(recording, wrench=sense * recording.measured("wrench"))
     found = check_sanity(tree, turned).certain
     assert [each.causes for each in found] == [("the opposite sense of the wrench",)] * (sense < 0)
+
+
+def of_plate(force: float = 1, moment: float = 1, order: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+             ) -> Callable[[tb.Recording], tb.Recording]:  # fmt: skip
+    """The plate read in other units or in another order."""
+    size = np.array([force] * 3 + [moment] * 3)
+    return lambda r: replace(r, wrench=(r.measured("wrench") * size)[:, list(order)])
+
+
+PLATES: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
+    "N mm as N m": (of_plate(moment=1e3), '[wrench] units = ["N", "N mm"]'),
+    "N m as N mm": (of_plate(moment=1e-3), '[wrench] units = ["N", "kN m"]'),
+    "kN as N": (of_plate(force=1e-3), '[wrench] units = ["kN", "N m"]'),
+    "moments first": (of_plate(order=(3, 4, 5, 0, 1, 2)), '["Mx", "My", "Mz", "Fx", "Fy", "Fz"]'),
+    "axes turned": (
+        of_plate(order=(2, 0, 1, 5, 3, 4)), '["Fy", "Fz", "Fx", "My", "Mz", "Mx"]'
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", PLATES)
+@pytest.mark.parametrize("name", ["puma", "ur5", "gantry"])
+def test_a_plate_in_other_units_or_order_is_refused(name: str, mistake: str) -> None:
+    tree = robot(name)
+    recording = without(measured(tree, duration=12.0), "torque")
+    assert check_sanity(tree, recording).certain == ()
+    spoil, cure = PLATES[mistake]
+    with pytest.raises(RecordingError, match="cannot be true of this robot") as found:
+        accept(tree, spoil(recording))
+    assert cure in str(found.value)
 
 
 def with_masses(tree: tb.Tree, seed: int) -> tb.Tree:

@@ -12,7 +12,7 @@ from testbed.errors import UnknownName
 from testbed.identification.nuisances import clock
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.recordings.source import Source, segments_of
 from testbed.robot.tree import Tree
 
 Values = Mapping[str, Array]
@@ -47,6 +47,11 @@ class Corrected:
     facts: Mapping[str, Any]
     signals: tuple[str, ...]
     senses_kinematics: bool
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        return tuple((a, b - 2 * self._ends) for a, b in segments_of(self._source))
 
     def part(self, first: int, last: int) -> Recording:
         """Samples `first` to `last` - 1, without the truth."""

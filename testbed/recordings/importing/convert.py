@@ -16,18 +16,27 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.recordings.columns import AXES
+from testbed.recordings.columns import members_of
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
 from testbed.recordings.importing.held_samples import held_share, slow_device
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
-from testbed.recordings.importing.mapping import Mapping, SignalTable, WrenchTable, read_mapping
+from testbed.recordings.importing.mapping import (
+    AnyTable,
+    BaseTable,
+    Mapping,
+    SignalTable,
+    WrenchTable,
+    read_mapping,
+)
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.resampling import SAME, low_pass_reach, onto_grid
 from testbed.recordings.importing.signal_maps import (
+    base_pose,
     bedplate_wrench,
     check_file_units,
     joint_kinds,
     joint_signal,
+    without_turnovers,
 )
 from testbed.recordings.importing.source_clock import (
     ClockReport,
@@ -101,16 +110,16 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     sources = {
         name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
     }
-    tables_of: dict[str, SignalTable | WrenchTable] = dict(mapping.signals.items())
-    if mapping.wrench is not None:
-        tables_of["wrench"] = mapping.wrench
+    tables_of: dict[str, AnyTable] = dict(mapping.signals.items())
+    tables_of |= mapping.others
     samples = {label: _samples(mapping, each, sources) for label, each in tables_of.items()}
     grid = _grid(mapping, samples.values(), window)
     columns: dict[str, Array] = {"time": grid - grid[0]}
     for label, each in tables_of.items():
         _check_units(label, each, tables[each.source])
         got = samples[label]
-        columns |= _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
+        made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
+        columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
     reports = {label: got.report for label, got in samples.items()}
     leads = {name: float(grid[0] - times[name][0]) for name in sources}
     clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
@@ -121,9 +130,8 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
 def _used(mapping: Mapping) -> dict[str, list[str]]:
     """Columns that are needed, by source."""
     found: dict[str, list[str]] = {}
-    for table in (*mapping.signals.values(), mapping.wrench):
-        if table is not None:
-            found.setdefault(table.source, []).extend(table.columns)
+    for table in (*mapping.signals.values(), *mapping.others.values()):
+        found.setdefault(table.source, []).extend(table.columns)
     unused = [name for name in mapping.sources if name not in found]
     if unused:
         raise RecordingError(f"sources.{unused[0]}: no signal is of it")
@@ -198,9 +206,7 @@ def _read(
     return _Source(used, {c: values[:, k] for k, c in enumerate(wanted)}, clock)
 
 
-def _samples(
-    mapping: Mapping, table: SignalTable | WrenchTable, sources: Table[str, _Source]
-) -> _Samples:
+def _samples(mapping: Mapping, table: AnyTable, sources: Table[str, _Source]) -> _Samples:
     """A signal's columns as they were sampled, those of a slow device once each."""
     source = sources[table.source]
     time, rate = source.time - table.delay, source.clock.rate
@@ -211,6 +217,8 @@ def _samples(
         dropped = int(np.count_nonzero(~news))
         time, values = time[news], values[news]
         rate = float(1 / np.median(np.diff(time)))
+    if isinstance(table, BaseTable):
+        values = np.hstack([values[:, :3], without_turnovers(values[:, 3:])])
     passed = low_pass_reach(rate, mapping.rate) > 0
     return _Samples(time, values, rate, SignalReport(table.source, held, dropped, passed))
 
@@ -235,20 +243,24 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
 
 def _mapped(mapping: Mapping, label: str, raw: Array) -> dict[str, Array]:
     """A signal on the grid as the recording's columns."""
-    if label == "wrench" and mapping.wrench is not None:
-        found = bedplate_wrench(mapping.wrench, raw)
-        members: tuple[str, ...] = AXES
+    table = mapping.others.get(label)
+    if isinstance(table, WrenchTable):
+        signal, found = "wrench", bedplate_wrench(table, raw)
+    elif isinstance(table, BaseTable):
+        signal, found = "base", base_pose(table, raw)
     else:
         (kind,) = (kind for kind in mapping.signals if kind == label)
-        found = joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
-        members = tuple(mapping.joints)
-    return {f"{label}/{member}": found[:, k] for k, member in enumerate(members)}
+        signal, found = label, joint_signal(kind, mapping.signals[kind], mapping.gear, raw)
+    members = members_of(signal, tuple(mapping.joints))
+    return {f"{signal}/{member}": found[:, k] for k, member in enumerate(members)}
 
 
-def _check_units(label: str, table: SignalTable | WrenchTable, file: ForeignTable) -> None:
+def _check_units(label: str, table: AnyTable, file: ForeignTable) -> None:
     """Whether the file says the same units where it says any."""
     columns = table.columns
-    if isinstance(table, SignalTable):
+    if isinstance(table, BaseTable):
+        check_file_units(label, "position", table.position, [table.unit] * 3, file)
+    elif isinstance(table, SignalTable):
         if table.gain is None:
             units = table.unit if isinstance(table.unit, list) else [table.unit] * len(columns)
             check_file_units(label, label, columns, units, file)
@@ -268,5 +280,7 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
         facts["geometry"] = kinds
     if mapping.gravity is not None:
         facts["gravity"] = list(mapping.gravity)
-    tare = None if mapping.wrench is None else mapping.wrench.tare
+    plates = [each for each in mapping.others.values() if isinstance(each, WrenchTable)]
+    tares = [each.tare for each in plates if each.tare is not None]
+    tare = np.sum(tares, axis=0).tolist() if tares else None
     return {"tare": tare, "facts": facts}

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.arrays import Array
-from testbed.recordings.importing.foreign_units import KINDS, Kind, check_unit
+from testbed.recordings.importing.foreign_units import KINDS, Kind, check_unit, slides
 from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, read_toml
 
 
@@ -155,6 +155,29 @@ class WrenchTable(MappingTable):
     for a plate that was zeroed with the pedestal on it. Default: the model's pedestal."""
 
 
+class BaseTable(MappingTable):
+    """Where a base that moves is: the frame of the model's root link on the ground."""
+
+    source: str
+    """Of which source."""
+    position: Annotated[list[str], Field(min_length=3, max_length=3)]
+    """Columns of its place, along the ground's axes."""
+    unit: str
+    """Of these."""
+    quaternion: Annotated[list[str], Field(min_length=4, max_length=4)]
+    """Columns of its turn: w, x, y, z, in this order whatever the file's is."""
+    delay: Finite = 0.0
+    """How late the pose is, besides its source's clock [s]."""
+
+    @property
+    def columns(self) -> list[str]:
+        """All seven."""
+        return [*self.position, *self.quaternion]
+
+
+AnyTable = SignalTable | WrenchTable | BaseTable
+
+
 class Mapping(MappingTable):
     """All that a mapping file says."""
 
@@ -176,6 +199,17 @@ class Mapping(MappingTable):
     acceleration: SignalTable | None = None
     torque: SignalTable | None = None
     wrench: WrenchTable | None = None
+    plates: Annotated[dict[str, WrenchTable], Field(max_length=100)] = {}
+    """Several plates in place of [wrench], by names of your own: the wrench is their sum."""
+    base: BaseTable | None = None
+    """Where the robot's base is, if it moves (`robot.base = "measured"`)."""
+
+    @property
+    def others(self) -> dict[str, AnyTable]:
+        """What is measured besides joint by joint, by its label: wrench, plates.NAME, base."""
+        found: dict[str, AnyTable] = {f"plates.{k}": each for k, each in self.plates.items()}
+        found |= {"wrench": self.wrench} if self.wrench is not None else {}
+        return found | ({"base": self.base} if self.base is not None else {})
 
     @property
     def signals(self) -> dict[Kind, SignalTable]:
@@ -188,21 +222,27 @@ class Mapping(MappingTable):
         n = len(self.joints)
         if len(set(self.joints)) < n:
             raise ValueError("joints: a name is there twice")
-        if self.torque is None and self.wrench is None:
+        if self.torque is None and self.wrench is None and not self.plates:
             raise ValueError("a recording has a [torque] or a [wrench] or both")
+        if self.wrench is not None and self.plates:
+            raise ValueError("say [wrench], or all plates under [plates], not both")
         if self.stop is not None and self.stop <= self.start:
             raise ValueError("stop comes after start")
         if self.gear is not None and len(self.gear.motor_of_joint) != n:
             raise ValueError(f"gear: {len(self.gear.motor_of_joint)} motors, {n} joints")
         for kind, table in self.signals.items():
             _check_signal(kind, table, n, self.gear is not None)
-        if self.wrench is not None:
-            _check_wrench(self.wrench)
-        tables: list[tuple[str, SignalTable | WrenchTable | None]] = [("wrench", self.wrench)]
-        for label, each in (*self.signals.items(), *tables):
-            if each is not None and each.source not in self.sources:
+        for plate in self.others.values():
+            if isinstance(plate, WrenchTable):
+                _check_wrench(plate)
+        if self.base is not None and not slides(self.base.unit):
+            raise ValueError(f"base.unit: '{self.base.unit}' is no length (m, cm, mm, inch)")
+        read: dict[str, AnyTable] = {**self.others}
+        read.update(self.signals.items())
+        for label, found in read.items():
+            if found.source not in self.sources:
                 known = ", ".join(self.sources)
-                raise ValueError(f"{label}.source: there is no source '{each.source}' ({known})")
+                raise ValueError(f"{label}.source: there is no source '{found.source}' ({known})")
         return self
 
 

@@ -10,7 +10,8 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import UNITS, Kind, factor, plain, slides
-from testbed.recordings.importing.mapping import GearTable, SignalTable, WrenchTable
+from testbed.recordings.importing.mapping import BaseTable, GearTable, SignalTable, WrenchTable
+from testbed.robot.free_base import UNIT
 from testbed.robot.rotations import from_rpy
 
 
@@ -54,6 +55,37 @@ def bedplate_wrench(table: WrenchTable, columns: Array) -> Array:
         force, moment = force @ turn.T, moment @ turn.T
         moment = moment + np.cross(np.array(table.place.xyz), force)
     return np.hstack([force, moment])
+
+
+def without_turnovers(quaternions: Array) -> Array:
+    """The same turns without jumps of sign: q and -q are one, (M, 4).
+
+    Args:
+        quaternions: Sample by sample, (M, 4).
+    """
+    along = np.einsum("mi,mi->m", quaternions[1:], quaternions[:-1])
+    signs = np.cumprod(np.where(along < 0, -1.0, 1.0))
+    return np.vstack([quaternions[:1], quaternions[1:] * signs[:, None]])
+
+
+def base_pose(table: BaseTable, columns: Array) -> Array:
+    """A base's position and quaternion, (M, 7) [m].
+
+    Args:
+        table: What the mapping says of it.
+        columns: As the file holds them, (M, 7).
+
+    Raises:
+        RecordingError: A quaternion is none.
+    """
+    turn = columns[:, 3:]
+    size = np.linalg.norm(turn, axis=1, keepdims=True)
+    if not (np.abs(size - 1) <= UNIT).all():
+        raise RecordingError(
+            f"base.quaternion: its length is {float(size.min()):.3g} to {float(size.max()):.3g}, "
+            "that of a quaternion is one: are the columns w, x, y, z?"
+        )
+    return np.hstack([factor("position", table.unit) * columns[:, :3], turn / size])
 
 
 def joint_kinds(table: SignalTable, joints: Sequence[str]) -> dict[str, dict[str, str]]:

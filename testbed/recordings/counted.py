@@ -2,33 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
 from testbed.errors import RecordingError
-from testbed.identification.settings import Settings
 from testbed.recordings.checks import COUNTED
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, Stretch, open_source
+from testbed.recordings.source import Source, Stretch
 
 
-def open_counted(
-    what: Recording | Source | str | Path | Iterable[Recording], settings: Settings
-) -> Source:
+def counted(source: Source, span: Sequence[float] | None = None) -> Source:
     """The samples of a recording that count.
 
     Args:
-        what: As for `open_source`.
-        settings: May say from when to when; else the recording may, as one from rest to rest
-            does.
+        source: One recording.
+        span: From the first to before the second time [s]; default what the recording says, as one
+            from rest to rest does, else all.
 
     Raises:
-        RecordingError: It is no recording, or none of its samples is in that time.
+        RecordingError: None of its samples is in that time.
     """
-    source = open_source(what)
-    span = settings.span or source.facts.get(COUNTED)
+    span = span or source.facts.get(COUNTED)
     if span is None or source.samples < 2:
         return source
     begin = float(source.part(0, 1).time[0])

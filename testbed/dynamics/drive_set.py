@@ -1,0 +1,80 @@
+"""Bodies, joints and shafts together: which terms of the torques have columns of their own.
+
+What joints add is grouped exactly (`parameters.joint_terms`). A shaft that turns with several
+joints adds to the torques of all of them at once; whether that is a sum of what is there already is
+a matter of the geometry, too, and found at random states: an inertia of two joints with parallel
+axes may be a body's, the friction of a differential's two shafts may be that of its joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.dynamics.inverse_dynamics import regressor
+from testbed.dynamics.witnesses import random_states
+from testbed.parameters.joint_terms import DriveSet, with_joint_terms
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.robot.friction import JointLaw, JointTerm, joint_terms, term_torque
+from testbed.robot.tree import Tree
+
+TOLD = 1e-8
+"""Part of a term's column beyond all others below which these tell it already."""
+
+NOTHING = 1e-9
+"""Coefficients of a sum, beside its largest, that are rounding."""
+
+SEED = 20_000
+"""Of the states; witnesses take others."""
+
+
+def drive_set(tree: Tree, minimal: MinimalSet, laws: Sequence[str | JointLaw]) -> DriveSet:
+    """The minimal set of bodies, joints and shafts together, before any data.
+
+    Args:
+        tree: The robot; only its geometry and its shafts matter.
+        minimal: Its dynamic set.
+        laws: Of the torques of joints and shafts: "rotor" holds at all of them, "rotor/elbow"
+            at that one.
+
+    Raises:
+        UnknownName: There is no such law, joint or shaft.
+    """
+    found = with_joint_terms(tree, minimal, laws)
+    more = [term for term in joint_terms(tree, laws) if term.joint >= tree.n]
+    if not more:
+        return found
+    states = random_states(tree, SEED)
+
+    def column(term: JointTerm) -> Array:
+        return term_torque(tree, term, states.qd, states.qdd).ravel()
+
+    rows = regressor(tree, states, minimal).reshape(-1, minimal.count)
+    every = np.column_stack([rows, *(column(term) for term in found.terms)])
+    own, made = list(found.terms), [found.columns]
+    for term in more:
+        sums, beyond = _as_a_sum(every, column(term))
+        if beyond > TOLD:
+            every = np.column_stack([every, column(term)])
+            own.append(term)
+            sums = np.eye(1, every.shape[1], every.shape[1] - 1)[0]
+        made.append(sums[:, None])
+    columns = np.zeros((every.shape[1], len(found.asked) + len(more)))
+    at = 0
+    for part in made:
+        columns[: len(part), at : at + part.shape[1]] = part
+        at += part.shape[1]
+    fixed = readonly(columns, columns.shape, "columns")
+    return DriveSet(minimal, (*found.asked, *more), tuple(own), fixed, tree)
+
+
+def _as_a_sum(every: Array, column: Array) -> tuple[Array, float]:
+    """Coefficients of a column on others, and the part of it that is beyond them."""
+    size = np.linalg.norm(every, axis=0)
+    size = np.where(size > 0, size, 1.0)
+    found = np.linalg.lstsq(every / size, column, rcond=1e-12)[0] / size
+    found = np.where(np.abs(found) > NOTHING * np.abs(found).max(initial=0.0), found, 0.0)
+    left = np.linalg.norm(column - every @ found) / np.linalg.norm(column)
+    return np.round(found, 12), float(left)

@@ -1,0 +1,121 @@
+"""Several recordings of one robot as one source, with gaps between them.
+
+They lie on one axis of samples. What lies in a gap is nobody's: rows that would reach across one
+are not made (`identification.windows`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.checks import COUNTED
+from testbed.recordings.counted import counted
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+
+SAME_RATE = 1e-3
+"""Relative difference of sampling rates that are one."""
+
+LEAST_GAP = 16
+"""Samples between two recordings, and a second at least: more rows than noise remembers."""
+
+
+class Joined:
+    """Recordings one after the other, none of which knows of the others.
+
+    Attributes:
+        names: Joint names, in the order of the first.
+        samples: Number of samples, those of the gaps counted.
+        rate: Samples a second [Hz].
+        tare: As `Recording.tare`: the first one's; the others' wrenches are changed accordingly.
+        facts: The first one's, with all warnings.
+        signals: What all of them measured.
+        senses_kinematics: Whether all sensed velocities and accelerations, both.
+        segments: First sample of each, and the one after its last.
+    """
+
+    def __init__(self, parts: Sequence[Source]) -> None:
+        """Recordings of one robot at one rate.
+
+        Args:
+            parts: In any order; nothing is said of what happened between them.
+
+        Raises:
+            RecordingError: They do not belong together.
+        """
+        self._parts = tuple(counted(part) for part in parts)
+        first = self._parts[0]
+        _check_alike(self._parts)
+        self.names, self.rate, self.tare = first.names, first.rate, first.tare
+        self.signals = tuple(s for s in first.signals if all(s in p.signals for p in parts))
+        self.senses_kinematics = all(part.senses_kinematics for part in parts)
+        gap, at, found = max(LEAST_GAP, round(first.rate)), 0, []
+        for part in self._parts:
+            found.append((at, at + part.samples))
+            at += part.samples + gap
+        self.segments, self.samples = tuple(found), at - gap
+        lines = [line for part in self._parts for line in part.facts.get("warnings", ())]
+        facts = {key: fact for key, fact in first.facts.items() if key != COUNTED}
+        self.facts: Mapping[str, Any] = {**facts, "warnings": list(dict.fromkeys(lines))}
+
+    names: tuple[str, ...]
+    samples: int
+    rate: float
+    tare: Array | None
+    signals: tuple[str, ...]
+    senses_kinematics: bool
+    segments: tuple[tuple[int, int], ...]
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, all of one recording, without the truth."""
+        for part, (begin, end) in zip(self._parts, self.segments, strict=True):
+            if begin <= first and last <= end:
+                found = part.part(first - begin, last - begin)
+                changed: dict[str, Any] = {"tare": self.tare}
+                if found.wrench is not None and part.tare is not None and self.tare is not None:
+                    changed["wrench"] = found.wrench - part.tare + self.tare
+                changed |= dict.fromkeys(s for s in found.signals if s not in self.signals)
+                changed["time"] = np.asarray(found.time) - found.time[0] + first / self.rate
+                return replace(found, **changed)
+        raise ValueError(f"samples {first} to {last} are not of one recording")
+
+
+def joined(parts: Sequence[Source]) -> Source:
+    """Recordings of one robot as one source; a single one as it is.
+
+    Args:
+        parts: One or more.
+
+    Raises:
+        RecordingError: They do not belong together.
+    """
+    return parts[0] if len(parts) == 1 else Joined(parts)
+
+
+def _check_alike(parts: Sequence[Source]) -> None:
+    """Whether recordings are of one robot under one gravity, at one rate, and tell of the tare."""
+    first = parts[0]
+    for k, other in enumerate(parts[1:], start=2):
+        if sorted(other.names) != sorted(first.names):
+            raise RecordingError(
+                f"recording {k} is of another robot than the first: it has the joints "
+                f"{', '.join(other.names)}, the first has {', '.join(first.names)}"
+            )
+        if abs(other.rate - first.rate) > SAME_RATE * first.rate:
+            raise RecordingError(
+                f"recording {k} has {other.rate:g} samples a second, the first has "
+                f"{first.rate:g}: import them at one rate"
+            )
+        for what in ("gravity", "geometry"):
+            if other.facts.get(what) != first.facts.get(what):
+                raise RecordingError(f"recording {k} has another {what} than the first")
+        if (other.tare is None) != (first.tare is None):
+            raise RecordingError(
+                f"recording {k} and the first do not both say what of the wrench is the pedestal's"
+            )

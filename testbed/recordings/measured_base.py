@@ -1,0 +1,102 @@
+"""A recording with a measured base as one with six joints more: what a robot on a free base has."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, segments_of
+from testbed.robot.free_base import COORDINATES, coordinates
+from testbed.robot.tree import Tree
+
+NAMES = tuple(name for name, _, _ in COORDINATES)
+
+
+class MeasuredBase:
+    """A source whose base is six joints; torques are none of the ground's and left out."""
+
+    def __init__(self, source: Source) -> None:
+        """The same samples.
+
+        Args:
+            source: With the signal `base`.
+
+        Raises:
+            RecordingError: It has none.
+        """
+        if "base" not in source.signals:
+            raise RecordingError(
+                "the recording has no base/x ... base/qz, which a robot with robot.base = "
+                '"measured" needs'
+            )
+        self._source = source
+        self.names = (*NAMES, *source.names)
+        self.samples, self.rate, self.tare = source.samples, source.rate, source.tare
+        self.facts = {k: v for k, v in source.facts.items() if k != "geometry"}
+        self.signals = tuple(s for s in source.signals if s in ("time", "position", "wrench"))
+        self.senses_kinematics = False
+
+    names: tuple[str, ...]
+    samples: int
+    rate: float
+    tare: Array | None
+    facts: Mapping[str, Any]
+    signals: tuple[str, ...]
+    senses_kinematics: bool
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        return segments_of(self._source)
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth.
+
+        Raises:
+            RecordingError: The base's pose is none there.
+        """
+        return with_base_joints(self._source.part(first, last))
+
+
+def with_base_joints(recording: Recording) -> Recording:
+    """A recording whose base is six joints.
+
+    Args:
+        recording: With a base.
+
+    Raises:
+        RecordingError: It has none, or a pose is none.
+    """
+    position = np.hstack([coordinates(recording.measured("base")), recording.position])
+    return replace(
+        recording,
+        names=(*NAMES, *recording.names),
+        position=position,
+        base=None,
+        torque=None,
+        velocity=None,
+        acceleration=None,
+        truth=None,
+        facts={k: v for k, v in recording.facts.items() if k != "geometry"},
+    )
+
+
+def on_its_base(source: Source, tree: Tree) -> Source:
+    """A source as a robot's: where its base is free, with the base's coordinates.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+
+    Raises:
+        RecordingError: The base is free, and nothing is said of its pose.
+    """
+    if not tree.floating or NAMES[0] in source.names:
+        return source
+    return with_base_joints(source) if isinstance(source, Recording) else MeasuredBase(source)
