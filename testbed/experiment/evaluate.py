@@ -24,6 +24,7 @@ def evaluate(
     recording: Recording,
     progress: Progress = lambda done, total: None,
     methods: Iterable[Method] = METHODS,
+    threads: int | None = None,
 ) -> Run:
     """Identify from an experiment's recording and compare with the truth.
 
@@ -34,6 +35,7 @@ def evaluate(
         recording: What the instrument measured.
         progress: Called with samples done and samples in all, method by method.
         methods: Which estimates to make.
+        threads: How many to use; default one a processor.
     """
     run = assemble_run(
         with_rotor_spin(robot_of(experiment), experiment.robot.spins),
@@ -43,6 +45,7 @@ def evaluate(
         experiment=experiment,
         model=model_of(experiment),
         methods=methods,
+        threads=threads,
         progress=progress,
     )
     return with_consistent(run)

@@ -75,6 +75,10 @@ class Settings:
     curves, both methods combined; with the given terms, or with those that held-out data choose
     for each joint (docs/drives.md)."""
 
+    engine: Literal["by size", "compiled", "numpy"] = "by size"
+    """What makes the rows: the compiled kernel, NumPy, or whichever is faster for the size of the
+    job. They differ in rounding only."""
+
     __pydantic_config__: ClassVar = {"extra": "forbid", "strict": True}
 
     def __post_init__(self) -> None:
@@ -88,6 +92,7 @@ class Settings:
             "weights": _weights(self.weights),
             "noise": _one_of("noise", self.noise, ("ar", "white")),
             "drives": _one_of("drives", self.drives, ("off", "given", "chosen")),
+            "engine": _one_of("engine", self.engine, ("by size", "compiled", "numpy")),
             "nuisances": _nuisances(self.nuisances),
             "known": stated_values(self.known),
         }

@@ -59,6 +59,7 @@ class Plan:
         rest_reach: Rows of a joint that rests within so many samples do not count.
         step: Samples from row to row.
         rows: Number of rows.
+        engine: What makes the rows, as `Settings.engine` says it.
     """
 
     source: Source
@@ -70,6 +71,7 @@ class Plan:
     rest_reach: int
     step: int
     rows: int
+    engine: str
 
     @property
     def reach(self) -> int:
@@ -155,4 +157,5 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         )
     deadband = settings.deadband if layout.model == "dynamic" else 0.0
     nearby = reversal_samples(weights, settings.reversal_reach, rate)
-    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, rows)
+    engine = settings.engine
+    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, rows, engine)

@@ -1,0 +1,111 @@
+"""A campaign on the terminal: what it will do, how far it is, what failed."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from testbed.campaign.campaign import Campaign
+from testbed.campaign.campaign_folder import RESULTS, CampaignFolder
+from testbed.campaign.conduct import Standing, command_of
+from testbed.campaign.estimated_cost import bytes_of, seconds_of
+from testbed.errors import printable
+
+LISTED = 20
+"""Cells or failures that are listed one by one."""
+
+BETWEEN = 30.0
+"""Seconds between two lines where no bar can be shown."""
+
+
+class Throughput:
+    """How far a campaign is, on standard error: a bar on a terminal, else a line now and then."""
+
+    def __init__(self) -> None:
+        """Nothing done yet."""
+        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
+        self._bar.disable = not sys.stderr.isatty()
+        self._task = self._bar.add_task("runs")
+        self._said = time.monotonic()
+
+    def __enter__(self) -> Throughput:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, standing: Standing) -> None:
+        """Show how far it is."""
+        failed = f", {standing.failed} failed" if standing.failed else ""
+        words = f"{standing.done} of {standing.total} runs{failed}, {standing.rate:.3g} a second"
+        self._bar.update(
+            self._task, completed=standing.done, total=standing.total, description=words
+        )
+        if self._bar.disable and time.monotonic() - self._said > BETWEEN:
+            self._said = time.monotonic()
+            left = (standing.total - standing.done) / max(standing.rate, 1e-9)
+            sys.stderr.write(f"{words}, {duration(left)} left\n")
+
+
+def print_plan(out: Console, campaign: Campaign, folder: Path, limit: int | None) -> None:
+    """Print what a campaign will do, and roughly what it costs.
+
+    Args:
+        out: Where to.
+        campaign: The campaign.
+        folder: Where its table will be.
+        limit: Runs that are done, if not all.
+    """
+    cells, replicates = len(campaign.cells), campaign.tables.replicates
+    for number, cell in enumerate(campaign.cells[:LISTED]):
+        levels = zip(campaign.factors, cell.levels, strict=True)
+        said = ", ".join(f"{name} = {level}" for name, level in levels)
+        out.print(printable(f"cell {number}: {said or 'the experiment as it is'}"), soft_wrap=True)
+    if cells > LISTED:
+        out.print(f"... {cells - LISTED} more")
+    runs = min(limit or campaign.runs, campaign.runs)
+    first = campaign.experiment(0, 0)
+    keeps = campaign.tables.recordings == "keep"
+    seconds = sum(seconds_of(campaign.experiment(cell, 0)) for cell in range(cells)) / cells
+    megabytes = runs * bytes_of(first, keeps=keeps) / 1e6
+    at_most = "at most " if campaign.tables.stop is not None else ""
+    out.print(f"{cells} cells, {replicates} replicates each: {at_most}{runs} runs")
+    out.print(f"about {duration(runs * seconds)} of one processor, {megabytes:.3g} MB in {folder}")
+    out.print(f"the first one: {command_of(campaign, 0, 0)}", soft_wrap=True)
+
+
+def print_conducted(out: Console, folder: CampaignFolder) -> int:
+    """Print what came of a campaign.
+
+    Args:
+        out: Where to.
+        folder: Its folder.
+
+    Returns:
+        How many runs failed.
+    """
+    failures = folder.failures()
+    for command, error in failures[:LISTED]:
+        out.print(printable(f"failed: {error}"), soft_wrap=True)
+        out.print(f"  {command}", soft_wrap=True)
+    if len(failures) > LISTED:
+        out.print(f"... {len(failures) - LISTED} more, in the table")
+    there = len(folder.status) - len(failures)
+    out.print(f"{there} runs with a result, {len(failures)} without", soft_wrap=True)
+    out.print(f"table: {folder.path / RESULTS}", soft_wrap=True)
+    return len(failures)
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.2g} seconds"
