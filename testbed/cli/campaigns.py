@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Json, Set, app
+from testbed.cli.options import Set, app
 
 if TYPE_CHECKING:
+    from testbed.campaign.cluster import Tls
     from testbed.campaign.conduct import Engine
 
 
@@ -30,7 +32,13 @@ def campaign(
         int | None,
         typer.Option(min=0, help="Local processes; default one a processor, 0: in this one."),
     ] = None,
-    as_json: Json = False,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Of a Dask cluster, as tcp://host:8786."),
+    ] = None,
+    tls_ca: Annotated[Path | None, typer.Option(help="Authority's certificate (PEM).")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate (PEM).")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Its key (PEM).")] = None,
 ) -> None:
     """Carry out many runs of an experiment: factors, replicates, one table.
 
@@ -49,13 +57,42 @@ def campaign(
     if dry_run:
         print_plan(terminal.console(), asked, folder, limit)
         return
-    with Throughput() as throughput:
-        found = conduct(asked, folder, _engine(workers), limit, throughput)
+    tls = _tls(tls_ca, tls_cert, tls_key)
+    with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
+        found = conduct(asked, folder, engine, limit, throughput)
     failures = print_conducted(terminal.console(), found)
     raise typer.Exit(1 if failures else 0)
 
 
-def _engine(workers: int | None) -> Engine:
+def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> Tls | None:
+    """Files of an encrypted connection, all or none.
+
+    Raises:
+        BadParameter: One is missing, or is no file.
+    """
+    from testbed.campaign.cluster import Tls
+
+    if authority is None or certificate is None or key is None:
+        if authority or certificate or key:
+            raise typer.BadParameter("--tls-ca, --tls-cert and --tls-key go together")
+        return None
+    for path in (authority, certificate, key):
+        if not path.is_file():
+            raise typer.BadParameter(f"there is no file '{path}'")
+    return Tls(authority, certificate, key)
+
+
+def _engine(
+    workers: int | None, scheduler: str | None, tls: Tls | None
+) -> AbstractContextManager[Engine]:
+    """What carries the bundles out."""
+    from testbed.campaign.cluster import local_workers, workers_at
     from testbed.campaign.conduct import InThisProcess
 
-    return InThisProcess()
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("--workers is for local ones, --scheduler for a cluster's")
+        return workers_at(scheduler, tls)
+    if tls is not None:
+        raise typer.BadParameter("the TLS options go with --scheduler")
+    return nullcontext(InThisProcess()) if workers == 0 else local_workers(workers)
