@@ -37,6 +37,7 @@ RESULTS, EARLIER, CAMPAIGN = "results.parquet", "earlier.parquet", "campaign.tom
 NEW, RECORDINGS, LOCK = "new", "recordings", "lock"
 
 OWN = {RESULTS, EARLIER, CAMPAIGN, NEW, RECORDINGS, LOCK}
+"""Names that make a folder a campaign's."""
 
 LEAST_NEW = 1000
 """New rows that are worth writing the table again, unless it is larger than that."""

@@ -147,9 +147,7 @@ class DaskEngine:
             SchedulerLost: The scheduler has gone.
             ExperimentError: The workers cannot do the work at all.
         """
-        from distributed import as_completed  # noqa: PLC0415 - of the extra
-
-        flow = as_completed(loop=self._client.loop)
+        flow = _libraries()[1].as_completed(loop=self._client.loop)
         under_way: dict[Any, Bundle] = {}
         apart: list[Bundle] = []
         try:
@@ -191,13 +189,11 @@ class DaskEngine:
         self, future: Any, bundle: Bundle, apart: list[Bundle]
     ) -> tuple[list[Outcome], float] | None:
         """What came of a bundle; None if it has to be taken apart."""
-        from distributed import KilledWorker  # noqa: PLC0415
-
         if future.status in ("cancelled", "lost"):
             raise _lost()
         try:
             found: tuple[list[Outcome], float] = future.result()
-        except KilledWorker:
+        except _libraries()[1].KilledWorker:
             if len(bundle.runs) > 1:
                 apart.extend(_taken_apart(bundle))
                 return None

@@ -28,6 +28,12 @@ def campaign(
         bool, typer.Option("--dry-run", help="List and count the runs, estimate time and disk.")
     ] = False,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first runs.")] = None,
+    summary: Annotated[
+        bool, typer.Option("--summary", help="Run nothing: say what a campaign's folder holds.")
+    ] = False,
+    against: Annotated[
+        Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(min=0, help="Local processes; default one a processor, 0: in this one."),
@@ -46,7 +52,12 @@ def campaign(
     makes it again; exit code 1 if there is one.
 
     Example: testbed campaign experiments/campaigns/coverage.toml --limit 20
+
+    Example: testbed campaign --summary runs/coverage-campaign
     """
+    if summary or against is not None:
+        _summary(file, against)
+        return
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
     from testbed.report import terminal
@@ -62,6 +73,24 @@ def campaign(
         found = conduct(asked, folder, engine, limit, throughput)
     failures = print_conducted(terminal.console(), found)
     raise typer.Exit(1 if failures else 0)
+
+
+def _summary(folder: Path, against: Path | None) -> None:
+    """Print what a campaign says, and write it beside its table."""
+    from testbed.campaign.campaign_summary import read_campaign, summarise
+    from testbed.campaign.summary_files import changes, write_summary
+    from testbed.report import terminal
+    from testbed.report.campaign_lines import print_changes, print_summary
+    from testbed.report.campaign_page import write_campaign_page
+
+    found = summarise(read_campaign(folder))
+    out, place = terminal.console(), folder if folder.is_dir() else folder.parent
+    if against is not None:
+        print_changes(out, list(changes(summarise(read_campaign(against)), found)))
+        return
+    page = place / "summary.html"
+    write_campaign_page(page, found)
+    print_summary(out, found, [page, *write_summary(found, place)])
 
 
 def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> Tls | None:

@@ -2,25 +2,56 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+from rich.table import Table
 
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import RESULTS, CampaignFolder
+from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
 from testbed.campaign.conduct import Standing, command_of
 from testbed.campaign.estimated_cost import bytes_of, seconds_of
+from testbed.campaign.summary_files import Change
 from testbed.errors import printable
+from testbed.identification.estimate import METHODS
 
 LISTED = 20
 """Cells or failures that are listed one by one."""
 
+SHOWN_METRICS = (
+    ("external error", "external_rms_relative_error"),
+    ("largest z", "external_max_z"),
+    ("internal error", "internal_rms_relative_error"),
+    ("its largest z", "internal_max_z"),
+)
+"""Heads of columns and what stands in them, means over a cell."""
+
 BETWEEN = 30.0
 """Seconds between two lines where no bar can be shown."""
+
+
+def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
+    """What a person reads first.
+
+    Args:
+        summary: What a campaign says.
+        every: Its errors, all cells together.
+    """
+    cells, failed = len(summary.cells), len(summary.failures)
+    varied = " over " + ", ".join(summary.factors) if summary.factors else ""
+    yield f"{summary.runs} runs in {cells} cells{varied}; {failed or 'none'} without a result."
+    for method in METHODS:
+        own = [each for each in every if each.method == method]
+        if own:
+            inside, runs = sum(each.inside for each in own), sum(each.runs for each in own)
+            yield f"Of {runs} intervals of 95 %, {method}, {inside / runs:.1%} hold the truth."
 
 
 class Throughput:
@@ -101,6 +132,52 @@ def print_conducted(out: Console, folder: CampaignFolder) -> int:
     out.print(f"{there} runs with a result, {len(failures)} without", soft_wrap=True)
     out.print(f"table: {folder.path / RESULTS}", soft_wrap=True)
     return len(failures)
+
+
+def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None:
+    """Print what a campaign says.
+
+    Args:
+        out: Where to.
+        summary: What it says.
+        files: That say the same, and more.
+    """
+    for line in sentences(summary, pooled(summary.parameters)):
+        out.print(printable(line), soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for head in ("cell", "levels", *(name for name, _ in SHOWN_METRICS)):
+        table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
+    means = {(each.cell, each.metric): each.mean for each in summary.figures}
+    for number, levels in list(summary.cells.items())[:LISTED]:
+        values = [means.get((number, metric)) for _, metric in SHOWN_METRICS]
+        said = ", ".join(map(str, levels)) or "-"
+        shown = ("-" if value is None else f"{value:.3g}" for value in values)
+        table.add_row(str(number), printable(said), *shown)
+    out.print(table)
+    if len(summary.cells) > LISTED:
+        out.print(f"... {len(summary.cells) - LISTED} cells more")
+    for file in files:
+        out.print(str(file), soft_wrap=True)
+
+
+def print_changes(out: Console, changes: Sequence[Change]) -> None:
+    """Print how the metrics of two campaigns differ, cell by cell.
+
+    Args:
+        out: Where to.
+        changes: What differs.
+    """
+    table = Table(box=None, pad_edge=False)
+    for head in ("levels", "metric", "before", "after", "ratio", "sigmas"):
+        table.add_column(head, justify="left" if head in ("levels", "metric") else "right")
+    for each in changes:
+        sigmas = "-" if math.isnan(each.sigmas) else f"{each.sigmas:+.1f}"
+        levels = printable(", ".join(map(str, each.levels)) or "-")
+        numbers = (f"{x:.3g}" for x in (each.before, each.after, each.ratio))
+        table.add_row(levels, each.metric, *numbers, sigmas)
+    out.print(table)
+    if not changes:
+        out.print("the two campaigns have no cell of the same levels")
 
 
 def duration(seconds: float) -> str:
