@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,13 +21,12 @@ from testbed.blas import one_blas_thread
 from testbed.campaign.campaign import experiment_of
 from testbed.campaign.run_identity import code_version, run_hash
 from testbed.errors import ExperimentError, TestbedError, printable
-from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.payload_score import with_payload_metrics
-from testbed.experiment.run import Run
-from testbed.experiment.simulate import simulate_together
 from testbed.identification.estimate import Method
-from testbed.recordings.recording import Recording
+
+if TYPE_CHECKING:
+    from testbed.experiment.run import Run
+    from testbed.recordings.recording import Recording
 
 Status = Literal["done", "failed", "killed"]
 """Of a run: killed ones are made again by the next command, since nobody knows why."""
@@ -102,6 +101,8 @@ def carry_out_bundle(bundle: Bundle) -> tuple[list[Outcome], float]:
 
 
 def _outcomes(bundle: Bundle) -> list[Outcome]:
+    from testbed.experiment.simulate import simulate_together
+
     found: dict[str, Outcome] = {}
     asked: dict[str, Experiment] = {}
     for run, words in bundle.runs:
@@ -122,6 +123,9 @@ def _outcome(
     run: str, experiment: Experiment, recording: Recording | Exception, bundle: Bundle
 ) -> Outcome:
     """What comes of a simulated run."""
+    from testbed.experiment.evaluate import evaluate
+    from testbed.experiment.payload_score import with_payload_metrics
+
     if isinstance(recording, Exception):
         return _failed(run, recording)
     try:

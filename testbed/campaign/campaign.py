@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -190,9 +191,28 @@ class Campaign:
             cell: Its number.
             replicate: Its number.
         """
-        own = 0 if self.tables.common_seeds else cell * self.tables.replicates
-        seed = f"seed={self.tables.seed + own + replicate}"
+        seed = f"seed={self.seed(cell, replicate)}"
         return (ENGINE, *self.tables.set, *self.cells[cell].words, seed)
+
+    def seed(self, cell: int, replicate: int) -> int:
+        """The seed of a run.
+
+        Args:
+            cell: Its number.
+            replicate: Its number.
+        """
+        own = 0 if self.tables.common_seeds else cell * self.tables.replicates
+        return self.tables.seed + own + replicate
+
+    def command(self, cell: int, replicate: int) -> str:
+        """What carries a run out again, by itself.
+
+        Args:
+            cell: Its number.
+            replicate: Its number.
+        """
+        words = (f"--set {shlex.quote(word)}" for word in self.words(cell, replicate))
+        return f"testbed run {shlex.quote(str(self.base))} {' '.join(words)}"
 
     def experiment(self, cell: int, replicate: int) -> Experiment:
         """The experiment of a run.

@@ -17,17 +17,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import tomli_w
 
 from testbed.campaign.bundle import Outcome
 from testbed.campaign.campaign import CampaignTables
 from testbed.campaign.results_table import (
     Place,
-    in_order,
+    Said,
     joined,
     read_rows,
     rows_of,
+    taken,
     write_rows,
 )
 from testbed.errors import ExperimentError
@@ -54,18 +54,24 @@ class CampaignFolder:
     """
 
     def __init__(
-        self, path: Path, schema: pa.Schema, runs: Mapping[str, Place], figure: str | None
+        self,
+        path: Path,
+        schema: pa.Schema,
+        runs: Mapping[str, Place],
+        said: Said,
+        figure: str | None = None,
     ) -> None:
         """Look what is there; everything that was left half-way is put in order.
 
         Args:
             path: The folder; made if it is not there.
             schema: Of the table.
-            runs: Places of all runs of the campaign, by hash.
+            runs: Places of all runs of the campaign, by hash, in order.
+            said: What the campaign says of a place.
             figure: Column that a rule for stopping looks at.
         """
         self.path, self.places = path, runs
-        self._schema, self._figure = schema, figure
+        self._schema, self._said, self._figure = schema, said, figure
         self.status: dict[str, str] = {}
         self.figures: dict[str, float | None] = {}
         self._waiting = self._written = self._number = 0
@@ -87,7 +93,7 @@ class CampaignFolder:
             if outcome.recording is not None:
                 with replacing(self.path / RECORDINGS / f"{outcome.run}.parquet") as fresh:
                     fresh.write_bytes(outcome.recording)
-        rows = rows_of(outcomes, self.places, self._schema)
+        rows = rows_of(outcomes, self.places, self._said, self._schema)
         self._number += 1
         write_rows(self.path / NEW / f"{self._number:08d}-{outcomes[0].run}.parquet", rows)
         self._note(rows)
@@ -107,12 +113,13 @@ class CampaignFolder:
         A file is removed only when what it holds stands elsewhere.
         """
         there = [file for file in self._files() if file.exists()]
-        every = joined([read_rows(file) for file in there], self._schema)
-        ours = pc.is_in(every["run"], value_set=pa.array(self.places, pa.string()))
-        earlier = every.filter(pc.invert(ours))
-        mine = in_order(self._placed(every.filter(ours)))
-        if len(earlier) or (self.path / EARLIER).exists():
-            write_rows(self.path / EARLIER, earlier)
+        every, where = joined([read_rows(file) for file in there], self._schema)
+        others = [row for run, row in where.items() if run not in self.places]
+        if others or (self.path / EARLIER).exists():
+            write_rows(self.path / EARLIER, taken(every, others))
+        mine = taken(every, [where[run] for run in self.places if run in where])
+        del every
+        mine = self._placed(mine)
         write_rows(self.path / RESULTS, mine)
         for file in there:
             if file.parent.name == NEW:
@@ -121,22 +128,13 @@ class CampaignFolder:
         self._waiting, self._written = 0, len(mine)
 
     def _placed(self, rows: pa.Table) -> pa.Table:
-        """Rows with their places in this campaign: they may have come from an earlier one."""
-        places = [self.places[run] for run in rows["run"].to_pylist()]
-        columns: dict[str, list[object]] = {
-            "command": [place.command for place in places],
-            "cell": [place.cell for place in places],
-            "replicate": [place.replicate for place in places],
-        }
-        names = [name for name in self._schema.names if name.startswith("factor/")]
-        for k, name in enumerate(names):
-            columns[name] = [place.levels[k] for place in places]
-        for name, values in columns.items():
-            field = self._schema.field(name)
-            text = [str(v) for v in values] if field.type == pa.string() else values
-            rows = rows.set_column(
-                self._schema.get_field_index(name), field, pa.array(text, field.type)
-            )
+        """Rows with what this campaign says of them: they may have come from an earlier one."""
+        marks = zip(rows["run"].to_pylist(), rows["status"].to_pylist(), strict=True)
+        said = [self._said(self.places[run], status) for run, status in marks]
+        for name in said[0] if said else ():
+            index, field = self._schema.get_field_index(name), self._schema.field(name)
+            values = pa.array([each[name] for each in said], field.type)
+            rows = rows.set_column(index, field, values)
         return rows
 
     def failures(self) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from testbed.arrays import Array
 from testbed.campaign.campaign_folder import NEW, RESULTS
-from testbed.campaign.results_table import about, joined, read_rows
+from testbed.campaign.results_table import about, joined, read_rows, taken
 from testbed.errors import ExperimentError
 from testbed.identification.estimate import METHODS
 
@@ -134,7 +134,8 @@ def read_campaign(folder: Path) -> pa.Table:
     if not there:
         raise ExperimentError(f"'{folder}' is no campaign's folder: it has no {RESULTS}")
     tables = [read_rows(file) for file in there]
-    return joined(tables, tables[-1].schema)
+    every, where = joined(tables, tables[0].schema)
+    return taken(every, list(where.values()))
 
 
 def summarise(rows: pa.Table) -> Summary:
@@ -239,7 +240,7 @@ def binomial_bounds(inside: int, runs: int) -> tuple[float, float]:
         inside: Runs that hold.
         runs: Of so many.
     """
-    from scipy.stats import beta  # noqa: PLC0415 - it takes a second
+    from scipy.stats import beta
 
     rest = (1 - LEVEL) / 2
     low = float(beta.ppf(rest, inside, runs - inside + 1)) if inside else 0.0

@@ -11,7 +11,7 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,7 +26,7 @@ Work: TypeAlias = Callable[[Bundle], tuple[list[Outcome], float]]
 AHEAD = 2
 """Bundles in flight for each worker: one that is done, one that waits."""
 
-ALLOWED_DEATHS = 3
+ALLOWED_DEATHS = 2
 """Workers that may die with a bundle before it is taken apart, or a run counts as killed."""
 
 LOOK = 2.0
@@ -41,6 +41,7 @@ _CONFIG: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": ALLOWED_DEATHS,
     "distributed.scheduler.worker-saturation": 1.0,  # a worker that dies takes one bundle along
     "distributed.comm.timeouts.connect": "60s",
+    "distributed.deploy.lost-worker-timeout": "1s",
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
     "distributed.worker.preload": ["testbed.campaign.worker_setup"],
     "distributed.worker.memory.spill": False,
@@ -82,24 +83,27 @@ def local_workers(count: int | None, work: Work = carry_out_bundle) -> Iterator[
     """
     dask, distributed = _libraries()
     number = count or len(os.sched_getaffinity(0))
-    with (
-        dask.config.set(_CONFIG),
-        _quiet(),
-        distributed.LocalCluster(
-            n_workers=number,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            silence_logs=logging.CRITICAL,
-        ) as cluster,
-        distributed.Client(cluster, set_as_default=False) as client,
-    ):
+    with ExitStack() as stack:
+        stack.enter_context(dask.config.set(_CONFIG))
+        stack.enter_context(_quiet())
+        cluster = stack.enter_context(
+            distributed.LocalCluster(
+                n_workers=number,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                silence_logs=logging.CRITICAL,
+            )
+        )
+        # a worker that dies while it starts is given up by its nanny: another one is started
+        cluster.adapt(minimum=number, maximum=number, interval="1s")
+        client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
         yield DaskEngine(client, work)
 
 
 @contextmanager
 def workers_at(
-    address: str, tls: Tls | None = None, work: Work = carry_out_bundle
+    address: str, tls: Tls | None = None, work: Work = carry_out_bundle, patience: str = "30s"
 ) -> Iterator[DaskEngine]:
     """The workers of a cluster that somebody has started.
 
@@ -107,6 +111,7 @@ def workers_at(
         address: Of its scheduler, as tcp://host:8786.
         tls: Files of an encrypted connection; None for an open one.
         work: What is done with a bundle.
+        patience: How long it may take to answer.
 
     Raises:
         ExperimentError: Dask is not installed, or nobody answers there.
@@ -120,9 +125,9 @@ def workers_at(
             tls_client_key=str(tls.key),
             require_encryption=True,
         )
-    with dask.config.set({"distributed.comm.timeouts.connect": "30s"}), _quiet():
+    with dask.config.set({"distributed.comm.timeouts.connect": patience}), _quiet():
         try:
-            client = distributed.Client(address, set_as_default=False, timeout="30s", **security)
+            client = distributed.Client(address, set_as_default=False, timeout=patience, **security)
         except (OSError, ValueError, TypeError, ImportError) as error:
             raise ExperimentError(f"no scheduler answers at '{address}': {error}") from None
         try:
@@ -233,8 +238,8 @@ def _libraries() -> tuple[Any, Any]:
         ExperimentError: They are not installed.
     """
     try:
-        import dask  # noqa: PLC0415 - of the extra, and heavy
-        import distributed  # noqa: PLC0415
+        import dask
+        import distributed
     except ImportError as error:
         raise ExperimentError(
             f"workers need Dask ({error}): pip install 'testbed[cluster]'; --workers 0 does without"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import shlex
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder, own_folder
 from testbed.campaign.estimated_cost import seconds_of
-from testbed.campaign.results_table import Place, schema_of
+from testbed.campaign.results_table import Place, Said, schema_of
 from testbed.campaign.run_identity import code_version, run_hash
 
 WHOLE = 5.0
@@ -118,16 +117,8 @@ def places_of(campaign: Campaign) -> dict[str, Place]:
     found: dict[str, Place] = {}
     for replicate, cell in product(range(campaign.tables.replicates), range(len(campaign.cells))):
         run = run_hash(campaign.experiment(cell, replicate), campaign.tables.methods)
-        if run not in found:  # two cells may say the same
-            command = command_of(campaign, cell, replicate)
-            found[run] = Place(cell, replicate, campaign.cells[cell].levels, command)
+        found.setdefault(run, Place(cell, replicate))  # two cells may say the same
     return found
-
-
-def command_of(campaign: Campaign, cell: int, replicate: int) -> str:
-    """What carries a run out again, by itself."""
-    words = (f"--set {shlex.quote(word)}" for word in campaign.words(cell, replicate))
-    return f"testbed run {shlex.quote(str(campaign.base))} {' '.join(words)}"
 
 
 def conduct(
@@ -156,7 +147,9 @@ def conduct(
         places = places_of(campaign)
         stop = campaign.tables.stop
         figure = None if stop is None else f"metric/{stop.figure}"
-        folder = CampaignFolder(path, schema_of_campaign(campaign), places, figure)
+        folder = CampaignFolder(
+            path, schema_of_campaign(campaign), places, _sayer(campaign), figure
+        )
         try:
             for runs in _rounds(campaign, places, folder, limit):
                 _make(campaign, runs, folder, engine, progress)
@@ -179,6 +172,27 @@ def schema_of_campaign(campaign: Campaign) -> pa.Schema:
         "logarithmic": [f.name for f in campaign.tables.factor if f.log],
     }
     return schema_of(levels, about)
+
+
+def _sayer(campaign: Campaign) -> Said:
+    """Columns that a campaign knows of a run."""
+    named = {
+        k
+        for k in range(len(campaign.factors))
+        if any(isinstance(cell.levels[k], str) for cell in campaign.cells)
+    }
+
+    def said(place: Place, status: str) -> dict[str, object]:
+        levels = enumerate(zip(campaign.factors, campaign.cells[place.cell].levels, strict=True))
+        return {
+            "cell": place.cell,
+            "replicate": place.replicate,
+            "seed": campaign.seed(*place),
+            "command": "" if status == "done" else campaign.command(*place),
+            **{f"factor/{name}": str(x) if k in named else float(x) for k, (name, x) in levels},
+        }
+
+    return said
 
 
 def _rounds(

@@ -68,7 +68,7 @@ def sampled(
         points: How many.
         seed: Of the points.
     """
-    from scipy.stats import qmc  # noqa: PLC0415 - it takes a second
+    from scipy.stats import qmc
 
     rng = np.random.default_rng(seed)
     if method == "random":

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from testbed.campaign.bundle import Outcome
@@ -21,6 +19,9 @@ from testbed.identification.estimate import METHODS
 FORMAT = "testbed campaign 1"
 """Name and version of the layout, kept in the file."""
 
+Said: TypeAlias = Callable[["Place", str], dict[str, Any]]
+"""Columns that a campaign knows of a run by its place and its status."""
+
 KEY = b"testbed"
 """Under which the schema keeps the metadata."""
 
@@ -28,21 +29,11 @@ NUMBERS = ("truth", "values", "sigma", "relative_error")
 """Of every estimate, a list each in the order of its names."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a run stands in its campaign.
-
-    Attributes:
-        cell: Number of its cell.
-        replicate: Its number in the cell.
-        levels: Of the factors.
-        command: What makes it again.
-    """
+class Place(NamedTuple):
+    """Where a run stands in its campaign: numbers of its cell and of its replicate there."""
 
     cell: int
     replicate: int
-    levels: tuple[float | str, ...]
-    command: str
 
 
 def schema_of(factors: Mapping[str, Sequence[float | str]], about: Mapping[str, Any]) -> pa.Schema:
@@ -59,6 +50,7 @@ def schema_of(factors: Mapping[str, Sequence[float | str]], about: Mapping[str, 
         pa.field("command", pa.string()),
         pa.field("cell", pa.int32()),
         pa.field("replicate", pa.int32()),
+        pa.field("seed", pa.int64()),
     ]
     for name, levels in factors.items():
         named = any(isinstance(level, str) for level in levels)
@@ -73,30 +65,25 @@ def schema_of(factors: Mapping[str, Sequence[float | str]], about: Mapping[str, 
 
 
 def rows_of(
-    outcomes: Iterable[Outcome], places: Mapping[str, Place], schema: pa.Schema
+    outcomes: Iterable[Outcome], places: Mapping[str, Place], said: Said, schema: pa.Schema
 ) -> pa.Table:
     """Outcomes as rows.
 
     Args:
         outcomes: Of some runs.
         places: Of these runs, by hash.
+        said: What the campaign says of a place.
         schema: Of the table.
     """
     rows = []
     for outcome in outcomes:
-        place = places[outcome.run]
         row: dict[str, Any] = {
             "run": outcome.run,
             "status": outcome.status,
             "error": outcome.error,
-            "command": place.command,
-            "cell": place.cell,
-            "replicate": place.replicate,
             "warnings": list(outcome.warnings),
         }
-        names = [field.name for field in schema if field.name.startswith("factor/")]
-        for name, level in zip(names, place.levels, strict=True):
-            row[name] = str(level) if schema.field(name).type == pa.string() else level
+        row |= said(places[outcome.run], outcome.status)
         row |= {f"metric/{name}": value for name, value in (outcome.metrics or {}).items()}
         for method, estimate in (outcome.estimates or {}).items():
             row |= {f"{method}/{kind}": values for kind, values in estimate.items()}
@@ -147,31 +134,32 @@ def about(schema: pa.Schema) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def joined(tables: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
-    """Rows of several tables, every run once: what has a result goes first, then what comes first.
+def joined(tables: Sequence[pa.Table], schema: pa.Schema) -> tuple[pa.Table, dict[str, int]]:
+    """Rows of several tables, and which of them counts for each run.
+
+    What has a result goes first, then what comes first.
 
     Args:
         tables: Of one campaign, perhaps with other columns.
         schema: Of the result.
     """
-    fitted = [_fitted(table, schema) for table in tables]
-    every = pa.concat_tables([schema.empty_table(), *fitted])
+    every = pa.concat_tables([schema.empty_table(), *(_fitted(table, schema) for table in tables)])
     where: dict[str, int] = {}
     status = every["status"].to_pylist()
     for row, run in enumerate(every["run"].to_pylist()):
         if run not in where or (status[where[run]] == "killed" and status[row] != "killed"):
             where[run] = row
-    return every.take(pa.array(sorted(where.values()), pa.int64()))
+    return every, where
 
 
-def in_order(table: pa.Table) -> pa.Table:
-    """The rows in the order of replicates, and of cells in each.
+def taken(table: pa.Table, rows: Sequence[int]) -> pa.Table:
+    """Some rows of a table, in one piece.
 
     Args:
-        table: Every run once.
+        table: The table.
+        rows: Their numbers.
     """
-    order = pc.sort_indices(table, [("replicate", "ascending"), ("cell", "ascending")])
-    return table.take(order).combine_chunks()
+    return table.take(pa.array(rows, pa.int64())).combine_chunks()
 
 
 def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -16,7 +16,7 @@ from rich.table import Table
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import RESULTS, CampaignFolder
 from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
-from testbed.campaign.conduct import Standing, command_of
+from testbed.campaign.conduct import Standing
 from testbed.campaign.estimated_cost import bytes_of, seconds_of
 from testbed.campaign.summary_files import Change
 from testbed.errors import printable
@@ -109,7 +109,7 @@ def print_plan(out: Console, campaign: Campaign, folder: Path, limit: int | None
     at_most = "at most " if campaign.tables.stop is not None else ""
     out.print(f"{cells} cells, {replicates} replicates each: {at_most}{runs} runs")
     out.print(f"about {duration(runs * seconds)} of one processor, {megabytes:.3g} MB in {folder}")
-    out.print(f"the first one: {command_of(campaign, 0, 0)}", soft_wrap=True)
+    out.print(f"the first one: {campaign.command(0, 0)}", soft_wrap=True)
 
 
 def print_conducted(out: Console, folder: CampaignFolder) -> int:
