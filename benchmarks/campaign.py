@@ -269,8 +269,8 @@ def cluster(
         [*dask, "scheduler", "--port", str(port), *host],
         *[[*dask, "worker", address, "--nthreads", "1", *host]] * workers,
     ]
-    options: dict[str, Any] = {"cwd": ROOT, "start_new_session": True} | quiet
-    processes = [subprocess.Popen(each, **options) for each in words]
+    how: dict[str, Any] = {"cwd": ROOT, "start_new_session": True} | quiet
+    processes = [subprocess.Popen(each, **how) for each in words]
     try:
         yield address, processes[0].pid
     finally:

@@ -147,9 +147,8 @@ def conduct(
         places = places_of(campaign)
         stop = campaign.tables.stop
         figure = None if stop is None else f"metric/{stop.figure}"
-        folder = CampaignFolder(
-            path, schema_of_campaign(campaign), places, _sayer(campaign), figure
-        )
+        schema, said = schema_of_campaign(campaign), _sayer(campaign)
+        folder = CampaignFolder(path, schema, places, said, figure)
         try:
             for runs in _rounds(campaign, places, folder, limit):
                 _make(campaign, runs, folder, engine, progress)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import errno
+import math
 import shutil
+import statistics
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-from testbed.campaign import campaign_folder, results_table
+from testbed.campaign import campaign_folder
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder
@@ -145,8 +147,7 @@ def test_a_rule_for_stopping_looks_at_whole_rounds_alone(tmp_path: Path) -> None
 
 
 def _standard_error(values: list[float]) -> float:
-    mean = sum(values) / len(values)
-    return (sum((v - mean) ** 2 for v in values) / (len(values) - 1) / len(values)) ** 0.5
+    return statistics.stdev(values) / math.sqrt(len(values))
 
 
 def test_rows_that_are_not_asked_for_any_more_are_kept_apart(tmp_path: Path) -> None:
@@ -169,7 +170,7 @@ def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
     conduct(campaign, tmp_path / "whole", Odd(size=2))
     for room in range(3, 12, 2):
         with monkeypatch.context() as patch:
-            patch.setattr(results_table.pq, "write_table", _with_room_for(room))
+            patch.setattr(pq, "write_table", _with_room_for(room))
             with pytest.raises(OSError, match="No space left"):
                 conduct(campaign, tmp_path / "r", Odd(size=2))
         conduct(campaign, tmp_path / "r", Odd(size=2))
@@ -179,7 +180,7 @@ def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
 
 def _with_room_for(tables: int):  # type: ignore[no-untyped-def]
     """Writing that finds the disk full after some tables, and leaves half of one."""
-    once, left = results_table.pq.write_table, [tables]
+    once, left = pq.write_table, [tables]
 
     def write(*arguments: object, **options: object) -> None:
         left[0] -= 1
