@@ -9,6 +9,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
+from testbed.experiment.step_floor import with_floor
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
@@ -48,7 +49,7 @@ def evaluate(
         threads=threads,
         progress=progress,
     )
-    return with_consistent(run)
+    return with_floor(with_consistent(run))
 
 
 def robot_of(experiment: Experiment) -> Tree:

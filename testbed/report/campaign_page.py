@@ -23,6 +23,8 @@ from testbed.report.html import rendered
 SHOWN = ("external_rms_relative_error", "internal_rms_relative_error")
 """Metrics that are compared on one scale."""
 
+CAPTIONS = dict(zip(SHOWN, ("By the plate", "By joint torques"), strict=True))
+
 HEADS = (
     "parameter", "runs", "truth", "bias", "spread", "rms error", "sigma",
     "coverage [%]", "bounds [%]", "relative rms",
@@ -59,6 +61,7 @@ def campaign_contents(summary: Summary) -> dict[str, Any]:
         "claim": str(summary.about.get("claim", "")),
         "summary": list(sentences(summary, every)),
         "heats": list(_heats(summary)),
+        "factors": summary.factors,
         "figures": [figure for figure in figures if figure is not None],
         "heads": HEADS,
         "tables": [
@@ -87,13 +90,10 @@ def _heats(summary: Summary) -> Iterator[dict[str, Any]]:
     there = [x for grid in grids.values() for line in grid for x in line if x > 0]
     if not there:
         return
+    names, columns = ([_level(level) for level in each] for each in levels)
     for metric, grid in grids.items():
-        caption = f"{metric.replace('_', ' ')} [%]: {summary.factors[0]} (row), "
-        names = [_level(level) for level in levels[0]]
-        columns = [_level(level) for level in levels[1]]
-        yield heat_table(
-            caption + f"{summary.factors[1]} (column)", names, columns, grid, min(there), max(there)
-        )
+        caption = CAPTIONS[metric]
+        yield heat_table(caption, names, columns, grid, min(there), max(there))
 
 
 def _level(level: float | str) -> str:
