@@ -28,7 +28,7 @@ MOST_RUNS = 10_000_000
 ENGINE = "identification.engine=compiled"
 """What every run of a campaign is told first: workers live long enough to load the kernel."""
 
-FactorName = Annotated[str, Field(pattern=r"^[^/\n]+$", max_length=60)]
+FactorName = Annotated[str, Field(pattern=r"^[^\n]+$", max_length=60)]
 
 
 class LevelTable(Table):

@@ -27,7 +27,7 @@ from testbed.campaign.results_table import (
     joined,
     read_rows,
     rows_of,
-    taken,
+    slices,
     write_rows,
 )
 from testbed.errors import ExperimentError
@@ -95,7 +95,8 @@ class CampaignFolder:
                     fresh.write_bytes(outcome.recording)
         rows = rows_of(outcomes, self.places, self._said, self._schema)
         self._number += 1
-        write_rows(self.path / NEW / f"{self._number:08d}-{outcomes[0].run}.parquet", rows)
+        name = f"{self._number:08d}-{outcomes[0].run}.parquet"
+        write_rows(self.path / NEW / name, [rows], self._schema)
         self._note(rows)
         self._waiting += len(rows)
         if self._waiting >= max(LEAST_NEW, self._written):
@@ -116,25 +117,28 @@ class CampaignFolder:
         every, where = joined([read_rows(file) for file in there], self._schema)
         others = [row for run, row in where.items() if run not in self.places]
         if others or (self.path / EARLIER).exists():
-            write_rows(self.path / EARLIER, taken(every, others))
-        mine = taken(every, [where[run] for run in self.places if run in where])
-        del every
-        mine = self._placed(mine)
-        write_rows(self.path / RESULTS, mine)
+            write_rows(self.path / EARLIER, slices(every, others), self._schema)
+        mine = [where[run] for run in self.places if run in where]
+        placed = (self._placed(part) for part in slices(every, mine))
+        write_rows(self.path / RESULTS, placed, self._schema)
         for file in there:
             if file.parent.name == NEW:
                 file.unlink()
-        self._note(mine)
         self._waiting, self._written = 0, len(mine)
+        del every
+        pa.default_memory_pool().release_unused()
 
     def _placed(self, rows: pa.Table) -> pa.Table:
-        """Rows with what this campaign says of them: they may have come from an earlier one."""
+        """Rows, noted, with what this campaign says of them: they may come from an earlier one."""
+        columns: dict[str, list[object]] = {}
         marks = zip(rows["run"].to_pylist(), rows["status"].to_pylist(), strict=True)
-        said = [self._said(self.places[run], status) for run, status in marks]
-        for name in said[0] if said else ():
+        for run, status in marks:
+            for name, value in self._said(self.places[run], status).items():
+                columns.setdefault(name, []).append(value)
+        for name, values in columns.items():
             index, field = self._schema.get_field_index(name), self._schema.field(name)
-            values = pa.array([each[name] for each in said], field.type)
-            rows = rows.set_column(index, field, values)
+            rows = rows.set_column(index, field, pa.array(values, field.type))
+        self._note(rows)
         return rows
 
     def failures(self) -> list[tuple[str, str]]:

@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from testbed.arrays import Array
 from testbed.campaign.campaign_folder import NEW, RESULTS
-from testbed.campaign.results_table import about, joined, read_rows, taken
+from testbed.campaign.results_table import about, joined, read_rows
 from testbed.errors import ExperimentError
 from testbed.identification.estimate import METHODS
 
@@ -135,7 +135,7 @@ def read_campaign(folder: Path) -> pa.Table:
         raise ExperimentError(f"'{folder}' is no campaign's folder: it has no {RESULTS}")
     tables = [read_rows(file) for file in there]
     every, where = joined(tables, tables[0].schema)
-    return taken(every, list(where.values()))
+    return every.take(pa.array(where.values(), pa.int64()))
 
 
 def summarise(rows: pa.Table) -> Summary:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -24,6 +24,9 @@ Said: TypeAlias = Callable[["Place", str], dict[str, Any]]
 
 KEY = b"testbed"
 """Under which the schema keeps the metadata."""
+
+AT_ONCE = 10_000
+"""Rows of a group: what is held twice while a table is written."""
 
 NUMBERS = ("truth", "values", "sigma", "relative_error")
 """Of every estimate, a list each in the order of its names."""
@@ -91,15 +94,17 @@ def rows_of(
     return pa.Table.from_pylist(rows, schema=schema)
 
 
-def write_rows(path: Path, rows: pa.Table) -> None:
+def write_rows(path: Path, parts: Iterable[pa.Table], schema: pa.Schema) -> None:
     """Write a table; it appears whole or not at all.
 
     Args:
         path: The file.
-        rows: What it holds.
+        parts: Its rows, a group each.
+        schema: Of the table.
     """
-    with replacing(path) as fresh:
-        pq.write_table(rows, fresh, compression="zstd", row_group_size=10_000)
+    with replacing(path) as fresh, pq.ParquetWriter(fresh, schema, compression="zstd") as writer:
+        for part in parts:
+            writer.write_table(part)
 
 
 def read_rows(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -152,14 +157,16 @@ def joined(tables: Sequence[pa.Table], schema: pa.Schema) -> tuple[pa.Table, dic
     return every, where
 
 
-def taken(table: pa.Table, rows: Sequence[int]) -> pa.Table:
-    """Some rows of a table, in one piece.
+def slices(table: pa.Table, rows: Sequence[int]) -> Iterator[pa.Table]:
+    """Some rows of a table, not too many at once.
 
     Args:
         table: The table.
         rows: Their numbers.
     """
-    return table.take(pa.array(rows, pa.int64())).combine_chunks()
+    for first in range(0, len(rows), AT_ONCE):
+        chosen = pa.array(rows[first : first + AT_ONCE], pa.int64())
+        yield table.take(chosen).combine_chunks()
 
 
 def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:

@@ -170,7 +170,7 @@ def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
     conduct(campaign, tmp_path / "whole", Odd(size=2))
     for room in range(3, 12, 2):
         with monkeypatch.context() as patch:
-            patch.setattr(pq, "write_table", _with_room_for(room))
+            patch.setattr(pq, "ParquetWriter", _with_room_for(room))
             with pytest.raises(OSError, match="No space left"):
                 conduct(campaign, tmp_path / "r", Odd(size=2))
         conduct(campaign, tmp_path / "r", Odd(size=2))
@@ -178,18 +178,18 @@ def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
         shutil.rmtree(tmp_path / "r")
 
 
-def _with_room_for(tables: int):  # type: ignore[no-untyped-def]
-    """Writing that finds the disk full after some tables, and leaves half of one."""
-    once, left = pq.write_table, [tables]
+def _with_room_for(tables: int) -> type[pq.ParquetWriter]:
+    """A writer that finds the disk full after some tables, and leaves half of one."""
+    left = [tables]
 
-    def write(*arguments: object, **options: object) -> None:
-        left[0] -= 1
-        if left[0] < 0:
-            Path(str(arguments[1])).write_bytes(b"PAR1 half")
-            raise OSError(errno.ENOSPC, "No space left on device")
-        once(*arguments, **options)
+    class Full(pq.ParquetWriter):  # type: ignore[misc]
+        def write_table(self, table: object) -> None:
+            left[0] -= 1
+            if left[0] < 0:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            super().write_table(table)
 
-    return write
+    return Full
 
 
 def test_a_folder_is_written_by_one_command_and_by_no_other_kind(

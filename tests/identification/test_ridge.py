@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import minimize
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.errors import SettingsError
 from testbed.identification.ridge import WARNING, ridge
 from tests.helpers.ideal import ideal
@@ -19,8 +20,8 @@ def test_the_drawn_values_minimise_misfit_and_length(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(40, 4)) @ rng.normal(size=(4, 4)) * [1.0, 30.0, 0.01, 5.0]
     y = rows @ rng.normal(size=4) + rng.normal(size=40)
-    covariance = np.linalg.inv(rows.T @ rows)
-    plain = covariance @ rows.T @ y
+    covariance: Array = np.linalg.inv(rows.T @ rows)
+    plain: Array = covariance @ rows.T @ y
     length = np.linalg.norm(rows, axis=0)
     strength = 4 / np.sum((plain * length) ** 2)
 
