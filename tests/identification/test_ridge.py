@@ -20,8 +20,8 @@ def test_the_drawn_values_minimise_misfit_and_length(seed: int) -> None:
     rng = np.random.default_rng(seed)
     rows = rng.normal(size=(40, 4)) @ rng.normal(size=(4, 4)) * [1.0, 30.0, 0.01, 5.0]
     y = rows @ rng.normal(size=4) + rng.normal(size=40)
-    covariance: Array = np.linalg.inv(rows.T @ rows)
-    plain: Array = covariance @ rows.T @ y
+    covariance: Array = np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64)
+    plain = np.asarray(covariance @ rows.T @ y, dtype=np.float64)
     length = np.linalg.norm(rows, axis=0)
     strength = 4 / np.sum((plain * length) ** 2)
 
