@@ -43,7 +43,7 @@ from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_speed import with_speed
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
-from testbed.identification.ridge import shrunk
+from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
@@ -139,9 +139,8 @@ def identify(
             trace_tests=trace_tests(rows, beside, names, found),
         )
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
-    told = replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
-    return shrunk(told) if settings.ridge else told
+    warnings += in_lines(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
+    return drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
 
 
 def check_source(source: Source, tree: Tree, method: Method) -> None:

@@ -34,17 +34,20 @@ def ridge(values: Array, covariance: Array) -> tuple[Array, Array]:
     correlation = inverse / np.outer(length, length)
     scaled = values * scale
     strength = len(values) / float(scaled @ scaled)
-    drawn = np.linalg.solve(correlation + strength * np.eye(len(values)), correlation)
-    shrink = drawn * scale / scale[:, None]
+    towards = np.linalg.solve(correlation + strength * np.eye(len(values)), correlation)
+    shrink = towards * scale / scale[:, None]
     return shrink @ values, shrink @ covariance @ shrink.T
 
 
-def shrunk(estimate: Estimate) -> Estimate:
-    """An estimate by ridge regression.
+def drawn(estimate: Estimate, wanted: bool) -> Estimate:
+    """An estimate by ridge regression, where that is wanted.
 
     Args:
         estimate: The plain one.
+        wanted: Else it stays as it is.
     """
+    if not wanted:
+        return estimate
     values, covariance = ridge(estimate.values, estimate.covariance)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     warnings = (*estimate.warnings, WARNING)

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
@@ -72,7 +73,8 @@ def test_errors_are_those_of_the_table(folder: Path, summary: Summary) -> None:
 def test_all_cells_together_are_one_large_cell(folder: Path, summary: Summary) -> None:
     rows = read_campaign(folder)
     index = rows.schema.get_field_index("cell")
-    one = rows.set_column(index, rows.schema.field("cell"), [[0] * len(rows)])
+    zeros = pa.array([0] * len(rows), pa.int32())
+    one = rows.set_column(index, rows.schema.field("cell"), zeros)
     for ours, wanted in zip(pooled(summary.parameters), summarise(one).parameters, strict=True):
         assert (ours.parameter, ours.runs, ours.inside) == (
             wanted.parameter, wanted.runs, wanted.inside,

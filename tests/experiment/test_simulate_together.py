@@ -9,6 +9,7 @@ import testbed as tb
 from testbed.errors import TestbedError
 from testbed.experiment import simulate as module
 from testbed.experiment.simulate import simulate_together
+from testbed.simulation.rollout import simulate_motions
 from tests.helpers.paths import GOLDEN, ROOT
 
 QUICK = (
@@ -70,11 +71,10 @@ def test_a_run_does_not_depend_on_those_beside_it(name: str, clock: str) -> None
 
 def test_what_happens_twice_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
-    once = module.simulate_motions
 
     def counted(tasks, *rest, **more):  # type: ignore[no-untyped-def]
         seen.append(len(tasks))
-        return once(tasks, *rest, **more)
+        return simulate_motions(tasks, *rest, **more)
 
     monkeypatch.setattr(module, "simulate_motions", counted)
     noises = [experiment("puma", f"measurement.force_noise={x}") for x in (0.1, 1.0, 10.0)]
