@@ -79,22 +79,25 @@ def local_workers(count: int | None, work: Work = carry_out_bundle) -> Iterator[
         work: What is done with a bundle.
 
     Raises:
-        ExperimentError: Dask is not installed.
+        ExperimentError: Dask is not installed, or a worker could not be started.
     """
     dask, distributed = _libraries()
     number = count or len(os.sched_getaffinity(0))
     with ExitStack() as stack:
         stack.enter_context(dask.config.set(_CONFIG))
         stack.enter_context(_quiet())
-        cluster = stack.enter_context(
-            distributed.LocalCluster(
-                n_workers=number,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,
+        try:
+            cluster = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=number,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,
+                )
             )
-        )
+        except (OSError, RuntimeError) as error:  # one was killed, or lacked memory
+            raise ExperimentError(f"the workers could not be started: {error}") from None
         # a worker that dies while it starts is given up by its nanny: another one is started
         cluster.adapt(minimum=number, maximum=number, interval="1s")
         client = stack.enter_context(distributed.Client(cluster, set_as_default=False))
