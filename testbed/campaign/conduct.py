@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -19,6 +21,7 @@ from testbed.campaign.campaign_folder import CampaignFolder, own_folder
 from testbed.campaign.estimated_cost import seconds_of
 from testbed.campaign.results_table import Place, Said, schema_of
 from testbed.campaign.run_identity import code_version, run_hash
+from testbed.errors import ExperimentError
 
 WHOLE = 5.0
 """Seconds that a bundle is meant to take; where little is left, bundles are smaller."""
@@ -149,12 +152,31 @@ def conduct(
         figure = None if stop is None else f"metric/{stop.figure}"
         schema, said = schema_of_campaign(campaign), _sayer(campaign)
         folder = CampaignFolder(path, schema, places, said, figure)
-        try:
-            for runs in _rounds(campaign, places, folder, limit):
-                _make(campaign, runs, folder, engine, progress)
-        finally:
-            folder.compact()
+        with _full_disk_said(path):
+            try:
+                for runs in _rounds(campaign, places, folder, limit):
+                    _make(campaign, runs, folder, engine, progress)
+            finally:
+                folder.compact()
     return folder
+
+
+@contextmanager
+def _full_disk_said(path: Path) -> Iterator[None]:
+    """A disk without room, as an error for the person.
+
+    Raises:
+        ExperimentError: Says what to do.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        raise ExperimentError(
+            f"'{path}': {error.strerror}; what was written is kept and whole: make room, and the "
+            "same command goes on"
+        ) from None
 
 
 def schema_of_campaign(campaign: Campaign) -> pa.Schema:

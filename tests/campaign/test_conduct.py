@@ -171,7 +171,7 @@ def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
     for room in range(3, 12, 2):
         with monkeypatch.context() as patch:
             patch.setattr(pq, "ParquetWriter", _with_room_for(room))
-            with pytest.raises(OSError, match="No space left"):
+            with pytest.raises(ExperimentError, match="No space left on device; what was written"):
                 conduct(campaign, tmp_path / "r", Odd(size=2))
         conduct(campaign, tmp_path / "r", Odd(size=2))
         assert table(tmp_path / "r") == table(tmp_path / "whole")
