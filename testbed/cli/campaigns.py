@@ -34,6 +34,9 @@ def campaign(
     against: Annotated[
         Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
     ] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(help="With --summary: also write this file for Rerun's viewer.")
+    ] = None,
     workers: Annotated[
         int | None,
         typer.Option(min=0, help="Local processes; default one a processor, 0: in this one."),
@@ -56,7 +59,7 @@ def campaign(
     Example: testbed campaign --summary runs/coverage-campaign
     """
     if summary or against is not None:
-        _summary(file, against)
+        _summary(file, against, rrd)
         return
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
@@ -75,7 +78,7 @@ def campaign(
     raise typer.Exit(1 if failures else 0)
 
 
-def _summary(folder: Path, against: Path | None) -> None:
+def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.campaign_summary import read_campaign, summarise
     from testbed.campaign.summary_files import changes, write_summary
@@ -90,6 +93,10 @@ def _summary(folder: Path, against: Path | None) -> None:
         return
     page = place / "summary.html"
     write_campaign_page(page, found)
+    if rrd is not None:
+        from testbed.viewer.campaign_log import write_campaign_rrd
+
+        write_campaign_rrd(found, rrd)
     print_summary(out, found, [page, *write_summary(found, place)])
 
 

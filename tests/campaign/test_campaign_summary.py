@@ -26,6 +26,7 @@ from testbed.campaign.summary_files import changes, write_summary
 from testbed.report.campaign_page import campaign_contents, write_campaign_page
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.command import command_line
+from tests.helpers.viewer import entities, words
 
 GRID = NOISES + (
     '[[factor]]\nname = "encoder"\nset = ["measurement.encoder_noise=$"]\nvalues = [1e-5, 1e-4]\n'
@@ -167,3 +168,12 @@ def test_the_command_carries_out_a_campaign_and_says_what_failed(tmp_path: Path)
     assert "nobody" in done.stdout
     command = next(line for line in done.stdout.splitlines() if "testbed run" in line)
     assert "--set robot.lock.nobody=0.0" in command
+
+
+def test_the_viewers_file_counts_every_run(folder: Path, tmp_path: Path) -> None:
+    asked = ("campaign", "--summary", str(folder), "--rrd", str(tmp_path / "r.rrd"))
+    done = command_line(*asked, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert {"/scores/external/a", "/sigma/external"} <= entities(tmp_path / "r.rrd")
+    (notes,) = words(tmp_path / "r.rrd", "/notes", "TextDocument:text")
+    assert notes.count("external_rms_relative_error | 25 |") == 4
