@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from testbed.cli import (
     calibrations,
+    campaigns,
     catalogues,
     excitations,
     experiments,
@@ -18,6 +19,7 @@ from testbed.cli.options import app
 __all__ = [
     "app",
     "calibrations",
+    "campaigns",
     "catalogues",
     "excitations",
     "experiments",

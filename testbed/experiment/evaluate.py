@@ -9,6 +9,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run, assemble_run
+from testbed.experiment.step_floor import with_floor
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
@@ -24,6 +25,7 @@ def evaluate(
     recording: Recording,
     progress: Progress = lambda done, total: None,
     methods: Iterable[Method] = METHODS,
+    threads: int | None = None,
 ) -> Run:
     """Identify from an experiment's recording and compare with the truth.
 
@@ -34,6 +36,7 @@ def evaluate(
         recording: What the instrument measured.
         progress: Called with samples done and samples in all, method by method.
         methods: Which estimates to make.
+        threads: How many to use; default one a processor.
     """
     run = assemble_run(
         with_rotor_spin(robot_of(experiment), experiment.robot.spins),
@@ -43,9 +46,10 @@ def evaluate(
         experiment=experiment,
         model=model_of(experiment),
         methods=methods,
+        threads=threads,
         progress=progress,
     )
-    return with_consistent(run)
+    return with_floor(with_consistent(run))
 
 
 def robot_of(experiment: Experiment) -> Tree:

@@ -107,7 +107,20 @@ class Experiment(ExperimentTables):
             ExperimentError: The file cannot be read, or says what is not understood.
         """
         path = Path(path)
-        content = read_toml(path)
+        return Experiment.of_content(read_toml(path), path, settings)
+
+    @staticmethod
+    def of_content(content: dict[str, Any], path: Path, settings: Iterable[str] = ()) -> Experiment:
+        """From the tables of an experiment file that has been read.
+
+        Args:
+            content: Its tables, unchecked; overrides are put in.
+            path: The file; `model` is taken relative to it.
+            settings: Overrides "table.key=value".
+
+        Raises:
+            ExperimentError: Something is said that is not understood.
+        """
         override(content, settings)
         found = checked(ExperimentTables, content, str(path))
         if "\0" in found.model + found.motion.file:

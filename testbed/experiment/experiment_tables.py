@@ -36,6 +36,7 @@ ALWAYS_JUDGED = (
 
 METRICS = (
     *ALWAYS_JUDGED,
+    "external_floor",
     "torque_constant_max_error",
     "torque_constant_max_z",
     "coulomb_max_relative_error",

@@ -101,6 +101,7 @@ def assemble_run(
     model: ModelFile | None = None,
     doubt: PlateDoubt | None = None,
     methods: Iterable[Method] = METHODS,
+    threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Run:
     """Identify by every method that the recording's signals allow, and score where that is known.
@@ -116,6 +117,7 @@ def assemble_run(
         model: The model file, for its shapes.
         doubt: About the plate by which the recording was corrected.
         methods: Which estimates to make.
+        threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all, method by method.
 
     Raises:
@@ -129,7 +131,13 @@ def assemble_run(
     for method in methods:
         try:
             estimates[method] = identify(
-                tree, recording, method, settings=settings, doubt=doubt, progress=progress
+                tree,
+                recording,
+                method,
+                settings=settings,
+                doubt=doubt,
+                threads=threads,
+                progress=progress,
             )
         except (RecordingError, UnseenParameters) as error:
             failures[method] = str(error)

@@ -45,6 +45,7 @@ from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
@@ -139,8 +140,8 @@ def identify(
         told = _with_instrument(plain, rows, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += [*in_lines(wrong), *nuisance_warnings(beside, taken_back)]
-    return replace(estimate, findings=wrong, warnings=(*warnings, *quality_warnings(estimate)))
+    warnings += in_lines(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
+    return drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
 
 
 def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:

@@ -48,6 +48,10 @@ def is_small(plan: Plan) -> bool:
     return plan.source.samples * seconds < SMALL
 
 
+def _is_for_the_compiled(plan: Plan) -> bool:
+    return plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+
+
 class Passes:
     """Answers questions about all rows of a plan, pass by pass."""
 
@@ -62,7 +66,7 @@ class Passes:
         """
         self.number = number
         self.plan = plan
-        self.compiled = plan.layout.compiles and not is_small(plan)
+        self.compiled = plan.layout.compiles and _is_for_the_compiled(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.checked = False

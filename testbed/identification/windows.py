@@ -69,6 +69,7 @@ class Plan:
         rest_reach: Rows of a joint that rests within so many samples do not count.
         step: Samples from row to row.
         spans: Rows that no gap of the source touches: the first of each run, and how many.
+        engine: What makes the rows, as `Settings.engine` says it.
     """
 
     source: Source
@@ -80,6 +81,7 @@ class Plan:
     rest_reach: int
     step: int
     spans: tuple[tuple[int, int], ...]
+    engine: str
 
     @property
     def rows(self) -> int:
@@ -192,7 +194,8 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         raise _too_short(source, short[0], reach)
     deadband = settings.deadband if layout.model == "dynamic" else 0.0
     nearby = reversal_samples(weights, settings.reversal_reach, rate)
-    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, spans)
+    engine = settings.engine
+    return Plan(source, layout, tare, taps, weights, deadband, nearby, step, spans, engine)
 
 
 def _rows_in(segment: tuple[int, int], reach: int, step: int) -> tuple[int, int]:

@@ -7,6 +7,7 @@ heavy and light ones alike; it is taken from the a-priori model once for a perio
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -63,9 +64,53 @@ class Controller:
         """Motor torques for sample k, (n,) [N m or N], within the limits of the motors."""
         late, slow = self.reference.q[k] - position, self.reference.qd[k] - velocity
         action = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
-        wanted = self.expected[k] + self.inertia[self.posture[k]] @ action
-        limited: Array = np.clip(wanted, -self.effort, self.effort)
-        return limited
+        return _limited(self.expected[k], self.inertia[self.posture[k]], action, self.effort)
+
+
+class Controllers:
+    """Controllers of robots that are simulated together, one time after the other.
+
+    What one of them asks for does not depend on the others, to the bit: there are no sums over
+    several of them, and none whose order a library chooses.
+    """
+
+    def __init__(self, controllers: Sequence[Controller]) -> None:
+        """Put side by side.
+
+        Args:
+            controllers: R of them, all of n joints and T samples.
+        """
+        every = list(controllers)
+        self._q = np.stack([each.reference.q for each in every], axis=1)  # (T, R, n)
+        self._qd = np.stack([each.reference.qd for each in every], axis=1)
+        self._expected = np.stack([each.expected for each in every], axis=1)
+        self._inertia = np.stack([each.inertia for each in every])  # (R, grid, n, n)
+        self._posture = np.stack([each.posture for each in every], axis=1)  # (T, R)
+        bandwidth = np.array([[each.bandwidth] for each in every])
+        self._stiff, self._damped = bandwidth**2, 2 * DAMPING * bandwidth
+        self._effort = np.stack([each.effort for each in every])
+        self._which = np.arange(len(every))
+
+    def torque(self, k: int, position: Array, velocity: Array) -> Array:
+        """Motor torques of all for sample k, (R, n) [N m or N].
+
+        Args:
+            k: The sample.
+            position: (R, n) [rad or m].
+            velocity: (R, n) [rad/s or m/s].
+        """
+        action = self._stiff * (self._q[k] - position) + self._damped * (self._qd[k] - velocity)
+        inertia = self._inertia[self._which, self._posture[k]]
+        return _limited(self._expected[k], inertia, action, self._effort)
+
+
+def _limited(expected: Array, inertia: Array, action: Array, effort: Array) -> Array:
+    """Expected torque and inertia times action, (..., n), within the limits of the motors."""
+    wanted = expected
+    for j in range(action.shape[-1]):
+        wanted = wanted + inertia[..., j] * action[..., j : j + 1]
+    limited: Array = np.minimum(np.maximum(wanted, -effort), effort)
+    return limited
 
 
 def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:

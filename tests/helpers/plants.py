@@ -13,7 +13,8 @@ from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant
-from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
+from testbed.simulation.rollout import Rollout, simulate_motion
+from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 
 PUMA = ROOT / "models/puma562.xml"

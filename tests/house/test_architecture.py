@@ -45,15 +45,17 @@ PLAN = {
         "toml_text", "robot", "parameters", "dynamics", "excitation", "recordings", "instruments",
         "simulation", "identification",
     },
+    "campaign": BASE
+    | {"toml_text", "robot", "recordings", "identification", "experiment"},
     "report": BASE
     | {
         "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
-        "experiment",
+        "experiment", "campaign",
     },
     "viewer": BASE
     | {
         "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
-        "experiment",
+        "experiment", "campaign",
     },
 }  # fmt: skip
 ANYWHERE = {"__init__", "__main__", "cli"}
@@ -78,11 +80,14 @@ GUESTS = {
     "pyarrow": (
         "recordings/formats/parquet.py",
         "recordings/importing/readers/parquet_columns.py",
+        "campaign/",
     ),
+    "distributed": ("campaign/cluster.py",),
+    "dask": ("campaign/cluster.py",),
     "h5py": ("recordings/importing/readers/hdf5.py",),
     "rosbags": ("recordings/importing/readers/ros_bag.py",),
-    "pydantic": ("experiment/", "recordings/importing/mapping.py", "toml_text.py"),
-    "tomli_w": ("experiment/",),
+    "pydantic": ("experiment/", "campaign/", "recordings/importing/mapping.py", "toml_text.py"),
+    "tomli_w": ("experiment/", "campaign/campaign_folder.py"),
     "typer": ("cli/",),
     "rich": ("report/",),
     "matplotlib": ("report/figures.py",),

@@ -12,7 +12,7 @@ from testbed.arrays import Array
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant
-from testbed.simulation.rollout import Sampling
+from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.plants import PUMA, run, sensed, waving
 from tests.helpers.robots import random_robot
 

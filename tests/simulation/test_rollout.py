@@ -12,7 +12,8 @@ from testbed.arrays import Array
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import Sampling, SimulationDiverged, simulate_motion
+from testbed.simulation.rollout import SimulationDiverged, simulate_motion
+from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 from tests.helpers.plants import PUMA, run, waving
 

@@ -13,7 +13,8 @@ from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.effect import StepForces
-from testbed.simulation.rollout import Rollout, Sampling, simulate_motion
+from testbed.simulation.rollout import Rollout, simulate_motion
+from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 

@@ -1,0 +1,179 @@
+"""A bundle of runs, carried out where the worker is: plain values in, plain values out.
+
+A run that fails is an outcome like any other. What a run gives does not depend on the runs beside
+it, to the bit: they only share what they would all compute.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.blas import one_blas_thread
+from testbed.campaign.campaign import experiment_of
+from testbed.campaign.run_identity import code_version, run_hash
+from testbed.errors import ExperimentError, TestbedError, printable
+from testbed.experiment.experiment import Experiment
+from testbed.identification.estimate import Method
+
+if TYPE_CHECKING:
+    from testbed.experiment.run import Run
+    from testbed.recordings.recording import Recording
+
+Status = Literal["done", "failed", "killed"]
+"""Of a run: killed ones are made again by the next command, since nobody knows why."""
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Runs that go to a worker together.
+
+    Attributes:
+        base: The experiment's file.
+        content: Its tables, unchecked.
+        methods: Which estimates are made.
+        keeps: Whether recordings come back.
+        code: Version of the code that asks.
+        runs: Hash and words of each run.
+    """
+
+    base: str
+    content: Mapping[str, Any]
+    methods: tuple[Method, ...]
+    keeps: bool
+    code: str
+    runs: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run, as plain values.
+
+    Attributes:
+        run: Its hash.
+        status: Whether it has a result.
+        error: Why not, in a line.
+        metrics: Figures of merit by name.
+        estimates: By method: names, truth, values, sigma, relative errors, a list each.
+        warnings: What a careful reader should know.
+        recording: Content of its Parquet file; None where it is dropped.
+    """
+
+    run: str
+    status: Status
+    error: str = ""
+    metrics: Mapping[str, float] | None = None
+    estimates: Mapping[str, Mapping[str, Any]] | None = None
+    warnings: tuple[str, ...] = ()
+    recording: bytes | None = None
+
+
+def carry_out_bundle(bundle: Bundle) -> tuple[list[Outcome], float]:
+    """Carry out the runs of a bundle.
+
+    Args:
+        bundle: The runs.
+
+    Returns:
+        An outcome each, in their order, and the seconds that all took.
+
+    Raises:
+        ExperimentError: The worker has another version of the code than who asks.
+    """
+    start = time.perf_counter()
+    if bundle.code != code_version():
+        raise ExperimentError(
+            "a worker has another version of testbed, Python or its packages than this command; "
+            "install the same ones everywhere"
+        )
+    with warnings.catch_warnings(), one_blas_thread():
+        warnings.simplefilter("ignore")  # numerical doubt is a field of the result
+        outcomes = _outcomes(bundle)
+    return outcomes, time.perf_counter() - start
+
+
+def _outcomes(bundle: Bundle) -> list[Outcome]:
+    from testbed.experiment.simulate import simulate_together
+
+    found: dict[str, Outcome] = {}
+    asked: dict[str, Experiment] = {}
+    for run, words in bundle.runs:
+        try:
+            experiment = experiment_of(bundle.content, Path(bundle.base), words)
+            if run_hash(experiment, bundle.methods) != run:
+                raise ExperimentError("the worker finds other files than this command did")
+            asked[run] = experiment
+        except TestbedError as error:
+            found[run] = _failed(run, error)
+    recordings = simulate_together(tuple(asked.values()))
+    for (run, experiment), recording in zip(asked.items(), recordings, strict=True):
+        found[run] = _outcome(run, experiment, recording, bundle)
+    return [found[run] for run, _ in bundle.runs]
+
+
+def _outcome(
+    run: str, experiment: Experiment, recording: Recording | Exception, bundle: Bundle
+) -> Outcome:
+    """What comes of a simulated run."""
+    from testbed.experiment.evaluate import evaluate
+    from testbed.experiment.payload_score import with_payload_metrics
+
+    if isinstance(recording, Exception):
+        return _failed(run, recording)
+    try:
+        done = evaluate(experiment, recording, methods=bundle.methods, threads=1)
+        done = with_payload_metrics(done)
+        if not done.estimates:
+            raise ExperimentError("; ".join(done.failures.values()))
+        return Outcome(
+            run,
+            "done",
+            metrics=dict(done.metrics),
+            estimates=_estimates(done),
+            warnings=done.warnings,
+            recording=_file_of(recording) if bundle.keeps else None,
+        )
+    except Exception as error:
+        return _failed(run, error)
+
+
+def _failed(run: str, error: Exception) -> Outcome:
+    """A run that gave no result; one that lacked memory may do better another time."""
+    name = "" if isinstance(error, TestbedError) else f"{type(error).__name__}: "
+    status: Status = "killed" if isinstance(error, MemoryError) else "failed"
+    return Outcome(run, status, printable(name + str(error)))
+
+
+def _estimates(run: Run) -> dict[str, dict[str, Any]]:
+    """Every estimate with its truth, a list each."""
+    assert run.score is not None
+    found: dict[str, dict[str, Any]] = {}
+    for method, estimate in run.estimates.items():
+        errors = run.score.errors[method]
+        found[method] = {
+            "names": list(estimate.names),
+            "truth": errors.truth.tolist(),
+            "values": estimate.values.tolist(),
+            "sigma": estimate.sigma.tolist(),
+            "relative_error": _numbers(errors.relative),
+        }
+    return found
+
+
+def _numbers(values: Array) -> Sequence[float | None]:
+    return [x if np.isfinite(x) else None for x in values.tolist()]
+
+
+def _file_of(recording: Recording) -> bytes:
+    with TemporaryDirectory(prefix="testbed-") as folder:
+        path = Path(folder) / "recording.parquet"
+        recording.save(path)
+        return path.read_bytes()

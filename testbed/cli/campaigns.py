@@ -1,0 +1,134 @@
+"""The command about many runs: campaign."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from testbed.cli.options import Set, app
+
+if TYPE_CHECKING:
+    from testbed.campaign.cluster import Tls
+    from testbed.campaign.conduct import Engine
+
+
+@app.command()
+def campaign(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.toml", help="Campaign file; with --summary its folder.")
+    ],
+    settings: Set = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Campaign's folder; default runs/NAME-campaign.")
+    ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="List and count the runs, estimate time and disk.")
+    ] = False,
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first runs.")] = None,
+    summary: Annotated[
+        bool, typer.Option("--summary", help="Run nothing: say what a campaign's folder holds.")
+    ] = False,
+    against: Annotated[
+        Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
+    ] = None,
+    rrd: Annotated[
+        Path | None, typer.Option(help="With --summary: also write this file for Rerun's viewer.")
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=0, help="Local processes; default one a processor, 0: in this one."),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Of a Dask cluster, as tcp://host:8786."),
+    ] = None,
+    tls_ca: Annotated[Path | None, typer.Option(help="Authority's certificate (PEM).")] = None,
+    tls_cert: Annotated[Path | None, typer.Option(help="Own certificate (PEM).")] = None,
+    tls_key: Annotated[Path | None, typer.Option(help="Its key (PEM).")] = None,
+) -> None:
+    """Carry out many runs of an experiment: factors, replicates, one table.
+
+    The same command again does what is missing. A run that fails is a row of the table, with what
+    makes it again; exit code 1 if there is one.
+
+    Example: testbed campaign experiments/campaigns/coverage.toml --limit 20
+
+    Example: testbed campaign --summary runs/coverage-campaign
+    """
+    if summary or against is not None:
+        _summary(file, against, rrd)
+        return
+    from testbed.campaign.campaign import Campaign
+    from testbed.campaign.conduct import conduct
+    from testbed.report import terminal
+    from testbed.report.campaign_lines import Throughput, print_conducted, print_plan
+
+    asked = Campaign.load(file, settings or ())
+    folder = out or Path("runs") / f"{asked.tables.name}-campaign"
+    if dry_run:
+        print_plan(terminal.console(), asked, folder, limit)
+        return
+    tls = _tls(tls_ca, tls_cert, tls_key)
+    with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
+        found = conduct(asked, folder, engine, limit, throughput)
+    failures = print_conducted(terminal.console(), found)
+    raise typer.Exit(1 if failures else 0)
+
+
+def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
+    """Print what a campaign says, and write it beside its table."""
+    from testbed.campaign.campaign_summary import read_campaign, summarise
+    from testbed.campaign.summary_files import changes, write_summary
+    from testbed.report import terminal
+    from testbed.report.campaign_lines import print_changes, print_summary
+    from testbed.report.campaign_page import write_campaign_page
+
+    found = summarise(read_campaign(folder))
+    out, place = terminal.console(), folder if folder.is_dir() else folder.parent
+    if against is not None:
+        print_changes(out, list(changes(summarise(read_campaign(against)), found)))
+        return
+    page = place / "summary.html"
+    write_campaign_page(page, found)
+    if rrd is not None:
+        from testbed.viewer.campaign_log import write_campaign_rrd
+
+        write_campaign_rrd(found, rrd)
+    print_summary(out, found, [page, *write_summary(found, place)])
+
+
+def _tls(authority: Path | None, certificate: Path | None, key: Path | None) -> Tls | None:
+    """Files of an encrypted connection, all or none.
+
+    Raises:
+        BadParameter: One is missing, or is no file.
+    """
+    from testbed.campaign.cluster import Tls
+
+    if authority is None or certificate is None or key is None:
+        if authority or certificate or key:
+            raise typer.BadParameter("--tls-ca, --tls-cert and --tls-key go together")
+        return None
+    for path in (authority, certificate, key):
+        if not path.is_file():
+            raise typer.BadParameter(f"there is no file '{path}'")
+    return Tls(authority, certificate, key)
+
+
+def _engine(
+    workers: int | None, scheduler: str | None, tls: Tls | None
+) -> AbstractContextManager[Engine]:
+    """What carries the bundles out."""
+    from testbed.campaign.cluster import local_workers, workers_at
+    from testbed.campaign.conduct import InThisProcess
+
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("--workers is for local ones, --scheduler for a cluster's")
+        return workers_at(scheduler, tls)
+    if tls is not None:
+        raise typer.BadParameter("the TLS options go with --scheduler")
+    return nullcontext(InThisProcess()) if workers == 0 else local_workers(workers)

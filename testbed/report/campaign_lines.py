@@ -1,0 +1,188 @@
+"""A campaign on the terminal: what it will do, how far it is, what failed."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+from rich.table import Table
+
+from testbed.campaign.campaign import Campaign
+from testbed.campaign.campaign_folder import RESULTS, CampaignFolder
+from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
+from testbed.campaign.conduct import Standing
+from testbed.campaign.estimated_cost import bytes_of, seconds_of
+from testbed.campaign.summary_files import Change
+from testbed.errors import printable
+from testbed.identification.estimate import METHODS
+
+LISTED = 20
+"""Cells or failures that are listed one by one."""
+
+SHOWN_METRICS = (
+    ("external error", "external_rms_relative_error"),
+    ("largest z", "external_max_z"),
+    ("internal error", "internal_rms_relative_error"),
+    ("its largest z", "internal_max_z"),
+)
+"""Heads of columns and what stands in them, means over a cell."""
+
+BETWEEN = 30.0
+"""Seconds between two lines where no bar can be shown."""
+
+
+def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
+    """What a person reads first.
+
+    Args:
+        summary: What a campaign says.
+        every: Its errors, all cells together.
+    """
+    cells, failed = len(summary.cells), len(summary.failures)
+    varied = " over " + ", ".join(summary.factors) if summary.factors else ""
+    yield f"{summary.runs} runs in {cells} cells{varied}; {failed or 'none'} without a result."
+    for method in METHODS:
+        own = [each for each in every if each.method == method]
+        if own:
+            inside, runs = sum(each.inside for each in own), sum(each.runs for each in own)
+            yield f"Of {runs} intervals of 95 %, {method}, {inside / runs:.1%} hold the truth."
+
+
+class Throughput:
+    """How far a campaign is, on standard error: a bar on a terminal, else a line now and then."""
+
+    def __init__(self) -> None:
+        """Nothing done yet."""
+        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
+        self._bar.disable = not sys.stderr.isatty()
+        self._task = self._bar.add_task("runs")
+        self._said = time.monotonic()
+
+    def __enter__(self) -> Throughput:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, standing: Standing) -> None:
+        """Show how far it is."""
+        failed = f", {standing.failed} failed" if standing.failed else ""
+        words = f"{standing.done} of {standing.total} runs{failed}, {standing.rate:.3g} a second"
+        self._bar.update(
+            self._task, completed=standing.done, total=standing.total, description=words
+        )
+        if self._bar.disable and time.monotonic() - self._said > BETWEEN:
+            self._said = time.monotonic()
+            left = (standing.total - standing.done) / max(standing.rate, 1e-9)
+            sys.stderr.write(f"{words}, {duration(left)} left\n")
+
+
+def print_plan(out: Console, campaign: Campaign, folder: Path, limit: int | None) -> None:
+    """Print what a campaign will do, and roughly what it costs.
+
+    Args:
+        out: Where to.
+        campaign: The campaign.
+        folder: Where its table will be.
+        limit: Runs that are done, if not all.
+    """
+    cells, replicates = len(campaign.cells), campaign.tables.replicates
+    for number, cell in enumerate(campaign.cells[:LISTED]):
+        levels = zip(campaign.factors, cell.levels, strict=True)
+        said = ", ".join(f"{name} = {level}" for name, level in levels)
+        out.print(printable(f"cell {number}: {said or 'the experiment as it is'}"), soft_wrap=True)
+    if cells > LISTED:
+        out.print(f"... {cells - LISTED} more")
+    runs = min(limit or campaign.runs, campaign.runs)
+    first = campaign.experiment(0, 0)
+    keeps = campaign.tables.recordings == "keep"
+    seconds = sum(seconds_of(campaign.experiment(cell, 0)) for cell in range(cells)) / cells
+    megabytes = runs * bytes_of(first, keeps=keeps) / 1e6
+    at_most = "at most " if campaign.tables.stop is not None else ""
+    out.print(f"{cells} cells, {replicates} replicates each: {at_most}{runs} runs")
+    out.print(f"about {duration(runs * seconds)} of one processor, {megabytes:.3g} MB in {folder}")
+    out.print(f"the first one: {campaign.command(0, 0)}", soft_wrap=True)
+
+
+def print_conducted(out: Console, folder: CampaignFolder) -> int:
+    """Print what came of a campaign.
+
+    Args:
+        out: Where to.
+        folder: Its folder.
+
+    Returns:
+        How many runs failed.
+    """
+    failures = folder.failures()
+    for command, error in failures[:LISTED]:
+        out.print(printable(f"failed: {error}"), soft_wrap=True)
+        out.print(f"  {command}", soft_wrap=True)
+    if len(failures) > LISTED:
+        out.print(f"... {len(failures) - LISTED} more, in the table")
+    there = len(folder.status) - len(failures)
+    out.print(f"{there} runs with a result, {len(failures)} without", soft_wrap=True)
+    out.print(f"table: {folder.path / RESULTS}", soft_wrap=True)
+    return len(failures)
+
+
+def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None:
+    """Print what a campaign says.
+
+    Args:
+        out: Where to.
+        summary: What it says.
+        files: That say the same, and more.
+    """
+    for line in sentences(summary, pooled(summary.parameters)):
+        out.print(printable(line), soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for head in ("cell", "levels", *(name for name, _ in SHOWN_METRICS)):
+        table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
+    means = {(each.cell, each.metric): each.mean for each in summary.figures}
+    for number, levels in list(summary.cells.items())[:LISTED]:
+        values = [means.get((number, metric)) for _, metric in SHOWN_METRICS]
+        said = ", ".join(map(str, levels)) or "-"
+        shown = ("-" if value is None else f"{value:.3g}" for value in values)
+        table.add_row(str(number), printable(said), *shown)
+    out.print(table)
+    if len(summary.cells) > LISTED:
+        out.print(f"... {len(summary.cells) - LISTED} cells more")
+    for file in files:
+        out.print(str(file), soft_wrap=True)
+
+
+def print_changes(out: Console, changes: Sequence[Change]) -> None:
+    """Print how the metrics of two campaigns differ, cell by cell.
+
+    Args:
+        out: Where to.
+        changes: What differs.
+    """
+    table = Table(box=None, pad_edge=False)
+    for head in ("levels", "metric", "before", "after", "ratio", "sigmas"):
+        table.add_column(head, justify="left" if head in ("levels", "metric") else "right")
+    for each in changes:
+        sigmas = "-" if math.isnan(each.sigmas) else f"{each.sigmas:+.1f}"
+        levels = printable(", ".join(map(str, each.levels)) or "-")
+        numbers = (f"{x:.3g}" for x in (each.before, each.after, each.ratio))
+        table.add_row(levels, each.metric, *numbers, sigmas)
+    out.print(table)
+    if not changes:
+        out.print("the two campaigns have no cell of the same levels")
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    for unit, size in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds:.2g} seconds"
