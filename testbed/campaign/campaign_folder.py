@@ -24,10 +24,10 @@ from testbed.campaign.campaign import CampaignTables
 from testbed.campaign.results_table import (
     Place,
     Said,
-    joined,
+    StoredRows,
     read_rows,
     rows_of,
-    slices,
+    texts_of,
     write_rows,
 )
 from testbed.errors import ExperimentError
@@ -103,10 +103,10 @@ class CampaignFolder:
             self.compact()
 
     def _note(self, rows: pa.Table) -> None:
-        self.status |= dict(zip(rows["run"].to_pylist(), rows["status"].to_pylist(), strict=True))
+        runs = texts_of(rows, "run")
+        self.status |= dict(zip(runs, texts_of(rows, "status"), strict=True))
         if self._figure is not None:
-            values = rows[self._figure].to_pylist()
-            self.figures |= dict(zip(rows["run"].to_pylist(), values, strict=True))
+            self.figures |= dict(zip(runs, rows[self._figure].to_pylist(), strict=True))
 
     def compact(self) -> None:
         """All rows into one table, and what is not the campaign's any more into another one.
@@ -114,24 +114,35 @@ class CampaignFolder:
         A file is removed only when what it holds stands elsewhere.
         """
         there = [file for file in self._files() if file.exists()]
-        every, where = joined([read_rows(file) for file in there], self._schema)
-        others = [row for run, row in where.items() if run not in self.places]
-        if others or (self.path / EARLIER).exists():
-            write_rows(self.path / EARLIER, slices(every, others), self._schema)
-        mine = [where[run] for run in self.places if run in where]
-        placed = (self._placed(part) for part in slices(every, mine))
+        stored, earlier = StoredRows(there, self._schema), self.path / EARLIER
+        others = [row for run, row in stored.where.items() if run not in self.places]
+        if others or earlier.exists():  # what comes back from there stays until it stands elsewhere
+            kept = sorted({*others, *stored.of_file(earlier)})
+            write_rows(earlier, stored.parts(kept), self._schema)
+            there = [file for file in self._files() if file.exists()]
+            stored = StoredRows(there, self._schema)
+        mine = [stored.where[run] for run in self.places if run in stored.where]
+        placed = (self._placed(part) for part in stored.parts(mine))
         write_rows(self.path / RESULTS, placed, self._schema)
         for file in there:
             if file.parent.name == NEW:
                 file.unlink()
+        if earlier.exists():
+            self._leave_others(earlier)
         self._waiting, self._written = 0, len(mine)
-        del every
         pa.default_memory_pool().release_unused()
+
+    def _leave_others(self, earlier: Path) -> None:
+        """Rows of the campaign stand in its own table now, and need not in that of others."""
+        stored = StoredRows([earlier], self._schema)
+        others = [row for run, row in stored.where.items() if run not in self.places]
+        if len(others) < len(stored.of_file(earlier)):
+            write_rows(earlier, stored.parts(others), self._schema)
 
     def _placed(self, rows: pa.Table) -> pa.Table:
         """Rows, noted, with what this campaign says of them: they may come from an earlier one."""
         columns: dict[str, list[object]] = {}
-        marks = zip(rows["run"].to_pylist(), rows["status"].to_pylist(), strict=True)
+        marks = zip(texts_of(rows, "run"), texts_of(rows, "status"), strict=True)
         for run, status in marks:
             for name, value in self._said(self.places[run], status).items():
                 columns.setdefault(name, []).append(value)

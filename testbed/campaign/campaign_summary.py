@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from testbed.arrays import Array
 from testbed.campaign.campaign_folder import NEW, RESULTS
-from testbed.campaign.results_table import about, joined, read_rows
+from testbed.campaign.results_table import StoredRows, about, read_rows
 from testbed.errors import ExperimentError
 from testbed.identification.estimate import METHODS
 
@@ -133,9 +133,10 @@ def read_campaign(folder: Path) -> pa.Table:
     there = [file for file in files if file.is_file()]
     if not there:
         raise ExperimentError(f"'{folder}' is no campaign's folder: it has no {RESULTS}")
-    tables = [read_rows(file) for file in there]
-    every, where = joined(tables, tables[0].schema)
-    return every.take(pa.array(where.values(), pa.int64()))
+    schema = read_rows(there[0]).schema
+    stored = StoredRows(there, schema)
+    parts = list(stored.parts(list(stored.where.values())))
+    return pa.concat_tables([schema.empty_table(), *parts])
 
 
 def summarise(rows: pa.Table) -> Summary:

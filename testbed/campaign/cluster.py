@@ -245,7 +245,8 @@ def _libraries() -> tuple[Any, Any]:
         import distributed
     except ImportError as error:
         raise ExperimentError(
-            f"workers need Dask ({error}): pip install 'testbed[cluster]'; --workers 0 does without"
+            f"workers need Dask ({error}): pip install '.[cluster]' in the project's folder; "
+            "--workers 0 does without"
         ) from None
     return dask, distributed
 

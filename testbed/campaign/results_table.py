@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from sys import intern
 from typing import Any, NamedTuple, TypeAlias
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from testbed.campaign.bundle import Outcome
 from testbed.errors import RecordingError
@@ -139,34 +142,75 @@ def about(schema: pa.Schema) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def joined(tables: Sequence[pa.Table], schema: pa.Schema) -> tuple[pa.Table, dict[str, int]]:
-    """Rows of several tables, and which of them counts for each run.
+class StoredRows:
+    """Rows of several tables of one campaign, which stay in their files until they are asked for.
 
-    What has a result goes first, then what comes first.
-
-    Args:
-        tables: Of one campaign, perhaps with other columns.
-        schema: Of the result.
+    Attributes:
+        where: Number of the row that counts for each run: what has a result goes first, then what
+            comes first.
     """
-    every = pa.concat_tables([schema.empty_table(), *(_fitted(table, schema) for table in tables)])
-    where: dict[str, int] = {}
-    status = every["status"].to_pylist()
-    for row, run in enumerate(every["run"].to_pylist()):
-        if run not in where or (status[where[run]] == "killed" and status[row] != "killed"):
-            where[run] = row
-    return every, where
+
+    def __init__(self, files: Sequence[Path], schema: pa.Schema) -> None:
+        """Look which runs are there.
+
+        Args:
+            files: The tables, perhaps with other columns.
+            schema: Of what is read.
+
+        Raises:
+            RecordingError: One is no campaign's table, or damaged.
+        """
+        self._files, self._schema = tuple(files), schema
+        self.where: dict[str, int] = {}
+        starts: list[int] = [0]
+        killed: set[str] = set()
+        for file in files:
+            there = read_rows(file, ["run", "status"])
+            marks = zip(texts_of(there, "run"), texts_of(there, "status"), strict=True)
+            for row, (run, status) in enumerate(marks, start=starts[-1]):
+                if run not in self.where or (run in killed and status != "killed"):
+                    self.where[run] = row
+                    (killed.add if status == "killed" else killed.discard)(run)
+            starts.append(starts[-1] + len(there))
+        self._starts = np.array(starts)
+
+    def of_file(self, file: Path) -> range:
+        """Numbers of the rows of a file."""
+        if file not in self._files:
+            return range(0)
+        k = self._files.index(file)
+        return range(int(self._starts[k]), int(self._starts[k + 1]))
+
+    def parts(self, rows: Sequence[int]) -> Iterator[pa.Table]:
+        """Some rows in their order, not too many at once.
+
+        Args:
+            rows: Their numbers.
+        """
+        for first in range(0, len(rows), AT_ONCE):
+            yield self._taken(np.array(rows[first : first + AT_ONCE]))
+
+    def _taken(self, rows: NDArray[np.int64]) -> pa.Table:
+        files = np.searchsorted(self._starts, rows, side="right") - 1
+        order = np.argsort(files, kind="stable")
+        tables = []
+        for k in np.unique(files):
+            own = rows[files == k] - self._starts[k]
+            tables.append(_fitted(_rows_at(self._files[k], own), self._schema))
+        every = pa.concat_tables(tables)
+        return every.take(pa.array(np.argsort(order))).combine_chunks()
 
 
-def slices(table: pa.Table, rows: Sequence[int]) -> Iterator[pa.Table]:
-    """Some rows of a table, not too many at once.
-
-    Args:
-        table: The table.
-        rows: Their numbers.
-    """
-    for first in range(0, len(rows), AT_ONCE):
-        chosen = pa.array(rows[first : first + AT_ONCE], pa.int64())
-        yield table.take(chosen).combine_chunks()
+def _rows_at(path: Path, rows: NDArray[np.int64]) -> pa.Table:
+    """Some rows of a file; only the groups that hold them are read."""
+    with pq.ParquetFile(path) as file:
+        sizes = np.array([file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)])
+        ends = np.cumsum(sizes)
+        group = np.searchsorted(ends, rows, side="right")
+        wanted = np.unique(group)
+        before = np.cumsum([0, *sizes[wanted][:-1]])
+        at = rows - (ends - sizes)[group] + before[np.searchsorted(wanted, group)]
+        return file.read_row_groups(wanted.tolist()).take(pa.array(at))
 
 
 def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:
@@ -178,3 +222,13 @@ def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:
         else:
             columns.append(pa.nulls(len(table), field.type))
     return pa.table(columns, schema=schema)
+
+
+def texts_of(rows: pa.Table, column: str) -> list[str]:
+    """A column of text, equal texts only once in memory: a large campaign knows each many times.
+
+    Args:
+        rows: The table.
+        column: Its name.
+    """
+    return [intern(each) for part in rows[column].chunks for each in part.to_pylist()]

@@ -102,7 +102,7 @@ def test_no_scheduler_no_dask_and_half_a_set_of_tls_files_are_said(
     both = command_line("campaign", file, "--scheduler", "tcp://x", "--workers", "2", cwd=tmp_path)
     assert both.returncode == 2
     monkeypatch.setitem(sys.modules, "distributed", None)
-    wanted = r"pip install 'testbed\[cluster\]'"
+    wanted = r"pip install '.\[cluster\]'"
     with pytest.raises(ExperimentError, match=wanted), local_workers(1):
         pass
 

@@ -152,7 +152,7 @@ def library(name: str) -> Iterator[None]:
     except ImportError:
         raise RecordingError(
             f"this format needs the package {name}, which is not installed: "
-            "pip install 'testbed[import]'"
+            "pip install '.[import]' in the project's folder"
         ) from None
 
 

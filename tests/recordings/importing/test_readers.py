@@ -131,5 +131,5 @@ def test_a_missing_library_says_which_extra_has_it(
         return real(what, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(RecordingError, match=rf"{package}.*pip install 'testbed\[import\]'"):
+    with pytest.raises(RecordingError, match=rf"{package}.*pip install '.\[import\]'"):
         tb.Recording.from_mapping(tmp_path / "map.toml")
