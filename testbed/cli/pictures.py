@@ -73,7 +73,8 @@ def view(
     from testbed.viewer.scene import scene_of
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
-    if [path.suffix.lower() for path in runs] == [".toml"]:
+    motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
+    if motion:  # a mapping, which is a TOML file, too, needs --model
         path = save or _beside(runs[0], ".rrd")
         warnings = _write_motion(runs[0], settings or [], path)
         _show(path, warnings, serve, save is None, port)

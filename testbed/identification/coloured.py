@@ -103,7 +103,7 @@ def under_coloured_noise(
     by_counts, share = doubt.found()
     spread = factor**2 * found.covariance[:m, :m] + by_counts
     covariance = units.lead @ spread @ units.lead.T
-    covariance += _by_facts(units, given.every, directions, found.noise)
+    covariance += _by_facts(units, given.every, directions, found.noise, step)
     noise = replace(
         _found_noise(passes, answer, factor, back, bias),
         hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
@@ -150,9 +150,12 @@ def _answer(units: Units, given: Products, whole: bool) -> Answer:
 
 
 def _by_facts(
-    units: Units, every: LaggedProducts, directions: Array, noise: Autoregression
+    units: Units, every: LaggedProducts, directions: Array, noise: Autoregression, step: Array
 ) -> Array:
-    """What doubt about facts adds to the covariance of all unknowns, (p + s, p + s)."""
+    """What doubt about facts adds to the covariance of all unknowns, (p + s, p + s).
+
+    `step` is what was added to them, (p + s,).
+    """
     if units.facts is None or units.free is None:
         return np.zeros_like(units.grown)
     count, biases = len(units.fixed), directions.shape[1]
@@ -164,7 +167,7 @@ def _by_facts(
     across = lead.T @ normal
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))
     moved = fixed - lead @ scaled_solve(across @ lead, across @ fixed)
-    spread = units.grown @ moved[:count] @ units.facts.root
+    spread = units.grown @ moved[:count] @ units.facts.doubt(step)
     return np.asarray(spread @ spread.T)
 
 

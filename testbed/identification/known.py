@@ -35,6 +35,7 @@ class Facts:
         root: R with R R' the values' covariance, (k, r), for unknowns that make `scale` one.
         scale: What a fact's doubt grows with, (k, m): of a centre of mass with the mass; of a row
             of zeros with nothing.
+        reached: What that is of the unknowns so far, (k,).
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class Facts:
     values: Array
     root: Array
     scale: Array
+    reached: Array
 
     def __len__(self) -> int:
         return len(self.names)
@@ -55,18 +57,22 @@ class Facts:
         return replace(self, rows=self.rows[:, unknowns], scale=self.scale[:, unknowns])
 
     def around(self, found: Array) -> Facts:
-        """About what is still to be added to unknowns; doubts as large as these make them.
+        """About what is still to be added to unknowns.
 
         Args:
             found: The unknowns, (m,).
         """
-        grown = np.where(self.scale.any(axis=1), np.abs(self.scale @ found), 1.0)
-        return replace(
-            self,
-            values=self.values - self.rows @ found,
-            root=self.root * grown[:, None],
-            scale=np.zeros_like(self.scale),
-        )
+        reached = self.reached + self.scale @ found
+        return replace(self, values=self.values - self.rows @ found, reached=reached)
+
+    def doubt(self, added: Array) -> Array:
+        """`root`, as large as the unknowns make it.
+
+        Args:
+            added: To the unknowns so far, (m,).
+        """
+        size = np.abs(self.reached + self.scale @ added)
+        return np.asarray(np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +151,7 @@ def facts(
             )
         else:
             raise UnknownName("known fact", name, (MASS, f"{CENTRE}x", *unknowns))
-    return Facts(tuple(given), rows, values, np.diag(sigmas), scale)
+    return Facts(tuple(given), rows, values, np.diag(sigmas), scale, np.zeros(len(given)))
 
 
 def free(given: Facts) -> Free:

@@ -66,4 +66,5 @@ class PlateDoubt:
             values=np.append(given.values, list(right.values())),
             root=block_diag(given.root, root),
             scale=np.vstack([given.scale, np.zeros_like(rows)]),
+            reached=np.append(given.reached, np.zeros(len(right))),
         )

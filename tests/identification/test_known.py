@@ -19,9 +19,9 @@ def some_facts(rng: np.random.Generator, count: int, size: int) -> Facts:
     rows = rng.normal(size=(count, size)) * (rng.uniform(size=(count, size)) < 0.5)
     rows[:, 0] += 1.0
     names = tuple(f"fact {k}" for k in range(count))
-    return Facts(
-        names, rows, rng.normal(size=count), np.zeros((count, count)), np.zeros((count, size))
-    )
+    none = np.zeros((count, size))
+    values = rng.normal(size=count)
+    return Facts(names, rows, values, np.zeros((count, count)), none, np.zeros(count))
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -33,8 +33,7 @@ def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None
             names=names, sigma=sigma, relative=relative, rms=1.0, condition=1.0
         ),
         random_predicted=SimpleNamespace(relative=other, rms=2.0),
-        gain=2.0,
-        experiment=SimpleNamespace(motion=SimpleNamespace(candidates=40)),
+        beside_random="2.00 times smaller than that of the best of 40 random motions (2)",
         design=SimpleNamespace(
             motion=SimpleNamespace(harmonics=5, fundamental=0.1),
             searches=(1, 2),

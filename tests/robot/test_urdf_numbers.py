@@ -260,3 +260,15 @@ def test_an_inertia_that_is_no_number_is_told_by_its_link(tmp_path: Path) -> Non
     (tmp_path / "r.urdf").write_bytes(ET.tostring(root))
     with pytest.raises(InertiaError, match="'j1_body' has a mass centre or inertia frame"):
         tb.load_tree(tmp_path / "r.urdf")
+
+
+def test_friction_that_drives_is_refused_by_the_joint_s_name(tmp_path: Path) -> None:
+    root = ET.fromstring(random_robot(np.random.default_rng(0), 2).urdf())
+    for k, joint in enumerate(root.findall("joint")):
+        for old in joint.findall("dynamics"):
+            joint.remove(old)
+        ET.SubElement(joint, "dynamics", {"friction": "-0.25" if k == 1 else "0.5"})
+    found = load(root, tmp_path)
+    assert isinstance(found, str)
+    assert f"'{root.findall('joint')[1].get('name')}'" in found
+    assert "friction" in found

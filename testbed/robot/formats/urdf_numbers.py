@@ -49,7 +49,7 @@ _ATTRIBUTES = {
         **{key: _Numbers(1, "0") for key in ("lower", "upper")},
         **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
     },
-    "dynamics": {key: _Numbers(1, "0") for key in ("damping", "friction")},
+    "dynamics": {"damping": _Numbers(1, "0"), "friction": _Numbers(1, "0", signed=False)},
     "mimic": {"multiplier": _Numbers(1, "1"), "offset": _Numbers(1, "0")},
     "box": {"size": _Numbers(3, None, FARTHEST)},
     "sphere": {"radius": _Numbers(1, None, FARTHEST)},
