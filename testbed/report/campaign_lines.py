@@ -30,6 +30,7 @@ SHOWN_METRICS = (
     ("largest z", "external_max_z"),
     ("internal error", "internal_rms_relative_error"),
     ("its largest z", "internal_max_z"),
+    ("consistent error", "consistent_rms_relative_error"),
 )
 """Heads of columns and what stands in them, means over a cell."""
 
@@ -145,11 +146,13 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
     for line in sentences(summary, pooled(summary.parameters)):
         out.print(printable(line), soft_wrap=True)
     table = Table(box=None, pad_edge=False)
-    for head in ("cell", "levels", *(name for name, _ in SHOWN_METRICS)):
+    there = {each.metric for each in summary.figures}
+    metrics = [(name, metric) for name, metric in SHOWN_METRICS if metric in there]
+    for head in ("cell", "levels", *(name for name, _ in metrics)):
         table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
     means = {(each.cell, each.metric): each.mean for each in summary.figures}
     for number, levels in list(summary.cells.items())[:LISTED]:
-        values = [means.get((number, metric)) for _, metric in SHOWN_METRICS]
+        values = [means.get((number, metric)) for _, metric in metrics]
         said = ", ".join(map(str, levels)) or "-"
         shown = ("-" if value is None else f"{value:.3g}" for value in values)
         table.add_row(str(number), printable(said), *shown)

@@ -23,7 +23,11 @@ from testbed.report.html import rendered
 SHOWN = ("external_rms_relative_error", "internal_rms_relative_error")
 """Metrics that are compared on one scale."""
 
-CAPTIONS = dict(zip(SHOWN, ("By the plate", "By joint torques"), strict=True))
+CAPTIONS = {
+    **dict(zip(SHOWN, ("By the plate", "By joint torques"), strict=True)),
+    "consistent_rms_relative_error": "Bodies that can exist",
+}
+"""Metrics that have a table over two factors, all on one scale."""
 
 HEADS = (
     "parameter", "runs", "truth", "bias", "spread", "rms error", "sigma",
@@ -84,7 +88,7 @@ def _heats(summary: Summary) -> Iterator[dict[str, Any]]:
     means = {(each.metric, each.cell): each.mean for each in summary.figures}
     grids = {
         metric: [[means.get((metric, where[a, b]), math.nan) for b in levels[1]] for a in levels[0]]
-        for metric in SHOWN
+        for metric in CAPTIONS
         if any((metric, number) in means for number in where.values())
     }
     there = [x for grid in grids.values() for line in grid for x in line if x > 0]
