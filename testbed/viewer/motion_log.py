@@ -8,7 +8,6 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
-from testbed.dynamics.kinematics import poses
 from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.proof import Proof, Rules
@@ -19,7 +18,7 @@ from testbed.viewer.blueprint import RATES, motion_blueprint
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import series
 from testbed.viewer.robot_drawing import clock, log_appearance, log_paths, send_poses
-from testbed.viewer.scene import POSES, plain, safe
+from testbed.viewer.scene import POSES, plain, safe, span_of
 
 
 def write_motion_rrd(
@@ -44,29 +43,20 @@ def write_motion_rrd(
     times = np.linspace(0, motion.period, max(2, round(POSES * motion.period)) + 1)
     left = slack(motion, rules, times)
     kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
-    size = _span(rules, motion, times, look)
+    postures = motion.at(times).q
+    size = span_of(look, postures)
     with replacing(path) as fresh:
         stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
         arranged = motion_blueprint(path.stem, tree, size, kinds, motion.period)
         stream.save(fresh, default_blueprint=arranged)
         log_appearance(stream, look, "/world")
-        log_paths(
-            stream, look, send_poses(stream, look, times, motion.at(times).q, "/world"), "/world"
-        )
+        log_paths(stream, look, send_poses(stream, look, times, postures, "/world"), "/world")
         _log_obstacles(stream, obstacles)
         _log_curves(stream, rules, motion, times, left)
         notes = rr.TextDocument(_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN)
         stream.log("/notes", notes, static=True)
         stream.flush()
         stream.disconnect()
-
-
-def _span(rules: Rules, motion: Fourier, times: Array, look: Appearance) -> float:
-    """How far from the bedplate's origin the robot reaches [m]; at least 0.3."""
-    placed = poses(rules.tree, motion.at(times).q)
-    far = [position for _, position in placed]
-    far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
-    return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
 
 
 def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) -> None:

@@ -82,10 +82,7 @@ class Scene:
     @cached_property
     def span(self) -> float:
         """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
-        placed = poses(self.run.tree, self.motion.q[self.frames])
-        far = [position for _, position in placed]
-        far += [placed[j][1] + placed[j][0] @ tip for j, tip in self.appearance.tips.items()]
-        return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+        return span_of(self.appearance, self.motion.q[self.frames])
 
     @cached_property
     def window(self) -> tuple[float, float]:
@@ -155,6 +152,19 @@ def scene_of(run: Run, growth: Mapping[Method, Growth] | None = None) -> Scene:
     """
     appearance = load_appearance(run.tree, run.model)
     return Scene(predict(run), appearance, growth or {})
+
+
+def span_of(look: Appearance, q: Array) -> float:
+    """How far from the bedplate's origin a robot reaches [m]; at least 0.3.
+
+    Args:
+        look: The robot.
+        q: Its postures, (M, n) [rad or m].
+    """
+    placed = poses(look.tree, q)
+    far = [position for _, position in placed]
+    far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
+    return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
 
 
 def root(k: int, count: int) -> str:
