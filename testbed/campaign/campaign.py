@@ -15,8 +15,8 @@ from pydantic import Field, model_validator
 from testbed.campaign.points import Cell, Choice, cells_of, sampled
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import METRICS, RunName, Table
-from testbed.identification.estimate import METHODS, Method
+from testbed.experiment.experiment_tables import METRICS, Table
+from testbed.experiment.varied_tables import VariedTables
 from testbed.toml_text import Finite, Positive, checked, read_toml
 
 LARGEST_SEED = 2**62
@@ -97,19 +97,9 @@ class StopTable(Table):
         return self
 
 
-class CampaignTables(Table):
+class CampaignTables(VariedTables):
     """What a campaign's file says."""
 
-    name: RunName
-    """Of the campaign."""
-    claim: str = ""
-    """What it shows, in a sentence."""
-    experiment: str
-    """Experiment file, relative to this one; its own claims do not count."""
-    set: tuple[str, ...] = ()
-    """What is different from it throughout: "key=value" as `--set` takes it."""
-    methods: Annotated[tuple[Method, ...], Field(min_length=1)] = METHODS
-    """Which estimates are made."""
     replicates: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     """Runs of each cell, each with a seed of its own; with `[stop]` the most."""
     seed: Annotated[int, Field(ge=0, lt=LARGEST_SEED)] = 1

@@ -16,11 +16,12 @@ from pydantic import Field
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import Expectations, RunName, Table
+from testbed.experiment.experiment_tables import Expectations, Table
 from testbed.experiment.results import nuisances_as_json
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
-from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.experiment.varied_tables import VariedTables
+from testbed.identification.estimate import Estimate, Method
 from testbed.identification.finding import in_lines
 from testbed.identification.passes import Progress
 from testbed.instruments.chain import measured_again
@@ -48,19 +49,9 @@ class VariantTable(Table):
     """Bounds on metrics once the remedy is applied."""
 
 
-class ComparisonTables(Table):
+class ComparisonTables(VariedTables):
     """What a comparison's file says."""
 
-    name: RunName
-    """Of the comparison."""
-    claim: str = ""
-    """What it shows, in a sentence."""
-    experiment: str
-    """Experiment file, relative to this one; its own claims do not count."""
-    set: tuple[str, ...] = ()
-    """What is different from it throughout: "key = value" as `--set` takes it."""
-    methods: Annotated[tuple[Method, ...], Field(min_length=1)] = METHODS
-    """Which estimates are made."""
     expect: Expectations = Field(default_factory=dict)
     """Bounds on the experiment's own metrics."""
     variant: Annotated[tuple[VariantTable, ...], Field(min_length=1)]
