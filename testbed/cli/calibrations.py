@@ -16,6 +16,7 @@ from testbed.cli.options import (
     LockMimic,
     Plate,
     RecordingSet,
+    RobotModel,
     Threads,
     Weld,
     Zeros,
@@ -27,7 +28,7 @@ from testbed.cli.reading import Reading
 @app.command()
 def calibrate(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
-    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    model: RobotModel,
     known: Annotated[
         list[str],
         typer.Option(
@@ -95,7 +96,7 @@ def calibrate(
 @app.command()
 def drives(
     recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="Parquet file.")],
-    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot.")],
+    model: RobotModel,
     settings: RecordingSet = None,
     zeros: Zeros = False,
     gravity: Gravity = None,
@@ -157,7 +158,7 @@ def drives(
 def payload(
     without: Annotated[Path, typer.Argument(metavar="WITHOUT", help="Recording without it.")],
     loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with it.")],
-    model: Annotated[Path, typer.Option(help="MJCF or URDF file of the robot alone.")],
+    model: RobotModel,
     joint: Annotated[
         str | None,
         typer.Option(help="The link that carries it is the one this moves; default the last."),

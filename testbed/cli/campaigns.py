@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import Set, app
+from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
     from testbed.campaign.cluster import Tls
@@ -18,7 +19,12 @@ if TYPE_CHECKING:
 @app.command()
 def campaign(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.toml", help="Campaign file; with --summary its folder.")
+        Path,
+        typer.Argument(
+            metavar="FILE.toml",
+            parser=own_or_shipped,
+            help="Campaign file; with --summary its folder.",
+        ),
     ],
     settings: Set = None,
     out: Annotated[

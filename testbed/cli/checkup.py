@@ -13,7 +13,9 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-OURS = "testbed"
+from testbed.installation import DISTRIBUTION
+from testbed.installation import version as own_version
+
 NOT_FOR_USERS = ("dev",)
 """Extras for those who work on the program itself."""
 
@@ -51,14 +53,14 @@ def checkup() -> list[Check]:
 
 def _programs() -> Iterator[Check]:
     cores = os.cpu_count() or 1
-    yield Check("testbed", f"{version(OURS)}, in {Path(__file__).parent.parent}")
+    yield Check("testbed", f"{own_version()}, in {Path(__file__).parent.parent}")
     yield Check("Python", f"{platform.python_version()}, {sys.executable}")
     yield Check("machine", f"{platform.machine()}, {platform.system()}, {cores} processors")
 
 
 def _packages() -> Iterator[Check]:
     """Packages that nothing works without."""
-    for text in requires(OURS) or ():
+    for text in requires(DISTRIBUTION) or ():
         wanted = Requirement(text)
         if wanted.marker is None or wanted.marker.evaluate({"extra": ""}):
             fine, found = _there(wanted)
@@ -68,10 +70,10 @@ def _packages() -> Iterator[Check]:
 
 def _extras() -> Iterator[Check]:
     """Packages that only some commands need, extra by extra."""
-    for extra in metadata(OURS).get_all("Provides-Extra") or ():
+    for extra in metadata(DISTRIBUTION).get_all("Provides-Extra") or ():
         if extra in NOT_FOR_USERS:
             continue
-        wanted = [Requirement(text) for text in requires(OURS) or ()]
+        wanted = [Requirement(text) for text in requires(DISTRIBUTION) or ()]
         own = [
             each
             for each in wanted

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import Json, Set, app, note
+from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -22,7 +23,9 @@ def excite(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="MODEL_OR_EXPERIMENT", help="Model file, experiment, or with --check a motion."
+            metavar="MODEL_OR_EXPERIMENT",
+            parser=own_or_shipped,
+            help="Model file, experiment, or with --check a motion.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Motion to write.")] = Path("motion.toml"),

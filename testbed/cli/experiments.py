@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import (
+    ExperimentFile,
     Json,
     Set,
     app,
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 
 @app.command()
 def run(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
+    file: ExperimentFile,
     settings: Set = None,
     out: Annotated[Path | None, typer.Option(help="Run folder; default runs/NAME-HASH.")] = None,
     force: Annotated[
@@ -79,7 +80,7 @@ def run(
 
 @app.command()
 def compare(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Comparison file.")],
+    file: ExperimentFile,
     settings: Set = None,
     as_json: Json = False,
 ) -> None:
@@ -104,7 +105,7 @@ def compare(
 
 @app.command()
 def simulate(
-    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Experiment file.")],
+    file: ExperimentFile,
     out: Annotated[Path, typer.Option(help="Recording to write (Parquet).")],
     settings: Set = None,
 ) -> None:

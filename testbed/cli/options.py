@@ -8,6 +8,8 @@ from typing import Annotated, NamedTuple
 
 import typer
 
+from testbed.installation import own_or_shipped
+
 
 class Vector(NamedTuple):
     """Three numbers with commas between them, as 0,0,-9.81."""
@@ -50,9 +52,9 @@ app = typer.Typer(
 def _version(wanted: bool) -> None:
     """Print the version and stop."""
     if wanted:
-        from importlib.metadata import version
+        from testbed.installation import version
 
-        typer.echo(f"testbed {version('testbed')}")
+        typer.echo(f"testbed {version()}")
         raise typer.Exit
 
 
@@ -119,7 +121,23 @@ Gravity = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(min=1, help="Default one a processor.")]
-Model = Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF or URDF file.")]
+Model = Annotated[
+    Path, typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file.")
+]
+RobotModel = Annotated[
+    Path,
+    typer.Option(
+        "--model", metavar="PATH", parser=own_or_shipped, help="MJCF or URDF file of the robot."
+    ),
+]
+ExperimentFile = Annotated[
+    Path,
+    typer.Argument(
+        metavar="FILE.toml",
+        parser=own_or_shipped,
+        help="Experiment file, or the name of one that came with testbed.",
+    ),
+]
 
 
 def note(lines: Iterable[str]) -> None:

@@ -8,12 +8,16 @@ from typing import Annotated
 import typer
 
 from testbed.cli.options import Json, app
+from testbed.installation import own_or_shipped
 
 
 @app.command()
 def new(
     robot: Annotated[
-        Path | None, typer.Argument(metavar="ROBOT", help="MJCF or URDF file.", show_default=False)
+        Path | None,
+        typer.Argument(
+            metavar="ROBOT", parser=own_or_shipped, help="MJCF or URDF file.", show_default=False
+        ),
     ] = None,
     recording: Annotated[
         Path | None,

@@ -23,6 +23,7 @@ PLAN = {
     "arrays": set(),
     "files": set(),
     "blas": set(),
+    "installation": set(),
     "keys": {"errors"},
     "kind_table": {"errors", "arrays", "keys"},
     "kind_words": {"kind_table"},
@@ -42,8 +43,8 @@ PLAN = {
     "experiment": BASE
     | KINDS
     | {
-        "toml_text", "robot", "parameters", "dynamics", "excitation", "recordings", "instruments",
-        "simulation", "identification",
+        "installation", "toml_text", "robot", "parameters", "dynamics", "excitation", "recordings",
+        "instruments", "simulation", "identification",
     },
     "campaign": BASE
     | {"toml_text", "robot", "recordings", "identification", "experiment"},
