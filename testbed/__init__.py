@@ -18,8 +18,14 @@ if TYPE_CHECKING:
     from testbed.dynamics.inverse_dynamics import regressor as regressor
     from testbed.dynamics.motion import Motion as Motion
     from testbed.errors import TestbedError as TestbedError
+    from testbed.excitation.random_motion import random_motion as random_motion
     from testbed.experiment.carry_out import carry_out as carry_out
+    from testbed.experiment.comparison import Comparison as Comparison
+    from testbed.experiment.comparison import compare as compare
     from testbed.experiment.experiment import Experiment as Experiment
+    from testbed.experiment.predictions import predict as predict
+    from testbed.experiment.run import Run as Run
+    from testbed.experiment.run import assemble_run as assemble_run
     from testbed.experiment.simulate import simulate as simulate
     from testbed.identification.estimate import Estimate as Estimate
     from testbed.identification.identify import identify as identify
@@ -27,6 +33,7 @@ if TYPE_CHECKING:
     from testbed.identification.settings import Settings as Settings
     from testbed.identification.solvers import fit as fit
     from testbed.identification.validate import validate as validate
+    from testbed.installation import shipped as shipped
     from testbed.parameters.barycentric import barycentric as barycentric
     from testbed.parameters.barycentric import standard as standard
     from testbed.parameters.joint_terms import DriveSet as DriveSet
@@ -36,7 +43,10 @@ if TYPE_CHECKING:
     from testbed.parameters.minimal_set import selection as selection
     from testbed.recordings.joined import Joined as Joined
     from testbed.recordings.recording import Recording as Recording
+    from testbed.recordings.recording import import_recording as import_recording
     from testbed.recordings.stored import StoredRecording as StoredRecording
+    from testbed.report.html import report as report
+    from testbed.report.plot import plot as plot
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
     from testbed.robot.shafts import with_shafts as with_shafts
@@ -46,6 +56,7 @@ if TYPE_CHECKING:
     from testbed.symbolic.equations import Listing as Listing
     from testbed.symbolic.equations import equations as equations
     from testbed.symbolic.languages import write_equations as write_equations
+    from testbed.viewer.view import view as view
 
 _HOMES = {
     "testbed.experiment.carry_out": ("carry_out",),
@@ -67,7 +78,10 @@ _HOMES = {
     "testbed.identification.validate": ("validate",),
     "testbed.recordings.joined": ("Joined",),
     "testbed.recordings.stored": ("StoredRecording",),
-    "testbed.recordings.recording": ("Recording",),
+    "testbed.recordings.recording": (
+        "import_recording",
+        "Recording",
+    ),
     "testbed.parameters.barycentric": ("barycentric", "standard"),
     "testbed.parameters.joint_terms": ("DriveSet", "with_joint_terms"),
     "testbed.parameters.minimal_set": ("MinimalSet", "minimal_set", "selection"),
@@ -78,6 +92,20 @@ _HOMES = {
     "testbed.robot.load": ("load_tree",),
     "testbed.robot.shafts": ("with_shafts",),
     "testbed.robot.tree": ("Joint", "Tree"),
+    "testbed.experiment.comparison": (
+        "Comparison",
+        "compare",
+    ),
+    "testbed.experiment.predictions": ("predict",),
+    "testbed.experiment.run": (
+        "Run",
+        "assemble_run",
+    ),
+    "testbed.excitation.random_motion": ("random_motion",),
+    "testbed.installation": ("shipped",),
+    "testbed.report.html": ("report",),
+    "testbed.report.plot": ("plot",),
+    "testbed.viewer.view": ("view",),
 }
 
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -16,7 +16,7 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import relative_scale
-from testbed.excitation.limits import Limits, usage
+from testbed.excitation.limits import Limits, limits_of, usage
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
@@ -85,20 +85,30 @@ MORE, BATCHES = 20, 2
 
 
 def random_motion(
-    tree: Tree, limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator
+    tree: Tree,
+    limits: Limits | None = None,
+    fundamental: float = 0.1,
+    harmonics: int = 5,
+    rng: np.random.Generator | int = 0,
 ) -> Fourier:
     """One random Fourier motion, each joint scaled until its nearest limit.
 
+    Nothing is proven of it: `testbed excite` does that.
+
     Args:
         tree: The robot, its inertias an a-priori model for the efforts.
-        limits: What may be asked of it.
+        limits: What may be asked of it; default the model file's, completed by calm ones.
         fundamental: Frequency at which the motion repeats [Hz].
         harmonics: Number of harmonics.
-        rng: Source of randomness.
+        rng: Source of randomness, or its seed.
+
+    Returns:
+        The motion; `motion.at(times)` are its samples.
 
     Raises:
         InfeasibleMotion: Even slow motions exceed the efforts.
     """
+    limits, rng = limits or limits_of(tree), np.random.default_rng(rng)
     draw = drawn(limits, fundamental, harmonics, rng)
     times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
     for share in 0.9 ** np.arange(30):

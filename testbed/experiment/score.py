@@ -35,14 +35,16 @@ class Errors:
     Attributes:
         names: Of the parameters, (p,), as the estimate has them.
         truth: (p,).
-        relative: Errors over their scales, (p,); not a number where there is none. Of a minimal
-            parameter, abs(truth), or 1 % of the largest true value of the same unit if that is
-            more; of a joint's term, abs(truth), or what makes 10 % of the joint's rms torque.
+        scale: (p,); not a number where there is none. Of a minimal parameter, abs(truth), or 1 %
+            of the largest true value of the same unit if that is more; of a joint's term,
+            abs(truth), or what makes 10 % of the joint's rms torque.
+        relative: Errors over their scales, (p,).
         z: (estimate - truth) / sigma, (p,).
     """
 
     names: tuple[str, ...]
     truth: Array
+    scale: Array
     relative: Array
     z: Array
 
@@ -154,7 +156,8 @@ def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | No
     sigma = np.maximum(estimate.sigma, np.finfo(float).tiny)
     base, count = estimate.base, estimate.minimal.count
     scales = [_usual(truth[:count], base.units), *_of_terms(estimate, truth, motion, torque)]
-    return Errors(estimate.names, truth, error / np.concatenate(scales), error / sigma)
+    scale = np.concatenate(scales)
+    return Errors(estimate.names, truth, scale, error / scale, error / sigma)
 
 
 def _of_terms(

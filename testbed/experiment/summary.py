@@ -11,6 +11,7 @@ from testbed.identification.estimate import METHODS, Method
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
+    from testbed.identification.estimate import Estimate
     from testbed.identification.validate import Validation
 
 _SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
@@ -22,44 +23,78 @@ def summary(run: Run) -> list[str]:
     Args:
         run: The run.
     """
-    return [_found(run), *_accuracy(run), *validation_lines(run.validation), *_cautions(run)]
+    if not run.estimates:
+        return [headline(run), *_cautions(run)]
+    told = [*_accuracy(run), *validation_lines(run.validation), *_cautions(run)]
+    return [headline(run), _found(run), *told]
+
+
+def headline(run: Run) -> str:
+    """The one sentence: how well plate and torques know the robot.
+
+    Args:
+        run: The run.
+    """
+    shares = {
+        method: run.metrics.get(f"{method}_rms_relative_error")
+        for method in METHODS
+        if method in run.estimates
+    }
+    known = {method: share for method, share in shares.items() if share is not None}
+    if not shares:
+        return f"From {_data(run)} no estimate could be made."
+    if not known:
+        return f"{'; '.join(_own_words(run.estimates[method]) for method in shares)}."
+    if len(known) == 1:
+        ((method, share),) = known.items()
+        count = len(run.estimates[method].base.names)
+        which = f"{count} parameters" if method == "internal" else "what joint torques could tell"
+        return f"{_subject(method)} {which} to {percent(share)}."
+    count = len(run.estimates["internal"].base.names)
+    return (
+        f"The bedplate gives the {count} parameters that both tell to "
+        f"{percent(known['external'])}, the joint torques to {percent(known['internal'])}."
+    )
+
+
+def _subject(method: Method) -> str:
+    return "The bedplate gives" if method == "external" else "The joint torques give"
+
+
+def _own_words(estimate: Estimate) -> str:
+    """What an estimate says of its own accuracy; the truth is not known."""
+    base = estimate.base
+    told = np.abs(base.values) > 0
+    shares = base.sigma[told] / np.abs(base.values[told])
+    half = f", half of them to {percent(float(np.median(shares)))} or better" if told.any() else ""
+    return f"{_subject(estimate.method)} {len(base.names)} parameters{half}"
+
+
+def _data(run: Run) -> str:
+    recording = run.recording
+    length = float(recording.time[-1] - recording.time[0])
+    return f"{length:.3g} s at {recording.rate:.4g} Hz of {run.tree.name}"
 
 
 def _found(run: Run) -> str:
-    recording = run.recording
-    length = float(recording.time[-1] - recording.time[0])
-    data = f"{length:.3g} s at {recording.rate:.4g} Hz"
     told = []
     for method, estimate in run.estimates.items():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
         more = f" and {terms} coefficients of the joints" if terms else ""
         told.append(f"{_SOURCES[method]} tell {count} inertial parameters{more}")
-    if not told:
-        return f"From {data} of {run.tree.name} no estimate could be made."
     told[0] = told[0].replace("reaction tell", "reaction tells")
-    return f"From {data} of {run.tree.name}, {', '.join(told)}."
+    return f"From {_data(run)}, {', '.join(told)}."
 
 
 def _accuracy(run: Run) -> list[str]:
     """Errors where the truth is known, else how well the estimates explain the data."""
     metrics = run.metrics
-    errors = [
-        f"{method} {percent(metrics[f'{method}_rms_relative_error'])}"
-        for method in METHODS
-        if f"{method}_rms_relative_error" in metrics
-    ]
-    if not errors:
-        return _fit(run)
-    lines = [f"Rms error against the truth: {', '.join(errors)}"]
-    ratio = metrics.get("internal_to_external")
-    if ratio is not None:
-        lines[0] += f"; internal over external {ratio:.3g}"
     sigmas = [
         f"{method} {metrics[f'{method}_max_z']:.3g}"
         for method in METHODS
         if f"{method}_max_z" in metrics
     ]
-    return [f"{lines[0]}.", f"Largest error in sigmas: {', '.join(sigmas)}."]
+    return [f"Largest error in sigmas: {', '.join(sigmas)}."] if sigmas else _fit(run)
 
 
 def validation_lines(validation: Mapping[Method, Validation]) -> list[str]:

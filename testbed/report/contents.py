@@ -11,6 +11,7 @@ from testbed.identification.estimate import Estimate
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
+from testbed.report.error_dots import dots_section
 from testbed.report.facts import asked, origin
 from testbed.report.instrument_tables import instrument_tables
 from testbed.report.matrix_map import matrix_maps
@@ -53,6 +54,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "parameters": parameter_rows(run),
         "in_brackets": _in_brackets(run),
         "warnings": [*run.warnings, *look.warnings],
+        "errors": dots_section(run),
         "figures": [
             section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
             for section in sections(predict(run, unseen), unseen is not None)

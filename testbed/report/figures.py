@@ -34,7 +34,7 @@ _VARIABLES = {
     "#010206": "var(--external)",
     "#010207": "var(--internal)",
 }
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -64,7 +64,7 @@ _STYLE: dict[Any, Any] = {
 WIDTH, HEIGHT = 4.1, 1.85
 """Of a plot [inches]."""
 _MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.245, "top": 0.89}  # parts of it
-_WIDER = 1.05
+WIDER = 1.05
 """Room for labels in a font wider than the one they are measured in."""
 _WIDTHS = {"measured": 2.6}  # what hides behind the predictions
 
@@ -100,7 +100,7 @@ class Panel:
     @property
     def svg(self) -> str:
         """The plot as an element of a page."""
-        with rc_context(_STYLE | {"svg.hashsalt": f"{self.title} {self.x_label}"}):
+        with rc_context(STYLE | {"svg.hashsalt": f"{self.title} {self.x_label}"}):
             figure = Figure(figsize=(WIDTH, HEIGHT))
             axis = figure.subplots()
             figure.subplots_adjust(**_MARGINS)
@@ -126,11 +126,11 @@ class Panel:
             if self.whole:
                 axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
                 axis.margins(x=0.1, y=0.1)
-            figure.subplots_adjust(left=max(_MARGINS["left"], _WIDER * _room(figure, axis)))
-            return _svg(figure, self.title)
+            figure.subplots_adjust(left=max(_MARGINS["left"], WIDER * labels_room(figure, axis)))
+            return as_svg(figure, self.title)
 
 
-def _room(figure: Figure, axis: Axes) -> float:
+def labels_room(figure: Figure, axis: Axes) -> float:
     """What the labels of the vertical axis need, part of the figure's width."""
     canvas: Any = FigureCanvasAgg(figure)
     box = axis.yaxis.get_tightbbox(canvas.get_renderer())
@@ -174,8 +174,8 @@ def power_of_ten(value: float) -> str:
     return f"10{str(power).translate(_SUPERSCRIPTS)}"
 
 
-def _svg(figure: Figure, name: str) -> str:
-    """The figure as an element of a page."""
+def as_svg(figure: Figure, name: str) -> str:
+    """The figure as an element of a page, named for those who do not see it."""
     text = io.StringIO()
     canvas: Any = FigureCanvasSVG(figure)
     canvas.print_svg(text, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))

@@ -12,6 +12,7 @@ import jinja2
 from markupsafe import Markup, escape
 
 from testbed.experiment.run import Run
+from testbed.experiment.run_folder import read_run
 from testbed.files import replacing
 from testbed.recordings.recording import Recording
 from testbed.report.contents import contents
@@ -42,6 +43,27 @@ def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
             json.dumps(_without_drawings(content), indent=1, sort_keys=True) + "\n", "utf-8"
         )
     return beside
+
+
+def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = None) -> Path:
+    """Write a report: one HTML file that needs nothing else, and its numbers as JSON beside it.
+
+    Args:
+        run: A run, or the folder of one.
+        path: The HTML file.
+        unseen: Another recording of the robot, on which predictions are shown; default the run's
+            own.
+
+    Returns:
+        The HTML file.
+
+    Raises:
+        ExperimentError: The folder holds no run.
+        OSError: The file cannot be written there.
+    """
+    page = Path(path)
+    write_report(run if isinstance(run, Run) else read_run(Path(run)), page, unseen)
+    return page
 
 
 def rendered(template: str, content: dict[str, Any]) -> str:

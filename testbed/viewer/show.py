@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 from typing import NoReturn
@@ -28,6 +29,23 @@ def open_viewer(path: Path) -> NoReturn:
             "open that elsewhere, or show it in a browser with --serve"
         )
     _become(["rerun", str(path), "--bind", LOOPBACK])
+
+
+def start_viewer(path: Path) -> None:
+    """Start Rerun's viewer beside this process, showing a file.
+
+    Args:
+        path: The .rrd file.
+
+    Raises:
+        ViewerError: There is no viewer, or no screen for it.
+    """
+    program = viewer_program()
+    if program is None or not has_screen():
+        raise ViewerError(
+            f"there is no {'screen' if program else 'viewer'} to show it; it is all in '{path}'"
+        )
+    subprocess.Popen([program, str(path), "--bind", LOOPBACK], start_new_session=True)
 
 
 def serve(path: Path, port: int) -> NoReturn:
