@@ -27,9 +27,12 @@ if TYPE_CHECKING:
     from testbed.experiment.run import Run as Run
     from testbed.experiment.run import assemble_run as assemble_run
     from testbed.experiment.simulate import simulate as simulate
+    from testbed.identification.consistency import consistent as consistent
+    from testbed.identification.consistency import robot_of as robot_of
     from testbed.identification.estimate import Estimate as Estimate
     from testbed.identification.identify import identify as identify
     from testbed.identification.normal_equations import NormalEquations as NormalEquations
+    from testbed.identification.payload import payload as payload
     from testbed.identification.settings import Settings as Settings
     from testbed.identification.solvers import fit as fit
     from testbed.identification.validate import validate as validate
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
     from testbed.parameters.minimal_set import MinimalSet as MinimalSet
     from testbed.parameters.minimal_set import minimal_set as minimal_set
     from testbed.parameters.minimal_set import selection as selection
+    from testbed.parameters.prior import prior_of as prior_of
     from testbed.recordings.joined import Joined as Joined
     from testbed.recordings.recording import Recording as Recording
     from testbed.recordings.recording import import_recording as import_recording
@@ -49,9 +53,11 @@ if TYPE_CHECKING:
     from testbed.report.plot import plot as plot
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
+    from testbed.robot.model_file import ModelFile as ModelFile
     from testbed.robot.shafts import with_shafts as with_shafts
     from testbed.robot.tree import Joint as Joint
     from testbed.robot.tree import Tree as Tree
+    from testbed.robot.write_model import write_model as write_model
     from testbed.symbolic.compare import compare_equations as compare_equations
     from testbed.symbolic.equations import Listing as Listing
     from testbed.symbolic.equations import equations as equations
@@ -106,6 +112,14 @@ _HOMES = {
     "testbed.report.html": ("report",),
     "testbed.report.plot": ("plot",),
     "testbed.viewer.view": ("view",),
+    "testbed.identification.payload": ("payload",),
+    "testbed.identification.consistency": (
+        "consistent",
+        "robot_of",
+    ),
+    "testbed.parameters.prior": ("prior_of",),
+    "testbed.robot.model_file": ("ModelFile",),
+    "testbed.robot.write_model": ("write_model",),
 }
 
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -1,0 +1,20 @@
+"""Weigh what a robot carries: two recordings on one plate, without the load and with it."""
+
+import testbed as tb
+
+quick = ["motion.duration=10", "motion.candidates=3"]
+loaded = tb.Experiment.load(tb.shipped("payload"), quick)
+empty = tb.Experiment.load(tb.shipped("payload"), [*quick, "simulation.effect=[]", "expect={}"])
+tree = tb.load_tree(tb.shipped("puma562.xml"))
+
+before, after = (tb.identify(tree, tb.simulate(each), "external") for each in (empty, loaded))
+found = tb.payload(tree, before, after)
+
+print(f"at the end of {found.link}: 1 kg in truth, 0.43 m along z")
+for name, value, sigma, told in zip(
+    found.names, found.values, found.sigma, found.told, strict=True
+):
+    print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if told else f"{name:6s} not told alone")
+print("centre [m]:", found.centre.round(4))
+for warning in found.warnings:
+    print("warning:", warning)
