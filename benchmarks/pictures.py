@@ -12,7 +12,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.growth import growth
 from testbed.experiment.run_folder import read_run, write_run
 from testbed.experiment.unseen import unseen
-from testbed.report.html import write_report
+from testbed.reporting.html import write_report
 from testbed.viewer.log import write_rrd
 from testbed.viewer.scene import scene_of
 

@@ -11,7 +11,7 @@ measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), ["motion.duratio
 
 estimates = [tb.identify(believed, measured, method) for method in ("external", "internal")]
 found = tb.consistent(believed, estimates, tb.prior_of(believed))
-print(f"least eigenvalue of a body over its largest: {found.least_eigenvalue:.2g}")
+print("least eigenvalues, all positive:", found.eigenvalues[:, 0].round(3))
 for link, (mass, *_), (sigma, *_) in zip(found.links, found.standard, found.sigma, strict=True):
     print(f"{link}: {mass:.3f} +- {sigma:.3f} kg")
 

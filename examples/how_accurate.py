@@ -4,7 +4,7 @@ import testbed as tb
 
 for force_noise in (0.1, 0.5, 2.0):
     experiment = tb.Experiment.load(
-        "experiments/table6.toml",
+        tb.shipped("table6"),
         [
             "motion.duration=10",
             "motion.candidates=3",

@@ -2,20 +2,27 @@
 
 import testbed as tb
 
-tree = tb.load_tree("models/puma562.xml")
-measured = tb.simulate(tb.Experiment.load("experiments/table6.toml", ["motion.duration=10"]))
+tree = tb.load_tree(tb.shipped("puma562.xml"))
 
-recording = tb.Recording(
-    names=("waist", "shoulder", "elbow"),  # the order of the columns below
-    time=measured.time,  # (M,) [s], at a constant rate
-    position=measured.position,  # (M, 3) [rad], encoders
-    wrench=measured.wrench,  # (M, 6) [N, N m], of the plate on the robot, force first
-    tare=measured.tare,  # (6,) what the plate reads of the pedestal alone; None: the model's
-)
-estimate = tb.identify(tree, recording, "external", zeros=True)
-for name, unit, value, sigma in zip(
-    estimate.names, estimate.units, estimate.values, estimate.sigma, strict=True
+
+def recorded(seed: int) -> tb.Recording:
+    """What a logger has written, another motion for each seed."""
+    words = ["motion.duration=10", "motion.candidates=1", f"seed={seed}"]
+    measured = tb.simulate(tb.Experiment.load(tb.shipped("table6"), words))
+    return tb.Recording(
+        names=("waist", "shoulder", "elbow"),  # the order of the columns below
+        time=measured.time,  # (M,) [s], at a constant rate
+        position=measured.position,  # (M, 3) [rad], encoders
+        wrench=measured.wrench,  # (M, 6) [N, N m], of the plate on the robot, force first
+        tare=measured.tare,  # (6,) what the plate reads of the pedestal alone; None: the model's
+    )
+
+
+estimate = tb.identify(tree, recorded(1), "external", zeros=True)
+print(estimate)  # values, sigmas, warnings
+
+other = tb.validate(tree, recorded(2), estimate, settings=tb.Settings(zeros=True))
+for channel, unit, left, spread in zip(
+    other.channels, other.units, other.residual, other.signal, strict=True
 ):
-    print(f"{name:8s} {value:9.4f} +- {sigma:.4f} {unit}")
-for warning in estimate.warnings:
-    print("warning:", warning)
+    print(f"another motion, {channel}: {left:.3f} of {spread:.3f} {unit} not explained")

@@ -18,7 +18,9 @@ for method, estimate in run.estimates.items():
 for warning in run.warnings:
     print("warning:", warning)
 
-found = tb.predict(run)  # what both estimates say that plate and drives should have read
+found = tb.predict(run).smoothed(
+    10.0
+)  # below 10 Hz: what both estimates say that plate and drives should have read
 for signal in found.signals:
     for method in signal.predicted:
         rms = (signal.residual(method) ** 2).mean(axis=0) ** 0.5

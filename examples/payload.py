@@ -10,11 +10,11 @@ tree = tb.load_tree(tb.shipped("puma562.xml"))
 before, after = (tb.identify(tree, tb.simulate(each), "external") for each in (empty, loaded))
 found = tb.payload(tree, before, after)
 
-print(f"at the end of {found.link}: 1 kg in truth, 0.43 m along z")
+print(f"on the link that {found.joint} moves; in truth 1 kg, 0.43 m along z")
 for name, value, sigma, told in zip(
     found.names, found.values, found.sigma, found.told, strict=True
 ):
     print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if told else f"{name:6s} not told alone")
-print("centre [m]:", found.centre.round(4))
+print("centre [m]:", (found.values[1:4] / found.values[0]).round(4))
 for warning in found.warnings:
     print("warning:", warning)

@@ -49,8 +49,8 @@ if TYPE_CHECKING:
     from testbed.recordings.recording import Recording as Recording
     from testbed.recordings.recording import import_recording as import_recording
     from testbed.recordings.stored import StoredRecording as StoredRecording
-    from testbed.report.html import report as report
-    from testbed.report.plot import plot as plot
+    from testbed.reporting.html import report as report
+    from testbed.reporting.plot import plot as plot
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.load import load_tree as load_tree
     from testbed.robot.model_file import ModelFile as ModelFile
@@ -109,8 +109,8 @@ _HOMES = {
     ),
     "testbed.excitation.random_motion": ("random_motion",),
     "testbed.installation": ("shipped",),
-    "testbed.report.html": ("report",),
-    "testbed.report.plot": ("plot",),
+    "testbed.reporting.html": ("report",),
+    "testbed.reporting.plot": ("plot",),
     "testbed.viewer.view": ("view",),
     "testbed.identification.payload": ("payload",),
     "testbed.identification.consistency": (

@@ -19,7 +19,7 @@ from testbed.robot.model_files import held_files
 LENGTH = 32
 """Hexadecimal digits of a hash."""
 
-ONLY_SHOWN = ("cli", "report", "viewer", "symbolic")
+ONLY_SHOWN = ("cli", "reporting", "viewer", "symbolic")
 """Rooms that no result depends on."""
 
 _MODELS = (".xml", ".mjcf", ".urdf")

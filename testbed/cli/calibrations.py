@@ -68,8 +68,8 @@ def calibrate(
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.calibration_by_payload import calibrate_by_payload
     from testbed.identification.known import parse_known
-    from testbed.report import terminal
-    from testbed.report.plate_tables import plate_as_json
+    from testbed.reporting import terminal
+    from testbed.reporting.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
     tree, facts = reading.tree(model), parse_known(known)
@@ -122,7 +122,7 @@ def drives(
     from testbed.experiment.drive_results import drives_as_json
     from testbed.identification.drive_findings import identify_drives
     from testbed.identification.identify import identify
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
@@ -186,7 +186,7 @@ def payload(
     from testbed.identification.identify import identify, in_its_gravity
     from testbed.identification.payload import payload as payload_of
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
-    from testbed.report import payload_table, terminal
+    from testbed.reporting import payload_table, terminal
 
     reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification

@@ -69,8 +69,8 @@ def campaign(
         return
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
-    from testbed.report import terminal
-    from testbed.report.campaign_lines import Throughput, print_conducted, print_plan
+    from testbed.reporting import terminal
+    from testbed.reporting.campaign_lines import Throughput, print_conducted, print_plan
 
     asked = Campaign.load(file, settings or ())
     folder = out or Path("runs") / f"{asked.tables.name}-campaign"
@@ -88,9 +88,9 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.campaign_summary import read_campaign, summarise
     from testbed.campaign.summary_files import changes, write_summary
-    from testbed.report import terminal
-    from testbed.report.campaign_lines import print_changes, print_summary
-    from testbed.report.campaign_page import write_campaign_page
+    from testbed.reporting import terminal
+    from testbed.reporting.campaign_lines import print_changes, print_summary
+    from testbed.reporting.campaign_page import write_campaign_page
 
     found = summarise(read_campaign(folder))
     out, place = terminal.console(), folder if folder.is_dir() else folder.parent

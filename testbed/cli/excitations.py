@@ -59,8 +59,8 @@ def excite(
     from testbed.experiment.motion_results import excitation_as_json
     from testbed.experiment.trajectory_file import check_ending, write_trajectory
     from testbed.experiment.write_motion import write_motion
-    from testbed.report import terminal
-    from testbed.report.motion_tables import print_excitation
+    from testbed.reporting import terminal
+    from testbed.reporting.motion_tables import print_excitation
 
     if trajectory is not None:
         check_ending(trajectory)
@@ -74,7 +74,7 @@ def excite(
         write_trajectory(trajectory, found, rate)
     write_motion(out, found)
     if page is not None:
-        from testbed.report.motion_page import write_motion_page
+        from testbed.reporting.motion_page import write_motion_page
 
         write_motion_page(page, found)
     if as_json:
@@ -114,8 +114,8 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
     from testbed.experiment.motion_results import proof_as_json
     from testbed.experiment.motions import checked_motion
-    from testbed.report import terminal
-    from testbed.report.motion_tables import print_proof
+    from testbed.reporting import terminal
+    from testbed.reporting.motion_tables import print_proof
 
     found = checked_motion(file, settings)
     proof = found.proof

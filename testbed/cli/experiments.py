@@ -54,7 +54,7 @@ def run(
         write_result,
     )
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     experiment = Experiment.load(file, settings or ())
     folder = out or default_folder(experiment)
@@ -90,8 +90,8 @@ def compare(
     """
     from testbed.experiment.comparison import Comparison, comparison_as_json
     from testbed.experiment.comparison import compare as compared
-    from testbed.report import terminal
-    from testbed.report.comparison_table import print_comparison
+    from testbed.reporting import terminal
+    from testbed.reporting.comparison_table import print_comparison
 
     comparison = Comparison.load(file, settings or ())
     with terminal.Progress("comparing") as progress:
@@ -115,7 +115,7 @@ def simulate(
     """
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     experiment = Experiment.load(file, settings or ())
     with terminal.Progress("simulating") as progress:
@@ -131,7 +131,7 @@ def warmup() -> None:
     Example: testbed warmup
     """
     from testbed.kernel.numba_engine import warm_up
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     with terminal.Progress("compiling"):
         folder = warm_up()

@@ -85,7 +85,7 @@ def identify(
     from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     writing = Writing(consistent, write, fixed, in_place)
@@ -159,7 +159,7 @@ def validate(
     from testbed.experiment.results import validation_as_json
     from testbed.identification.estimate import SIGNAL_OF
     from testbed.identification.validate import validate as validated
-    from testbed.report import terminal
+    from testbed.reporting import terminal
 
     kept = read_result(result, model, settings or ())
     source = corrected_source(opened(recording), kept.tree, plate)

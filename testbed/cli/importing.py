@@ -47,7 +47,7 @@ def import_(
     """
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.recording import Recording
-    from testbed.report import terminal
+    from testbed.reporting import terminal
     from testbed.sanity.accept import accepted_import
 
     if guess:

@@ -25,7 +25,7 @@ from testbed.cli.options import (
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
-    from testbed.report.minimal_tables import Findings
+    from testbed.reporting.minimal_tables import Findings
     from testbed.robot.tree import Tree
 
 
@@ -96,8 +96,8 @@ def minimal(
     from testbed.dynamics.witnesses import verify, verify_drives
     from testbed.parameters.identifiability import identifiability
     from testbed.parameters.minimal_set import minimal_set
-    from testbed.report import terminal
-    from testbed.report.minimal_tables import Findings, print_latex, print_sets
+    from testbed.reporting import terminal
+    from testbed.reporting.minimal_tables import Findings, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
@@ -123,8 +123,8 @@ def minimal(
 
 def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
     """For programs; large matrices only if asked for, and otherwise with a word about it."""
-    from testbed.report import terminal
-    from testbed.report.minimal_document import BYTES, MANY, as_document, matrix_numbers
+    from testbed.reporting import terminal
+    from testbed.reporting.minimal_document import BYTES, MANY, as_document, matrix_numbers
 
     numbers = matrix_numbers(found)
     if matrices is None and numbers > MANY:
@@ -204,7 +204,7 @@ def equations(
         with replacing(out) as fresh:
             fresh.write_text(text, encoding="utf-8")
     if as_json:
-        from testbed.report import terminal
+        from testbed.reporting import terminal
 
         terminal.print_json(as_document(listing, text))
     elif out is None:

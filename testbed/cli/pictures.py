@@ -68,7 +68,7 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.experiment.growth import growth
-    from testbed.report import terminal
+    from testbed.reporting import terminal
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
 
@@ -93,7 +93,7 @@ def view(
 
 def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int) -> None:
     """Say what was written, and show it as is wished."""
-    from testbed.report import terminal
+    from testbed.reporting import terminal
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
@@ -155,8 +155,8 @@ def report(
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
     from testbed.experiment.carry_out import checked_elsewhere
-    from testbed.report import terminal
-    from testbed.report.html import write_report
+    from testbed.reporting import terminal
+    from testbed.reporting.html import write_report
 
     path = out or _beside(run, ".html")
     if path.is_dir():

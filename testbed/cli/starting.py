@@ -72,7 +72,7 @@ def doctor(as_json: Json = False) -> None:
 
     found = checkup()
     if as_json:
-        from testbed.report import terminal
+        from testbed.reporting import terminal
 
         terminal.print_json({"checks": [vars(each) for each in found]})
     else:

@@ -136,7 +136,7 @@ class TermEstimate:
         return self.law.kind
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Estimate:
     """What one method found.
 
@@ -260,6 +260,9 @@ class Estimate:
         )
         head = f"{len(self.names)} parameters from {source}{doubt}"
         return Words(head, tuple(numbers), self.warnings)
+
+    def __repr__(self) -> str:
+        return str(self)
 
     def __str__(self) -> str:
         """A table for people: names, values with sigmas, units, warnings."""

@@ -28,7 +28,7 @@ NO_MATTER = 1e-12
 """A parameter this much smaller than its body's others of the same unit is zero in the file."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class MinimalSet:
     """The minimal parameters delta = S theta of one model of one robot.
 
@@ -47,6 +47,9 @@ class MinimalSet:
     _bodies: tuple[Body, ...]
     _candidates: tuple[Entry, ...]
     _elimination: Elimination
+
+    def __repr__(self) -> str:
+        return f"<MinimalSet of the {self.model} model, {self.count}: {', '.join(self.names)}>"
 
     @cached_property
     def _entries(self) -> tuple[Entry, ...]:

@@ -154,7 +154,7 @@ class Joint:
         return joint
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Tree:
     """An open tree of bodies on a bedplate.
 
@@ -185,6 +185,10 @@ class Tree:
         for j, joint in enumerate(self.joints):
             if not -1 <= joint.parent < j:
                 raise ValueError(f"joint '{joint.name}' ({j}) precedes its parent {joint.parent}")
+
+    def __repr__(self) -> str:
+        joints = ", ".join(f"{each.name} ({each.kind})" for each in self.joints)
+        return f"<Tree {self.name!r}, {self.n} joints: {joints}>"
 
     @property
     def n(self) -> int:

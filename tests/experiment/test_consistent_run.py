@@ -18,9 +18,9 @@ from testbed.experiment.results import result
 from testbed.experiment.run import Run
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.wishes import Wishes
-from testbed.report.bodies_section import VIEWS
-from testbed.report.contents import contents
-from testbed.report.portrait import view
+from testbed.reporting.bodies_section import VIEWS
+from testbed.reporting.contents import contents
+from testbed.reporting.portrait import view
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.extents import extents

@@ -29,7 +29,7 @@ from testbed.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.recordings.source import Source, Stretch, open_source
-from testbed.report.consistent_table import consistent_lines
+from testbed.reporting.consistent_table import consistent_lines
 from testbed.robot.friction import ROTOR
 from testbed.robot.inertia import NOTHING, Inertia
 from tests.helpers.ideal import EXACT, ideal

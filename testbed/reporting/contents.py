@@ -1,0 +1,161 @@
+"""What a report says, as plain data: for the page, and as JSON beside it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from testbed.experiment.predictions import predict
+from testbed.experiment.run import Run
+from testbed.experiment.summary import obtained, summary, verdict
+from testbed.identification.estimate import Estimate
+from testbed.parameters.barycentric import STANDARD
+from testbed.parameters.identifiability import identifiability
+from testbed.recordings.recording import Recording
+from testbed.reporting.error_dots import dots_section
+from testbed.reporting.facts import asked, origin
+from testbed.reporting.instrument_tables import instrument_tables
+from testbed.reporting.matrix_map import matrix_maps
+from testbed.reporting.portrait import portrait
+from testbed.reporting.sections import SHOWN, seconds_shown, sections
+from testbed.reporting.tables import with_sigma
+from testbed.robot.tree import Tree
+from testbed.robot.visuals.appearance import Appearance, load_appearance
+
+GLYPHS = ("·", "+", "#")
+KINDS = ("never", "combined", "alone")
+SAYS = ("never", "only in combination", "alone")
+
+WIDEST = 5.0
+"""Errors in sigmas that fill half a bar."""
+
+LONGEST = 21
+"""Characters of a value and its sigma with a sign between them; longer, sigma is in brackets."""
+
+
+def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
+    """Everything that the page shows; drawings are under the keys "svg".
+
+    Args:
+        run: What the report is about.
+        unseen: Another recording, of a motion that no estimate has seen; None for none.
+    """
+    look = load_appearance(run.tree, run.model)
+    return {
+        "title": run.name,
+        "claim": "" if run.experiment is None else run.experiment.claim,
+        "summary": summary(run),
+        "verdict": verdict(run),
+        "verdicts": _verdicts(run),
+        "holds": run.as_expected,
+        "portrait": _portrait(run, look),
+        "asked": asked(run),
+        "methods": list(run.estimates),
+        "has_truth": bool(run.truths),
+        "parameters": parameter_rows(run),
+        "in_brackets": _in_brackets(run),
+        "warnings": [*run.warnings, *look.warnings],
+        "errors": dots_section(run),
+        "figures": [
+            section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
+            for section in sections(predict(run, unseen), unseen is not None)
+        ],
+        "instrument": instrument_tables(run),
+        "matrix": matrix_maps(run),
+        "maps": _maps(run.tree),
+        "origin": origin(run),
+    }
+
+
+def _verdicts(run: Run) -> list[dict[str, Any]]:
+    """Claims, and what came out."""
+    expect = {} if run.experiment is None else run.experiment.expect
+    return [
+        {
+            "name": name.replace("_", " "),
+            "wanted": bound.wanted,
+            "value": obtained(run, name),
+            "holds": run.verdicts[name],
+        }
+        for name, bound in expect.items()
+    ]
+
+
+def _portrait(run: Run, look: Appearance) -> dict[str, str]:
+    """The robot as the recording begins, with the reaction at that moment."""
+    recording = run.recording
+    shown = recording.time <= recording.time[0] + SHOWN
+    step = max(1, int(shown.sum()) // 500)
+    wrench = None if recording.wrench is None else recording.wrench[0]
+    name = f"The robot {run.tree.name} on its bedplate"
+    paths = f"the paths of its ends over {seconds_shown(recording.time):.3g} s"
+    caption = f"The robot as the recording begins, and {paths}."
+    if wrench is not None:
+        caption += " Red and blue, the bedplate's force and moment on it at that moment."
+    motion = recording.position[shown][::step]
+    return {"svg": portrait(look, motion, wrench, name), "caption": caption}
+
+
+def parameter_rows(run: Run) -> list[dict[str, Any]]:
+    """Every parameter by every method: what joint torques tell, what only the plate, friction.
+
+    Args:
+        run: The run.
+    """
+    internal = run.estimates.get("internal")
+    units = {n: u for e in run.estimates.values() for n, u in zip(e.names, e.units, strict=True)}
+    first = () if internal is None else internal.base.names
+    external = run.estimates.get("external")
+    second = () if external is None else external.names
+    rows, short = [], _in_brackets(run)
+    for name in dict.fromkeys((*first, *second, *units)):
+        truth = run.truths.get(name)
+        rows.append(
+            {
+                "name": name,
+                "unit": units[name],
+                "truth": "" if truth is None else f"{truth:.6g}",
+                "cells": [_cell(e, name, truth, short) for e in run.estimates.values()],
+            }
+        )
+    return rows
+
+
+def _in_brackets(run: Run) -> bool:
+    """Whether values would be too long for a page with their sigmas after a sign."""
+    every = (with_sigma(e, name) for e in run.estimates.values() for name in e.names)
+    return any(len(text.replace("+-", "±")) > LONGEST for text in every)
+
+
+def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> dict[str, Any]:
+    """One method's value, and its error as a bar where the truth is known."""
+    cell: dict[str, Any] = {
+        "method": estimate.method,
+        "text": with_sigma(estimate, name, short),
+        "value": None,
+        "sigma": None,
+        "z": None,
+    }
+    if name not in estimate.names:
+        return cell
+    k = estimate.names.index(name)
+    value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
+    cell |= {"value": value, "sigma": sigma}
+    if truth is not None:
+        z = (value - truth) / sigma if sigma > 0 else 0.0
+        share = min(abs(z) / WIDEST, 1.0) * 50.0
+        left = 50.0 if z > 0 else 50.0 - share
+        cell |= {"z": z, "shown": f"{z:+.1f}", "left": round(left, 1), "width": round(share, 1)}
+    return cell
+
+
+def _maps(tree: Tree) -> list[dict[str, Any]]:
+    """What joint torques, and what the bedplate, can tell of each link's ten parameters."""
+    tables = []
+    for seen in identifiability(tree)[:2]:
+        rows = []
+        for name, codes in zip(tree.names, seen.standard, strict=True):
+            cells = [{"glyph": GLYPHS[k], "kind": KINDS[k], "says": SAYS[k]} for k in codes]
+            rows.append((name, cells))
+        title = f"{seen.instrument}: {seen.count} combinations"
+        tables.append({"title": title, "names": STANDARD, "rows": rows})
+    return tables

@@ -1,0 +1,107 @@
+"""A report one can send: one HTML file with everything in it, and its numbers as JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup, escape
+
+from testbed.experiment.run import Run
+from testbed.experiment.run_folder import read_run
+from testbed.files import replacing
+from testbed.recordings.recording import Recording
+from testbed.reporting.contents import contents
+
+_SIGNS = {"+-": "±", "^2": "²"}
+
+_EXPONENT = re.compile(r"[-+]?\d[\d.]*e-\d+")
+"""A number that a browser would break at its second sign."""
+
+
+def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
+    """Write a report, and its numbers beside it.
+
+    Args:
+        run: What it is about.
+        path: The HTML file.
+        unseen: Another recording, of a motion that no estimate has seen; None for none.
+
+    Returns:
+        The JSON file: of the same name, ending in .json.
+    """
+    content = contents(run, unseen)
+    text = rendered("report.html", content)
+    beside = path.with_suffix(".json")
+    with replacing(path) as fresh, replacing(beside) as numbers:
+        fresh.write_text(text, encoding="utf-8")
+        numbers.write_text(
+            json.dumps(_without_drawings(content), indent=1, sort_keys=True) + "\n", "utf-8"
+        )
+    return beside
+
+
+def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = None) -> Path:
+    """Write a report: one HTML file that needs nothing else, and its numbers as JSON beside it.
+
+    Args:
+        run: A run, or the folder of one.
+        path: The HTML file.
+        unseen: Another recording of the robot, on which predictions are shown; default the run's
+            own.
+
+    Returns:
+        The HTML file.
+
+    Raises:
+        ExperimentError: The folder holds no run.
+        OSError: The file cannot be written there.
+    """
+    page = Path(path)
+    write_report(run if isinstance(run, Run) else read_run(Path(run)), page, unseen)
+    return page
+
+
+def rendered(template: str, content: dict[str, Any]) -> str:
+    """A page.
+
+    Args:
+        template: One of those in page/.
+        content: What it shows.
+    """
+    pages = files("testbed.reporting") / "page"
+    environment = jinja2.Environment(
+        loader=jinja2.FunctionLoader(lambda name: (pages / name).read_text("utf-8")),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
+    style = (pages / "style.css").read_text("utf-8")
+    return environment.get_template(template).render(content, style=style)
+
+
+def typeset(text: str) -> Markup:
+    """What a terminal writes as +- and m^2, as people write it: ± and m²; 1e-06 in one line."""
+    for plain, sign in _SIGNS.items():
+        text = text.replace(plain, sign)
+    return Markup(_EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(text))))
+
+
+def breakable(name: str) -> Markup:
+    """A name that goes on in the next line, where it must, after an underscore or a slash."""
+    return Markup(re.sub("([_/])", r"\1<wbr>", str(escape(name))))
+
+
+def _without_drawings(content: Any) -> Any:
+    """The page's data alone."""
+    if isinstance(content, dict):
+        return {key: _without_drawings(value) for key, value in content.items() if key != "svg"}
+    if isinstance(content, list | tuple):
+        return [_without_drawings(value) for value in content]
+    return content

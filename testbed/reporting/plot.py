@@ -1,0 +1,48 @@
+"""A figure of estimates, for notebooks and papers."""
+
+from __future__ import annotations
+
+import io
+
+from matplotlib.figure import Figure
+
+from testbed.experiment.run import Run
+from testbed.identification.estimate import Estimate
+from testbed.reporting.error_dots import FRAME, LEGEND, ROW, dots_of_run, draw, error_dots
+
+COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#727b88"}
+
+WIDTH = 6.4
+"""Of the figure [inches]."""
+
+
+class Picture(Figure):
+    """A figure that a notebook shows, whether pyplot was ever imported or not."""
+
+    def _repr_png_(self) -> bytes:
+        content = io.BytesIO()
+        self.savefig(content, format="png", dpi=120)
+        return content.getvalue()
+
+
+def plot(what: Run | Estimate) -> Picture:
+    """How far off each parameter is, a dot a method; relative sigmas where no truth is known.
+
+    Bars end at one standard deviation, as the estimate itself states it.
+
+    Args:
+        what: A run, or one estimate.
+
+    Returns:
+        A matplotlib figure of its own: a notebook shows it, `savefig` writes it.
+    """
+    dots = dots_of_run(what) if isinstance(what, Run) else error_dots({what.method: what})
+    figure = Picture(figsize=(WIDTH, ROW * max(len(dots.names), 1) + FRAME + 0.5), layout="tight")
+    axis = figure.subplots()
+    draw(axis, dots, dots.range, COLOURS)
+    lines = [line for line in axis.get_lines() if line.get_marker() in {"o", "D"}]
+    labels = [LEGEND[method] for method in dots.errors]
+    axis.legend(
+        lines, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, borderpad=0
+    )
+    return figure

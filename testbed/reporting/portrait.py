@@ -1,0 +1,148 @@
+"""The robot on its bedplate with the reaction on it, as SVG that needs nothing else."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.kinematics import poses
+from testbed.reporting.raster import paint, png
+from testbed.robot.visuals.appearance import Appearance
+from testbed.robot.visuals.triangles import triangles
+
+SIZE = 640
+"""Pixels of the picture's longer side."""
+BORDER = 24
+"""Free on every side [pixels]."""
+LETTER = 11
+"""Width of a letter, more than less [pixels]."""
+EYE = np.array([0.9, -1.6, 0.65])
+"""Where the picture is taken from; parallel rays."""
+LIGHT = np.array([0.5, -0.2, 0.85])
+"""Where the light comes from."""
+ARROW = 0.4
+"""Length of the force's and the moment's arrow, as part of the robot's reach."""
+
+
+def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -> str:
+    """The robot at the first of its postures, the paths of its ends, and the reaction on it.
+
+    Args:
+        look: What it looks like.
+        motion: Joint positions, (M, n) [rad or m].
+        wrench: Of the bedplate on the robot at the first posture, (6,) [N, N m]; None for none.
+        name: What the picture shows, for those who cannot see it.
+    """
+    camera = view(EYE)
+    placed = poses(look.tree, motion)
+    solid, colours = _surfaces(look, placed)
+    paths = [placed[j][1] + placed[j][0] @ point for j, point in look.tips.items()]
+    arrows = [] if wrench is None else _arrows(look, wrench)
+    frame = 0.25 * look.reach * np.eye(3)
+    every = np.concatenate([solid.reshape(-1, 3), *paths, *(ends for ends, *_ in arrows), frame])
+    flat = every @ camera.T
+    low, high = flat[:, :2].min(axis=0), flat[:, :2].max(axis=0)
+    scale = SIZE / float((high - low).max())
+    width, height = np.ceil((high - low) * scale).astype(int).tolist()
+
+    def drawn(points: Array) -> Array:
+        """Pixels to the right and down, and depth."""
+        seen = points @ camera.T
+        return np.stack(
+            [(seen[..., 0] - low[0]) * scale, (high[1] - seen[..., 1]) * scale, seen[..., 2]],
+            axis=-1,
+        )
+
+    picture = base64.b64encode(png(paint(drawn(solid), colours, width, height))).decode()
+    parts = [f'<image width="{width}" height="{height}" href="data:image/png;base64,{picture}"/>']
+    for path in paths:
+        line = " ".join(f"{x:.0f},{y:.0f}" for x, y, _ in drawn(path))
+        parts.append(
+            f'<polyline points="{line}" fill="none" stroke="var(--truth)" stroke-width="1.5" '
+            'opacity=".6"/>'
+        )
+    for axis, letter in zip(frame, "xyz", strict=True):
+        parts.append(_arrow(drawn(np.stack([0 * axis, axis])), "var(--ink)", 1.5, letter))
+    left, right = 0.0, float(width)
+    for ends, colour, label in arrows:
+        pixels = drawn(ends)
+        parts.append(_arrow(pixels, colour, 4.0, label))
+        left = min(left, pixels[1, 0] - LETTER * len(label))
+        right = max(right, pixels[1, 0] + LETTER * len(label))
+    box = f"{left - BORDER:.0f} {-BORDER} {right - left + 2 * BORDER:.0f} {height + 2 * BORDER}"
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" role="img" '
+        f'aria-label="{escape(name)}" font-family="sans-serif" font-size="20">'
+        f"{''.join(parts)}</svg>"
+    )
+
+
+def view(eye: Array) -> Array:
+    """Rows: to the right, up, and away from the eye, (3, 3).
+
+    Args:
+        eye: Where the picture is taken from, not straight above; parallel rays, (3,).
+    """
+    away = -eye / np.linalg.norm(eye)
+    right = np.cross(away, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return np.stack([right, np.cross(right, away), away])
+
+
+def _surfaces(look: Appearance, placed: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """All triangles at the first posture, (T, 3, 3) [m], and their shaded colours, (T, 3)."""
+    found, colours = [], []
+    for shape in look.shapes:
+        corners = triangles(shape)
+        if shape.body >= 0:
+            rotation, position = placed[shape.body]
+            corners = corners @ rotation[0].T + position[0]
+        found.append(corners)
+        colours.append(np.tile(np.clip(shape.colour[:3], 0, 1), (len(corners), 1)))
+    solid = np.concatenate(found)
+    normals = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    normals *= np.where(normals @ EYE < 0, -1.0, 1.0)[:, None]  # files wind as they like
+    light = np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    return solid, np.concatenate(colours) * (0.5 + 0.5 * light)[:, None]
+
+
+def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
+    """Ends (2, 3) [m], colour and label of the force and the moment."""
+    found = []
+    for vector, colour, unit in (
+        (wrench[:3], "var(--force)", "N"),
+        (wrench[3:], "var(--moment)", "N m"),
+    ):
+        size = float(np.linalg.norm(vector))
+        if size > 0:
+            tip = look.corner + vector / size * ARROW * look.reach
+            found.append((np.stack([look.corner, tip]), colour, f"{size:.3g} {unit}"))
+    return found
+
+
+def _arrow(ends: Array, colour: str, thickness: float, label: str) -> str:
+    """A line with a head and a label at its end; (2, 3) pixels."""
+    (x0, y0, _), (x1, y1, _) = ends.tolist()
+    dx, dy = x1 - x0, y1 - y0
+    length = max(float(np.hypot(dx, dy)), 1e-9)
+    along = np.array([dx, dy]) / length
+    across = np.array([-along[1], along[0]])
+    tip, size = np.array([x1, y1]), 3.0 * thickness + 2.0
+    base = tip - along * min(size * 1.6, length)
+    head = " ".join(
+        f"{x:.1f},{y:.1f}" for x, y in (tip, base + across * size / 2, base - across * size / 2)
+    )
+    place = tip + along * 6 + np.array([0.0, 7.0])
+    anchor = "end" if along[0] < -0.3 else "start" if along[0] > 0.3 else "middle"
+    if anchor == "middle":
+        place = tip + np.array([0.0, -8.0 if along[1] < 0 else 22.0])
+    return (
+        f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{base[0]:.1f}" y2="{base[1]:.1f}" '
+        f'stroke="{colour}" stroke-width="{thickness}"/><polygon points="{head}" fill="{colour}"/>'
+        f'<text x="{place[0]:.1f}" y="{place[1]:.1f}" fill="{colour}" text-anchor="{anchor}">'
+        f"{escape(label)}</text>"
+    )

@@ -1,0 +1,245 @@
+"""A report's figures, each with what it says and the same as a table."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.experiment.predictions import Predictions, Signal
+from testbed.experiment.run import Run
+from testbed.experiment.summary import percent
+from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
+from testbed.reporting.bodies_section import bodies_section
+from testbed.reporting.drive_sections import BAND, curve_lines, drive_section
+from testbed.reporting.figures import Panel, thinned
+from testbed.reporting.spectrum import rms_within, spectrum
+
+SHOWN = 10.0
+"""Seconds of a motion that are drawn."""
+CUTOFF = 10.0
+"""Of the low-pass on signals that are drawn [Hz]."""
+SLOW = 5.0
+"""Frequency below which the motion is, and above which noise [Hz]."""
+
+
+def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
+    """The figures that there are: measured against predicted, residuals' spectra, friction, bodies.
+
+    Args:
+        found: Predictions for the unseen recording, or for the one that was identified.
+        unseen: Which of the two.
+    """
+    drawn = [_measured(found, unseen)]
+    if any(_told(signal) for signal in found.signals):
+        drawn.append(_spectra(found))
+    if found.unexplained_torque is not None:
+        drawn.append(_friction(found))
+        if found.run.drives is not None:
+            seconds = seconds_shown(found.motion.t)
+            drawn.append(drive_section(found, found.run.drives, CUTOFF, seconds))
+    if found.run.consistent is not None:
+        drawn.append(bodies_section(found.run, found.run.consistent))
+    return drawn
+
+
+def _told(signal: Signal) -> list[Method]:
+    """The methods whose residual says something: joint torques of the external lack friction."""
+    lacking = "external" if signal.kind == "torque" and "internal" in signal.predicted else None
+    return [method for method in signal.predicted if method != lacking]
+
+
+def _channels(found: Predictions) -> list[tuple[Signal, int]]:
+    """Every channel: its signal and its place there."""
+    return [(signal, c) for signal in found.signals for c in range(len(signal.channels))]
+
+
+def seconds_shown(time: Array) -> float:
+    """How much of a recording its figures show [s].
+
+    Args:
+        time: Of the samples, (K,) [s].
+    """
+    return min(SHOWN, float(time[-1] - time[0]))
+
+
+def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
+    smooth = found.smoothed(CUTOFF)
+    time = smooth.motion.t
+    shown = time <= time[0] + SHOWN
+    panels, rows = [], []
+    for signal, c in _channels(smooth):
+        name, unit = signal.channels[c], signal.units[c]
+        lines: dict[str, Array] = {"measured": signal.measured[:, c]}
+        lines |= {m: signal.predicted[m][:, c] for m in reversed(METHODS) if m in signal.predicted}
+        rest: dict[str, Array] = {m: signal.residual(m)[:, c] for m in _told(signal)}
+        for title, curves in ((f"{name} [{unit}]", lines), (f"{name}: residual [{unit}]", rest)):
+            drawn = {label: thinned(time[shown], line[shown]) for label, line in curves.items()}
+            if drawn:
+                panels.append(Panel(title, drawn, "time [s]"))
+        rows.append(
+            [name, unit, *_residual_cells(smooth, signal, c), *_ratio_cells(found, signal, c)]
+        )
+    motion = "a motion that no estimate has seen" if unseen else "the motion that was identified"
+    methods = list(found.run.estimates)
+    return {
+        "id": "prediction",
+        "title": f"Measured and predicted, on {motion}",
+        "says": "What was measured, grey, and what the estimates predict; beside it, or below, "
+        "what is left over. The external estimate knows no friction, so its joint torques are "
+        "those of a robot without; the internal one takes from the external what joint torques "
+        "cannot tell."
+        + (
+            " What is allowed is the noise that the estimate found and what its sigma adds."
+            if _validated(found)
+            else ""
+        ),
+        "legend": {label: label for label in ("measured", *methods)},
+        "panels": panels,
+        "caption": f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
+        "heads": [
+            "channel", "unit", "spread (rms)",
+            *(f"residual rms, {method}" for method in methods),
+            *(f"of spread, {method}" for method in methods),
+            *(f"over what is allowed, {method}" for method in _validated(found)),
+        ],
+        "rows": rows,
+    }  # fmt: skip
+
+
+def _residual_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
+    """Spread of a channel, residuals, and these as part of the spread; "" for what there is not."""
+    spread = float(signal.measured[:, c].std())
+    sizes, shares = [], []
+    for method in found.run.estimates:
+        if method in signal.predicted:
+            size = float(np.sqrt(np.mean(signal.residual(method)[:, c] ** 2)))
+            sizes.append(f"{size:.3g}")
+            shares.append(percent(size / spread) if spread else "")
+        else:
+            sizes.append("")
+            shares.append("")
+    return [f"{spread:.3g}", *sizes, *shares]
+
+
+def _validated(found: Predictions) -> list[Method]:
+    """Methods whose residuals on this motion are known in units of their noise."""
+    run = found.run
+    return [] if found.recording is run.recording else list(run.validation)
+
+
+def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
+    """Residuals over what noise and sigma allow; "" for what there is not."""
+    cells = []
+    for method in _validated(found):
+        validation = found.run.validation[method]
+        own = SIGNAL_OF[method] == signal.kind
+        cells.append(f"{validation.ratio[c]:.3g}" if own and validation.rows[c] else "")
+    return cells
+
+
+def _spectra(found: Predictions) -> dict[str, Any]:
+    rate = found.recording.rate
+    panels, rows = [], []
+    for signal, c in _channels(found):
+        name, unit = signal.channels[c], signal.units[c]
+        spectra: dict[str, tuple[Array, Array]] = {
+            m: spectrum(signal.residual(m)[:, c], rate) for m in _told(signal)
+        }
+        panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
+        rows += [
+            [
+                name,
+                unit,
+                method,
+                f"{rms_within(*each, 0.0, SLOW):.3g}",
+                f"{rms_within(*each, SLOW, np.inf):.3g}",
+            ]
+            for method, each in spectra.items()
+        ]
+    return {
+        "id": "spectra",
+        "title": "What is left over, by frequency",
+        "says": "Amplitude density of the residuals. White noise of the instrument is flat, noise "
+        "of the encoders rises until the filter on positions ends it; what stands at the motion's "
+        "frequencies is a part of the robot, or of its friction, that the model lacks.",
+        "legend": {method: method for method in found.run.estimates},
+        "panels": panels,
+        "caption": "Welch's method, segments of at most 2048 samples.",
+        "heads": [
+            "channel", "unit", "estimate", f"rms below {SLOW:g} Hz", f"rms above {SLOW:g} Hz",
+        ],
+        "rows": rows,
+    }  # fmt: skip
+
+
+def _friction(found: Predictions) -> dict[str, Any]:
+    rest, run = found.unexplained_torque, found.run
+    assert rest is not None  # the caller has looked
+    panels = []
+    for j, joint in enumerate(run.tree.joints):
+        units = ("rad/s", "N m") if joint.revolute else ("m/s", "N")
+        speed = found.motion.qd[:, j]
+        curves = {"unexplained": thinned(speed, rest[:, j], 2000)}
+        grid = np.zeros((201, run.tree.n))
+        grid[:, j] = np.linspace(-1, 1, 201) * np.abs(speed).max(initial=1e-9)
+        model = found.friction(grid)
+        if model is not None:
+            curves["internal"] = grid[:, j], model[:, j]
+        bands = {}
+        if run.drives is not None:
+            nodes, torque, sigma = curve_lines(run.drives.curves[j])
+            curves["external"], bands["external"] = (nodes, torque), BAND * sigma
+        panels.append(
+            Panel(
+                f"{joint.name} [{units[1]}]",
+                curves,
+                f"velocity [{units[0]}]",
+                points=("unexplained",),
+                bands=bands,
+            )
+        )
+    modelled = any("internal" in panel.curves for panel in panels)
+    return {
+        "id": "friction",
+        "title": "Friction",
+        "says": "Unexplained torque: measured motor torque less what the robot needs by the "
+        "bedplate's estimate, over velocity. It is what friction takes, and what the drives report "
+        "wrongly."
+        + (" The line is the friction that the internal estimate found." if modelled else ""),
+        "legend": {"unexplained": "unexplained torque"}
+        | ({"internal": "friction, internal"} if modelled else {})
+        | ({} if run.drives is None else {"external": "friction curve by the plate"}),
+        "panels": panels,
+        "caption": _friction_caption(modelled=modelled, curves=run.drives is not None),
+        "heads": ["joint", "term", "unit", "found", "true"],
+        "rows": _term_rows(run),
+    }
+
+
+def _friction_caption(*, modelled: bool, curves: bool) -> str:
+    said = ["Points are samples."]
+    if modelled:
+        said.append("The line is what the internal estimate's terms make of a steady velocity.")
+    if curves:
+        said.append(
+            f"The curve by the plate assumes no law; its band is {BAND:g} sigma wide to either "
+            "side."
+        )
+    return " ".join(said)
+
+
+def _term_rows(run: Run) -> list[list[str]]:
+    """What the internal estimate found of each joint's own torque, joint by joint."""
+    internal = run.estimates.get("internal")
+    terms = () if internal is None else internal.joint_terms
+    rows = []
+    for joint in dict.fromkeys((*run.tree.names, *(term.joint for term in terms))):
+        for term in terms:
+            if term.joint == joint:
+                truth = run.truths.get(term.name)
+                found = f"{term.value:.4g} +- {term.sigma:.2g}"
+                true = "" if truth is None else f"{truth:.4g}"
+                rows.append([joint, term.kind, term.unit, found, true])
+    return rows

@@ -1,0 +1,225 @@
+"""What the terminal shows: progress, tables, notes."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
+from rich.progress import Progress as Bar
+
+from testbed.errors import printable
+from testbed.experiment.summary import validation_lines
+from testbed.reporting.choice_table import choice_lines
+from testbed.reporting.consistent_table import consistent_lines, consistent_tables
+from testbed.reporting.drive_table import drive_lines, drive_tables
+from testbed.reporting.payload_table import payload_lines, payload_table
+from testbed.reporting.plate_tables import plate_lines, plate_tables
+from testbed.reporting.tables import quality_lines, result_tables
+from testbed.reporting.validation_tables import validation_tables
+
+if TYPE_CHECKING:
+    from testbed.experiment.run import Run
+    from testbed.identification.calibration import Calibration
+    from testbed.identification.consistency import Consistent
+    from testbed.identification.drive_findings import DriveFindings
+    from testbed.identification.estimate import Estimate
+    from testbed.identification.payload import PayloadEstimate
+    from testbed.identification.validate import Validation
+
+
+class Progress:
+    """A progress bar on standard error, if that is a terminal."""
+
+    def __init__(self, label: str) -> None:
+        """A bar with a label in front."""
+        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
+        self._bar.disable = not sys.stderr.isatty()
+        self._task = self._bar.add_task(label)
+
+    def __enter__(self) -> Progress:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, done: int, total: int) -> None:
+        """Show how much is done."""
+        self._bar.update(self._task, completed=done, total=total)
+
+    def with_best(self, done: int, total: int, best: float) -> None:
+        """Show how much is done, and the relative sigma of the best motion so far."""
+        said = f"searching, best sigma so far {best:.3g}" if done else "searching"
+        self._bar.update(self._task, completed=done, total=total, description=said)
+
+
+def console() -> Console:
+    """Standard output; 120 columns where it is no terminal and nobody says otherwise."""
+    plain = Console(markup=False, highlight=False)
+    if plain.is_terminal or "COLUMNS" in os.environ:
+        return plain
+    return Console(markup=False, highlight=False, width=120)
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """Print for programs."""
+    sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def print_estimates(
+    estimates: list[Estimate], warnings: Sequence[str], bodies: Consistent | None = None
+) -> None:
+    """Print what was found.
+
+    Args:
+        estimates: Of one recording.
+        warnings: About the robot and the recording.
+        bodies: Consistent with the estimates, where they were asked for.
+    """
+    out = console()
+    for table in result_tables(out, estimates, {}):
+        out.print(table)
+    for line in [*quality_lines(estimates), *choice_lines(estimates)]:
+        out.print(line, soft_wrap=True)
+    if bodies is not None:
+        for table in consistent_tables(bodies):
+            out.print(table)
+        for line in consistent_lines(bodies):
+            out.print(printable(line), soft_wrap=True)
+    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+
+
+def print_validations(validations: Sequence[Validation], warnings: Sequence[str]) -> None:
+    """Print what estimates leave of another recording.
+
+    Args:
+        validations: Of one recording, one a method.
+        warnings: About the recording.
+    """
+    out = console()
+    for found in validations:
+        for table in validation_tables(out, found):
+            out.print(table)
+    print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
+
+
+def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None:
+    """Print what a robot's motion tells of the plate.
+
+    Args:
+        plate: The calibration, with the estimate.
+        warnings: About the robot.
+        path: Where it is kept.
+    """
+    out = console()
+    for table in plate_tables(out, plate):
+        out.print(table)
+    for line in plate_lines(plate):
+        out.print(line, soft_wrap=True)
+    estimates = [] if plate.estimate is None else [plate.estimate]
+    for table in result_tables(out, estimates, {}) if estimates else ():
+        out.print(table)
+    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+    out.print(f"plate: {path}", soft_wrap=True)
+
+
+def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
+    """Print what the plate says of the drives.
+
+    Args:
+        drives: All of it.
+        warnings: About robot, recording, bodies and drives.
+    """
+    out = console()
+    _print_drives(out, drives)
+    print_warnings(out, warnings)
+
+
+def _print_drives(out: Console, drives: DriveFindings) -> None:
+    for table in drive_tables(out, drives.estimates):
+        out.print(table)
+    for line in drive_lines(drives):
+        out.print(line, soft_wrap=True)
+
+
+def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
+    """Print what a link carries more.
+
+    Args:
+        found: The payload.
+        warnings: About robot, recordings and payload.
+    """
+    out = console()
+    out.print(payload_table(found))
+    for line in payload_lines(found):
+        out.print(line, soft_wrap=True)
+    print_warnings(out, warnings)
+
+
+def print_lines(lines: Sequence[str], warnings: Sequence[str]) -> None:
+    """Print sentences.
+
+    Args:
+        lines: One each.
+        warnings: What a careful reader should know.
+    """
+    out = console()
+    for line in lines:
+        out.print(line, soft_wrap=True)
+    print_warnings(out, warnings)
+
+
+def print_run(run: Run, folder: Path) -> None:
+    """Print what came of an experiment.
+
+    Args:
+        run: What came of it.
+        folder: Where it is kept.
+    """
+    out = console()
+    estimates = list(run.estimates.values())
+    for table in result_tables(out, estimates, run.truths, run.name) if estimates else ():
+        out.print(table)
+    for line in quality_lines(estimates):
+        out.print(line, soft_wrap=True)
+    if run.consistent is not None:
+        for line in consistent_lines(run.consistent):
+            out.print(printable(line), soft_wrap=True)
+    if run.drives is not None:
+        _print_drives(out, run.drives)
+    for line in validation_lines(run.validation):
+        out.print(printable(line), soft_wrap=True)
+    print_warnings(out, run.warnings)
+    _print_metrics(out, run)
+    out.print(f"run folder: {folder}", soft_wrap=True)
+
+
+def _print_metrics(out: Console, run: Run) -> None:
+    """Every metric, what was claimed of it, and the verdict."""
+    expect = {} if run.experiment is None else run.experiment.expect
+    for name in dict.fromkeys((*run.metrics, *expect)):
+        value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
+        claim = ""
+        if name in expect:
+            claim = f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
+        out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
+    if run.experiment is None or not expect:
+        return
+    held, count = sum(run.verdicts.values()), len(expect)
+    if run.experiment.claim:
+        out.print(f"claim: {printable(run.experiment.claim)}")
+    verdict = "the claim holds" if held == count else "THE CLAIM FAILS"
+    out.print(f"verdict: {verdict} ({held} of {count} bounds)")
+
+
+def print_warnings(out: Console, warnings: Iterable[str]) -> None:
+    """Print warnings, a line each, none twice."""
+    for warning in dict.fromkeys(warnings):
+        out.print(f"warning: {printable(warning)}", style="yellow", soft_wrap=True)

@@ -1,0 +1,64 @@
+"""What a report says of the instrument."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.experiment.predictions import predict
+from testbed.experiment.run import Run, assemble_run
+from testbed.instruments.plate import PlatePose
+from testbed.recordings.columns import AXES
+from testbed.reporting.instrument_tables import instrument_tables
+from tests.helpers.measured import measured
+from tests.helpers.runs import robot
+
+pytestmark = pytest.mark.slow
+
+
+def turned(**settings: object) -> Run:
+    """A run of the PUMA whose plate is turned by a degree."""
+    tree = robot("puma")
+    recording = measured(tree)
+    fault = PlatePose(rotation=(0.02, 0.0, 0.0), translation=(0.0, 0.0, 0.0))
+    wrench = fault.apply(recording.measured("wrench"), recording.time, np.random.default_rng(0))
+    table = tb.Settings(zeros=True, **settings)  # type: ignore[arg-type]
+    return assemble_run(tree, replace(recording, wrench=wrench), name="turned", settings=table)
+
+
+def test_a_clear_trace_is_shown_with_its_size() -> None:
+    table, repeated = instrument_tables(turned())
+    assert repeated["caption"].startswith("Part of the residuals that repeats with the motion")
+    assert repeated["heads"] == list(AXES)
+    assert table["heads"] == ["fault", "chance", "would move", "size"]
+    said, chance, moved, size = table["rows"][0]
+    assert said == "a plate that is turned or shifted"
+    assert chance == "below 1e-99"
+    assert moved.endswith("sigma")
+    assert "pose/rx 0.02" in size
+
+
+def largest(table: dict[str, Any]) -> float:
+    return max(float(share.rstrip("%")) for share in table["rows"][0])
+
+
+def test_what_was_estimated_is_shown_and_leaves_no_trace() -> None:
+    numbers, tests, repeated = instrument_tables(turned(nuisances=["pose"]))
+    name, unit, value, sigma = numbers["rows"][0]
+    assert (name, unit) == ("pose/rx", "rad")
+    assert abs(float(value) - 0.02) < 5 * float(sigma)
+    assert tests["heads"] == ["fault", "chance"]
+    assert largest(repeated) < 0.5 * largest(instrument_tables(turned())[-1])
+
+
+def test_predictions_are_held_against_the_corrected_wrench() -> None:
+    """The residual is then what it is without the fault."""
+    left = {}
+    for name, run in (("plain", turned()), ("known", turned(nuisances=["pose"]))):
+        signal = next(s for s in predict(run).smoothed(10.0).signals if s.kind == "wrench")
+        left[name] = abs(signal.residual("external")[:, :3]).mean()
+    assert left["known"] < 0.9 * left["plain"]
