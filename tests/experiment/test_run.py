@@ -13,7 +13,7 @@ from testbed.errors import RecordingError
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import assemble_run
 from testbed.experiment.run_warnings import close_pairs, systematic_errors
-from testbed.experiment.summary import percent, summary, verdict
+from testbed.experiment.summary import headline, percent, summary, verdict
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
@@ -87,7 +87,11 @@ def test_a_run_that_no_experiment_made_has_no_truth() -> None:
     assert (run.score, run.truths, run.metrics, run.verdicts) == (None, {}, {}, {})
     assert run.as_expected
     assert verdict(run) == ""
-    assert "Largest residual" in summary(run)[1]
+    assert "Largest residual" in summary(run)[2]
+    for method in METHODS:
+        base = run.estimates[method].base
+        half = 100 * np.median(base.sigma / np.abs(base.values))
+        assert f"{len(base.names)} parameters, half of them to {half:.2g} %" in headline(run)
 
 
 def test_warnings_are_said_once() -> None:
@@ -175,9 +179,15 @@ def test_the_summary_says_what_a_reader_asks_first() -> None:
     counts = [len(run.estimates[method].base.names) for method in METHODS]
     assert f"reaction tells {counts[0]} inertial parameters" in text
     assert f"torques tell {counts[1]} inertial parameters and 6 coefficients of the joints" in text
-    for method in METHODS:
-        share = run.metrics[f"{method}_rms_relative_error"]
-        assert f"{method} {100 * share:.2g} %" in text
+    ours, theirs = (f"{100 * run.metrics[f'{m}_rms_relative_error']:.2g} %" for m in METHODS)
+    assert (
+        headline(run)
+        == summary(run)[0]
+        == (
+            f"The bedplate gives the {counts[1]} parameters that both tell to {ours}, "
+            f"the joint torques to {theirs}."
+        )
+    )
     said = verdict(run)
     assert said.startswith("The claim does not hold: external max z is ")
     assert "claimed at most 1e-09" in said
