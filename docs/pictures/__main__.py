@@ -37,7 +37,7 @@ def testbed(*words: str) -> None:
 
 
 def viewer(run: Path, folder: Path) -> None:
-    """What the viewer shows in three of its tabs."""
+    """What the viewer shows in some of its tabs."""
     from testbed.experiment.growth import growth
     from testbed.experiment.run_folder import read_run
     from testbed.viewer.log import write_rrd
@@ -46,7 +46,7 @@ def viewer(run: Path, folder: Path) -> None:
 
     found = read_run(run)
     scene = scene_of(found, growth(found))
-    for tab in ("wrench", "friction", "estimates"):
+    for tab in ("overview", "wrench", "friction", "estimates"):
         path = folder / f"{tab}.rrd"
         write_rrd([scene], path, tab)
         with headless_viewer(folder) as (seen, _):

@@ -14,7 +14,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from testbed.errors import printable
-from testbed.experiment.summary import validation_lines
+from testbed.experiment.summary import headline, validation_lines
 from testbed.reporting.choice_table import choice_lines
 from testbed.reporting.consistent_table import consistent_lines, consistent_tables
 from testbed.reporting.drive_table import drive_lines, drive_tables
@@ -196,13 +196,15 @@ def print_run(run: Run, folder: Path) -> None:
         _print_drives(out, run.drives)
     for line in validation_lines(run.validation):
         out.print(printable(line), soft_wrap=True)
-    print_warnings(out, run.warnings)
     _print_metrics(out, run)
+    print_warnings(out, run.warnings)
+    out.print(printable(headline(run)), soft_wrap=True)
+    _print_verdict(out, run)
     out.print(f"run folder: {folder}", soft_wrap=True)
 
 
 def _print_metrics(out: Console, run: Run) -> None:
-    """Every metric, what was claimed of it, and the verdict."""
+    """Every metric, and what was claimed of it."""
     expect = {} if run.experiment is None else run.experiment.expect
     for name in dict.fromkeys((*run.metrics, *expect)):
         value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
@@ -210,9 +212,13 @@ def _print_metrics(out: Console, run: Run) -> None:
         if name in expect:
             claim = f"  {expect[name].wanted}: {'holds' if run.verdicts[name] else 'FAILS'}"
         out.print(f"{name:28s}{value}{claim}", soft_wrap=True)
-    if run.experiment is None or not expect:
+
+
+def _print_verdict(out: Console, run: Run) -> None:
+    """The claim, and whether it holds."""
+    if run.experiment is None or not run.experiment.expect:
         return
-    held, count = sum(run.verdicts.values()), len(expect)
+    held, count = sum(run.verdicts.values()), len(run.experiment.expect)
     if run.experiment.claim:
         out.print(f"claim: {printable(run.experiment.claim)}")
     verdict = "the claim holds" if held == count else "THE CLAIM FAILS"

@@ -16,6 +16,7 @@ from testbed.robot.tree import Tree
 from testbed.viewer.constant_bars import TALL
 from testbed.viewer.drive_notes import BAND
 from testbed.viewer.heat_map import CELL, TITLES
+from testbed.viewer.overview import learned
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import CUTOFF, Scene, root, safe
 
@@ -31,13 +32,13 @@ SETTLED = 1 / 3
 """Growing errors are scaled by those after this part of the recording."""
 
 
-def blueprint(scenes: Sequence[Scene], tab: str = "wrench") -> rrb.Blueprint:
+def blueprint(scenes: Sequence[Scene], tab: str = "overview") -> rrb.Blueprint:
     """Robots on their plates to the left, everything over time to the right, in tabs.
 
     Args:
         scenes: One run, or several side by side.
-        tab: Which tab is in front: "wrench", "joints", "friction", "drives", "plate", "estimates",
-            "notes".
+        tab: Which tab is in front: "overview", "wrench", "joints", "friction", "drives", "plate",
+            "estimates", "notes".
     """
     count = len(scenes)
     roots = [root(k, count) for k in range(count)]
@@ -127,7 +128,7 @@ def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -
 
 
 def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
-    views: list[rrb.Container | rrb.View] = []
+    views: list[rrb.Container | rrb.View] = [*_overview(scene, at)]
     torque = []
     for signal in scene.predictions.signals:
         rows = _rows(signal, at, scene.window)
@@ -146,6 +147,28 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
     views.append(rrb.TextDocumentView(origin=f"{at}/notes", name="notes"))
     front = next((k for k, view in enumerate(views) if view.name == tab), 0)
     return rrb.Tabs(*views, name=scene.run.name, active_tab=front)
+
+
+def _overview(scene: Scene, at: str) -> Iterator[rrb.Container]:
+    """What is learned of a few parameters, and beside it what is left over of the signals."""
+    plots = [
+        _plot(
+            f"{at}/overview/{k}",
+            f"{each.name} [{each.unit.replace('^2', '²')}] as the data grow",
+            legend=k == 0,
+            axis_y=rrb.ScalarAxis(range=each.scale),
+        )
+        for k, each in enumerate(learned(scene))
+    ]
+    rest = [
+        view
+        for signal in scene.predictions.signals[:1]
+        for k in range(min(len(signal.channels), MOST_ROWS))
+        for view in _residual(signal, k, at, scene.window)
+    ]
+    if plots:
+        columns = [rrb.Vertical(*views) for views in (plots, rest) if views]
+        yield rrb.Horizontal(*columns, name="overview")
 
 
 def _joints(
@@ -168,13 +191,18 @@ def _rows(signal: Signal, at: str, window: Range) -> list[rrb.Horizontal]:
     """A channel a row: measured and predicted, and beside it what is left over."""
     rows = []
     for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
-        path = f"{signal.kind}/{safe(channel)}"
-        plots = [_plot(f"{at}/{path}", f"{channel} [{unit}]", window, k == 0)]
-        if signal.predicted:
-            title = f"{channel}: residual below {CUTOFF:g} Hz [{unit}]"
-            plots.append(_plot(f"{at}/residual/{path}", title, window, k == 0))
-        rows.append(rrb.Horizontal(*plots))
+        path = f"{at}/{signal.kind}/{safe(channel)}"
+        plots = [_plot(path, f"{channel} [{unit}]", window, k == 0)]
+        rows.append(rrb.Horizontal(*plots, *_residual(signal, k, at, window)))
     return rows
+
+
+def _residual(signal: Signal, k: int, at: str, window: Range) -> Iterator[rrb.TimeSeriesView]:
+    """What is left over of a channel, where anything foretells it."""
+    if signal.predicted:
+        channel, unit = signal.channels[k], signal.units[k]
+        title = f"{channel}: residual below {CUTOFF:g} Hz [{unit}]"
+        yield _plot(f"{at}/residual/{signal.kind}/{safe(channel)}", title, window, k == 0)
 
 
 def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:

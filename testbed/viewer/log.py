@@ -12,11 +12,12 @@ from testbed.viewer.blueprint import blueprint
 from testbed.viewer.constant_bars import log_constants
 from testbed.viewer.curves import log_friction, log_growth, log_signals
 from testbed.viewer.heat_map import log_matrix
+from testbed.viewer.overview import log_overview
 from testbed.viewer.robot_drawing import log_bodies, log_reaction, log_robot
 from testbed.viewer.scene import Scene, root
 
 
-def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "wrench") -> None:
+def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "overview") -> None:
     """Write runs as one Rerun recording, with a blueprint for a first look.
 
     Args:
@@ -47,6 +48,7 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
     log_signals(stream, scene, at)
     log_friction(stream, scene, f"{at}/friction")
     log_growth(stream, scene, f"{at}/estimate")
+    log_overview(stream, scene, f"{at}/overview")
     if scene.run.drives is not None:
         log_constants(stream, scene.run.drives.estimates, f"{at}/constants")
     if scene.matrix is not None:

@@ -1,0 +1,55 @@
+"""What the viewer shows first: parameters as the data grow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.experiment.growth import growth
+from testbed.experiment.run import Run
+from testbed.identification.estimate import METHODS
+from testbed.viewer.log import write_rrd
+from testbed.viewer.overview import MOST, learned
+from testbed.viewer.scene import scene_of
+from tests.helpers.viewer import columns, entities
+
+
+def test_what_both_tell_and_differ_in_is_shown(puma_run: Run) -> None:
+    shown = learned(scene_of(puma_run, growth(puma_run)))
+    assert len(shown) == MOST
+    internal, external = (puma_run.estimates[m].base for m in ("internal", "external"))
+    order = [internal.names.index(each.name) for each in shown]
+    assert order == sorted(order)
+    away = {
+        name: abs(value - external.values[external.names.index(name)])
+        / external.sigma[external.names.index(name)]
+        for name, value in zip(internal.names, internal.values, strict=True)
+    }
+    left = [away[name] for name in internal.names if name not in {e.name for e in shown}]
+    assert min(away[each.name] for each in shown) >= max(left)
+    for each in shown:
+        assert each.truth == puma_run.truths[each.name]
+        low, high = each.scale
+        assert low < each.truth < high
+        for method in METHODS:
+            base = puma_run.estimates[method].base
+            assert each.values[method][-1] == base.values[base.names.index(each.name)]
+            assert low < each.values[method][-1] < high
+
+
+def test_one_method_and_no_truth_are_enough(puma_run: Run, tmp_path: Path) -> None:
+    for method in METHODS:
+        alone = replace(puma_run, estimates={method: puma_run.estimates[method]}, score=None)
+        scene = scene_of(alone, growth(alone))
+        shown = learned(scene)
+        assert [set(each.values) for each in shown] == [{method}] * MOST
+        assert all(each.truth is None for each in shown)
+        write_rrd([scene], tmp_path / "run.rrd")
+        there = entities(tmp_path / "run.rrd")
+        assert {f"/overview/{k}" for k in range(MOST)} <= there
+        assert "/overview/0/truth" not in there
+        drawn = columns(tmp_path / "run.rrd", "/overview/0", "Scalars:scalars")
+        np.testing.assert_allclose(drawn.ravel()[-1], shown[0].values[method][-1])
+    assert learned(scene_of(puma_run, {})) == ()
