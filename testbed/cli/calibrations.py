@@ -68,7 +68,7 @@ def calibrate(
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.calibration_by_payload import calibrate_by_payload
     from testbed.identification.known import parse_known
-    from testbed.reporting import terminal
+    from testbed.reporting import output, terminal
     from testbed.reporting.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
@@ -78,7 +78,7 @@ def calibrate(
     found = partial(calibrated, tree, recording)
     if loaded is not None:
         found = partial(calibrate_by_payload, tree, recording, loaded, joint=joint)
-    with terminal.Progress("calibrating") as progress:
+    with output.Progress("calibrating") as progress:
         plate = found(
             facts,
             gravity=gravity,
@@ -88,7 +88,7 @@ def calibrate(
         )
     write_plate(plate, out)
     if as_json:
-        terminal.print_json(plate_as_json(plate))
+        output.print_json(plate_as_json(plate))
     else:
         terminal.print_plate(plate, tree.warnings, out)
 
@@ -122,12 +122,12 @@ def drives(
     from testbed.experiment.drive_results import drives_as_json
     from testbed.identification.drive_findings import identify_drives
     from testbed.identification.identify import identify
-    from testbed.reporting import terminal
+    from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
     source = reading.source(recording, tree)
-    with terminal.Progress("identifying, external") as progress:
+    with output.Progress("identifying, external") as progress:
         bodies = identify(
             tree,
             source,
@@ -137,7 +137,7 @@ def drives(
             threads=threads,
             progress=progress,
         )
-    with terminal.Progress("regressing torques") as progress:
+    with output.Progress("regressing torques") as progress:
         found = identify_drives(
             tree,
             source,
@@ -149,7 +149,7 @@ def drives(
             progress=progress,
         )
     if as_json:
-        terminal.print_json(drives_as_json(found))
+        output.print_json(drives_as_json(found))
     else:
         terminal.print_drives(found, [*tree.warnings, *bodies.warnings, *found.warnings])
 
@@ -186,7 +186,7 @@ def payload(
     from testbed.identification.identify import identify, in_its_gravity
     from testbed.identification.payload import payload as payload_of
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
-    from testbed.reporting import payload_table, terminal
+    from testbed.reporting import output, payload_table, terminal
 
     reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
@@ -197,11 +197,11 @@ def payload(
         weighed = weigh_payload(tree, alone, carrying, joint)
         words = payload_table.weighed_as_json(weighed, weigh(tree, alone))
         lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
-        terminal.print_json(words) if as_json else terminal.print_lines(lines, tree.warnings)
+        output.print_json(words) if as_json else output.print_lines(lines, tree.warnings)
         return
     estimates = []
     for source, name in zip(sources, ("without", "with"), strict=True):
-        with terminal.Progress(f"identifying, {name}") as progress:
+        with output.Progress(f"identifying, {name}") as progress:
             estimates.append(
                 identify(
                     tree, source, gravity=gravity, settings=table, doubt=reading.doubt(tree),
@@ -210,7 +210,7 @@ def payload(
             )  # fmt: skip
     found = payload_of(tree, estimates[0], estimates[1], joint)
     if as_json:
-        terminal.print_json(payload_table.payload_as_json(found))
+        output.print_json(payload_table.payload_as_json(found))
     else:
         warnings = [*tree.warnings, *(w for e in estimates for w in e.warnings), *found.warnings]
         terminal.print_payload(found, warnings)

@@ -69,18 +69,18 @@ def campaign(
         return
     from testbed.campaign.campaign import Campaign
     from testbed.campaign.conduct import conduct
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.campaign_lines import Throughput, print_conducted, print_plan
 
     asked = Campaign.load(file, settings or ())
     folder = out or Path("runs") / f"{asked.tables.name}-campaign"
     if dry_run:
-        print_plan(terminal.console(), asked, folder, limit)
+        print_plan(output.console(), asked, folder, limit)
         return
     tls = _tls(tls_ca, tls_cert, tls_key)
     with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
         found = conduct(asked, folder, engine, limit, throughput)
-    failures = print_conducted(terminal.console(), found)
+    failures = print_conducted(output.console(), found)
     raise typer.Exit(1 if failures else 0)
 
 
@@ -88,12 +88,12 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.campaign_summary import read_campaign, summarise
     from testbed.campaign.summary_files import changes, write_summary
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.campaign_lines import print_changes, print_summary
     from testbed.reporting.campaign_page import write_campaign_page
 
     found = summarise(read_campaign(folder))
-    out, place = terminal.console(), folder if folder.is_dir() else folder.parent
+    out, place = output.console(), folder if folder.is_dir() else folder.parent
     if against is not None:
         print_changes(out, list(changes(summarise(read_campaign(against)), found)))
         return

@@ -59,7 +59,7 @@ def excite(
     from testbed.experiment.motion_results import excitation_as_json
     from testbed.experiment.trajectory_file import check_ending, write_trajectory
     from testbed.experiment.write_motion import write_motion
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.motion_tables import print_excitation
 
     if trajectory is not None:
@@ -68,7 +68,7 @@ def excite(
         _check(file, settings or [], as_json=as_json)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
-    with terminal.Progress("searching") as progress, _interrupt() as interrupted:
+    with output.Progress("searching") as progress, _interrupt() as interrupted:
         found = excited(experiment, progress.with_best, known, interrupted)
     if trajectory is not None:
         write_trajectory(trajectory, found, rate)
@@ -78,10 +78,10 @@ def excite(
 
         write_motion_page(page, found)
     if as_json:
-        terminal.print_json(excitation_as_json(found) | {"file": str(out)})
+        output.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
         note([*found.tree.warnings, *found.rules.notes, *found.warnings])
-        print_excitation(terminal.console(), found, out)
+        print_excitation(output.console(), found, out)
 
 
 @contextmanager
@@ -114,16 +114,16 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
     from testbed.experiment.motion_results import proof_as_json
     from testbed.experiment.motions import checked_motion
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.motion_tables import print_proof
 
     found = checked_motion(file, settings)
     proof = found.proof
     if as_json:
-        terminal.print_json(proof_as_json(proof))
+        output.print_json(proof_as_json(proof))
     else:
         note([*found.rules.tree.warnings, *found.rules.notes])
-        print_proof(terminal.console(), proof)
+        print_proof(output.console(), proof)
     raise typer.Exit(0 if proof.holds else 1)
 
 

@@ -54,22 +54,22 @@ def run(
         write_result,
     )
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.reporting import terminal
+    from testbed.reporting import output, terminal
 
     experiment = Experiment.load(file, settings or ())
     folder = out or default_folder(experiment)
     check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
-    with terminal.Progress("simulating") as progress:
+    with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress, watch)
     write_recorded(experiment, recording, folder)
-    with terminal.Progress("identifying") as progress:
+    with output.Progress("identifying") as progress:
         done = evaluate(experiment, recording, progress)
-    with terminal.Progress("validating on an unseen motion") as progress:
+    with output.Progress("validating on an unseen motion") as progress:
         done, _ = checked_elsewhere(done, progress)
     write_result(done, folder)
     if as_json:
-        terminal.print_json(result(done) | {"folder": str(folder)})
+        output.print_json(result(done) | {"folder": str(folder)})
     elif done.estimates:
         terminal.print_run(done, folder)
     if not done.estimates:
@@ -90,16 +90,16 @@ def compare(
     """
     from testbed.experiment.comparison import Comparison, comparison_as_json
     from testbed.experiment.comparison import compare as compared
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.comparison_table import print_comparison
 
     comparison = Comparison.load(file, settings or ())
-    with terminal.Progress("comparing") as progress:
+    with output.Progress("comparing") as progress:
         rows = list(compared(comparison, progress))
     if as_json:
-        terminal.print_json(comparison_as_json(comparison, rows))
+        output.print_json(comparison_as_json(comparison, rows))
     else:
-        print_comparison(terminal.console(), comparison, rows)
+        print_comparison(output.console(), comparison, rows)
     raise typer.Exit(0 if all(row.as_expected for row in rows) else 1)
 
 
@@ -115,13 +115,13 @@ def simulate(
     """
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.reporting import terminal
+    from testbed.reporting import output
 
     experiment = Experiment.load(file, settings or ())
-    with terminal.Progress("simulating") as progress:
+    with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress)
     recording.save(out)
-    terminal.console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
+    output.console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
 
 
 @app.command()
@@ -131,11 +131,11 @@ def warmup() -> None:
     Example: testbed warmup
     """
     from testbed.kernel.numba_engine import warm_up
-    from testbed.reporting import terminal
+    from testbed.reporting import output
 
-    with terminal.Progress("compiling"):
+    with output.Progress("compiling"):
         folder = warm_up()
-    terminal.console().print(f"compiled; kept in {folder}", soft_wrap=True)
+    output.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 
 def _unwatched(time: Array, truth: Truth) -> None:

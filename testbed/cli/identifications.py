@@ -85,7 +85,7 @@ def identify(
     from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
-    from testbed.reporting import terminal
+    from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     writing = Writing(consistent, write, fixed, in_place)
@@ -107,7 +107,7 @@ def identify(
             "doubt": doubt,
             "threads": threads,
         }
-        with terminal.Progress(f"identifying, {name}") as progress:
+        with output.Progress(f"identifying, {name}") as progress:
             return identified(tree, part, name, progress=progress, **how)
 
     estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
@@ -119,12 +119,12 @@ def identify(
         content = identified_as_json(estimates, reading.model_file(model), reading.tables())
         if bodies is not None:
             content["consistent"] = consistent_as_json(bodies)
-        terminal.print_json(content)
+        output.print_json(content)
     else:
         warnings += warnings_between(estimates)
         terminal.print_estimates(estimates, [*tree.warnings, *warnings], bodies)
         if write is not None:
-            terminal.print_lines([f"model file: {write}"], ())
+            output.print_lines([f"model file: {write}"], ())
 
 
 @app.command()
@@ -159,7 +159,7 @@ def validate(
     from testbed.experiment.results import validation_as_json
     from testbed.identification.estimate import SIGNAL_OF
     from testbed.identification.validate import validate as validated
-    from testbed.reporting import terminal
+    from testbed.reporting import output, terminal
 
     kept = read_result(result, model, settings or ())
     source = corrected_source(opened(recording), kept.tree, plate)
@@ -173,7 +173,7 @@ def validate(
         raise RecordingError("; ".join(warnings))
     found = {}
     for estimate in there:
-        with terminal.Progress(f"validating, {estimate.method}") as progress:
+        with output.Progress(f"validating, {estimate.method}") as progress:
             found[estimate.method] = validated(
                 kept.tree,
                 source,
@@ -184,6 +184,6 @@ def validate(
                 progress=progress,
             )
     if as_json:
-        terminal.print_json({method: validation_as_json(each) for method, each in found.items()})
+        output.print_json({method: validation_as_json(each) for method, each in found.items()})
     else:
         terminal.print_validations(list(found.values()), warnings)

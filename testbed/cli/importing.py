@@ -47,7 +47,7 @@ def import_(
     """
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.recording import Recording
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
     if guess:
@@ -71,10 +71,10 @@ def import_(
     report = ImportReport.from_dict(recording.facts["import"])
     if as_json:
         said = {"import": report.as_dict(), "clocks": lines, "warnings": warnings}
-        terminal.print_json(said)
+        output.print_json(said)
     else:
         lines = [*report.lines(), *lines, f"recording: {out}"]
-        terminal.print_lines(lines, [*report.warnings(), *warnings])
+        output.print_lines(lines, [*report.warnings(), *warnings])
 
 
 def _guess(file: Path, out: Path | None) -> None:

@@ -25,6 +25,7 @@ from testbed.cli.options import (
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
+    from testbed.parameters.identifiability import Visibility
     from testbed.reporting.minimal_tables import Findings
     from testbed.robot.tree import Tree
 
@@ -94,9 +95,8 @@ def minimal(
     """
     from testbed.dynamics.drive_set import drive_set
     from testbed.dynamics.witnesses import verify, verify_drives
-    from testbed.parameters.identifiability import identifiability
     from testbed.parameters.minimal_set import minimal_set
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.minimal_tables import Findings, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
@@ -104,7 +104,7 @@ def minimal(
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
     drives = drive_set(tree, dynamic, terms) if terms else None
-    seen = identifiability(tree, gravity, known) if show_map or as_json else ()
+    seen = _map(tree, gravity, known) if show_map or as_json else ()
     found = Findings(tree, dynamic, reaction, drives, seen)
     if check:
         drives_agree = None if drives is None else verify_drives(tree, drives)
@@ -114,16 +114,16 @@ def minimal(
     if as_json:
         _print_minimal_json(found, matrices)
     elif as_latex:
-        print_latex(terminal.console(), found, lengths)
+        print_latex(output.console(), found, lengths)
     else:
-        terminal.print_warnings(terminal.console(), tree.warnings)
-        print_sets(terminal.console(), found, lengths)
+        output.print_warnings(output.console(), tree.warnings)
+        print_sets(output.console(), found, lengths)
     raise typer.Exit(0 if found.hold else 1)
 
 
 def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
     """For programs; large matrices only if asked for, and otherwise with a word about it."""
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.minimal_document import BYTES, MANY, as_document, matrix_numbers
 
     numbers = matrix_numbers(found)
@@ -132,7 +132,7 @@ def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
         typer.echo(
             f"the matrices, about {size:.0f} MB, are left out: add --matrices for them", err=True
         )
-    terminal.print_json(as_document(found, numbers <= MANY if matrices is None else matrices))
+    output.print_json(as_document(found, numbers <= MANY if matrices is None else matrices))
 
 
 @app.command()
@@ -204,11 +204,18 @@ def equations(
         with replacing(out) as fresh:
             fresh.write_text(text, encoding="utf-8")
     if as_json:
-        from testbed.reporting import terminal
+        from testbed.reporting import output
 
-        terminal.print_json(as_document(listing, text))
+        output.print_json(as_document(listing, text))
     elif out is None:
         sys.stdout.write(text)
+
+
+def _map(tree: Tree, gravity: Gravity, known: bool | list[str]) -> tuple[Visibility, ...]:
+    """What each instrument tells; SciPy's sparse matrices take a third of a second to import."""
+    from testbed.parameters.identifiability import identifiability
+
+    return identifiability(tree, gravity, known)
 
 
 def _known(zeros: bool, zero: list[str] | None) -> bool | list[str]:

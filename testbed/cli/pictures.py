@@ -68,7 +68,7 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.experiment.growth import growth
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
 
@@ -81,7 +81,7 @@ def view(
         return
     _check_said(runs, model, reading)
     scenes = []
-    with terminal.Progress("looking") as progress:
+    with output.Progress("looking") as progress:
         for k, path in enumerate(runs):
             progress(k, len(runs))
             run = _run_at(path, model, reading, unchecked=unchecked)
@@ -93,12 +93,12 @@ def view(
 
 def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int) -> None:
     """Say what was written, and show it as is wished."""
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
-    out = terminal.console()
-    terminal.print_warnings(out, warnings)
+    out = output.console()
+    output.print_warnings(out, warnings)
     out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
@@ -155,7 +155,7 @@ def report(
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
     from testbed.experiment.carry_out import checked_elsewhere
-    from testbed.reporting import terminal
+    from testbed.reporting import output
     from testbed.reporting.html import write_report
 
     path = out or _beside(run, ".html")
@@ -171,14 +171,12 @@ def report(
     if consistent:
         done = _with_bodies(done, reading)
     if validate is None:
-        with terminal.Progress("simulating an unseen motion") as progress:
+        with output.Progress("simulating an unseen motion") as progress:
             done, other = checked_elsewhere(done, progress)
     else:
         done, other = _judged_on(done, validate, reading, unchecked=unchecked)
     beside = write_report(done, path, other)
-    terminal.console().print(
-        f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True
-    )
+    output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)
 
 
 def _beside(run: Path, ending: str) -> Path:

@@ -60,11 +60,14 @@ class Reading:
         from testbed.robot.locks import parse_lock
         from testbed.robot.model_file import ModelFile
 
-        said = self.tables().robot
-        mimic = mimic_joints(path) if self.lock_mimic or said.lock_mimic else ()
-        held = dict.fromkeys(mimic) | said.lock | parse_lock(self.lock or ())
-        welded = self.weld_root or said.base == "measured"
-        return ModelFile(path, welded, self.accept_inertia, held)
+        held: dict[str, float | None] = parse_lock(self.lock or ())
+        welded, follow = self.weld_root, self.lock_mimic
+        if self.settings:  # else there is no need to import the tables of experiments
+            said = self.tables().robot
+            held, welded = {**said.lock, **held}, welded or said.base == "measured"
+            follow = follow or said.lock_mimic
+        mimic = mimic_joints(path) if follow else ()
+        return ModelFile(path, welded, self.accept_inertia, dict.fromkeys(mimic) | held)
 
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
@@ -108,7 +111,8 @@ class Reading:
 
     def tree(self, path: Path) -> Tree:
         """The robot of a model file, with what --set says of its joints and shafts."""
-        return self.tables().robot.on(self.model_file(path).tree())
+        tree = self.model_file(path).tree()
+        return self.tables().robot.on(tree) if self.settings else tree
 
 
 def opened(path: Path) -> Source:

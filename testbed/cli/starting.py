@@ -72,9 +72,9 @@ def doctor(as_json: Json = False) -> None:
 
     found = checkup()
     if as_json:
-        from testbed.reporting import terminal
+        from testbed.reporting import output
 
-        terminal.print_json({"checks": [vars(each) for each in found]})
+        output.print_json({"checks": [vars(each) for each in found]})
     else:
         typer.echo("\n".join(each.line for each in found))
     raise typer.Exit(0 if all(each.fine or not each.needed for each in found) else 1)

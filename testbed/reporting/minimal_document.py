@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from testbed.parameters.barycentric import COMPONENTS, STANDARD, parameter_names
-from testbed.parameters.identifiability import Visibility
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, selection
 from testbed.parameters.rules import REASONS
 from testbed.reporting.minimal_tables import Findings
 from testbed.robot.tree import Tree
+
+if TYPE_CHECKING:
+    from testbed.parameters.identifiability import Visibility
+
 
 MANY = 500_000
 """Numbers in the matrices above which they are left out unless they are asked for."""

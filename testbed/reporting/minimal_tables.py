@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.table import Table
@@ -12,13 +13,16 @@ from rich.table import Table
 from testbed.dynamics.witnesses import Agreement, DriveAgreement
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.formulas import Lengths
-from testbed.parameters.identifiability import Visibility
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import REASONS, Model
 from testbed.parameters.symbols import Formula, Label, summands
 from testbed.robot.shafts import places
 from testbed.robot.tree import Tree
+
+if TYPE_CHECKING:
+    from testbed.parameters.identifiability import Visibility
+
 
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""

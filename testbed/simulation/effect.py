@@ -9,14 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import ClassVar, Self, TypeAlias
-
-import mujoco
+from typing import TYPE_CHECKING, ClassVar, Self, TypeAlias
 
 from testbed.arrays import Array
 from testbed.kind_table import KindTable
 from testbed.robot.tree import Tree
-from testbed.simulation.plant import Plant
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from testbed.simulation.plant import Plant
 
 StepForces: TypeAlias = Callable[[float, Array, Array, Array], Array]
 """Forces on the joints besides motors and the model's friction, (n,) [N m or N], of time [s],
