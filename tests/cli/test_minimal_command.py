@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -87,3 +89,14 @@ def test_large_matrices_are_written_if_asked_for(large: str) -> None:
     assert done.stderr == ""
     document = json.loads(done.stdout)
     assert np.shape(document["reaction"]["matrix"]) == (len(document["reaction"]["names"]), 600)
+
+
+def test_it_imports_only_what_it_needs() -> None:
+    """Most of the second that it takes would be imports that it has no use for."""
+    words = ["-X", "importtime", "-m", "testbed.cli", "minimal", UR5]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
+    loaded = {
+        line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines()
+    }
+    assert "pinocchio" in loaded
+    assert not loaded & {"scipy", "mujoco", "pydantic", "numba", "rerun", "matplotlib"}
