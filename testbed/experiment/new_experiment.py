@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,7 @@ class _Reading:
     tree: Tree
     weld_root: bool
     lock_mimic: bool
+    lock: Mapping[str, float]
 
 
 def new_experiment(model: Path, folder: Path) -> str:
@@ -48,7 +49,8 @@ def new_experiment(model: Path, folder: Path) -> str:
     What the model file does not say is assumed, and marked so.
 
     Args:
-        model: MJCF or URDF. A floating root is welded, joints that follow others are held.
+        model: MJCF or URDF. A floating root is welded, joints that follow others are held, and
+            grippers with them.
         folder: Where the file will be.
 
     Raises:
@@ -62,19 +64,40 @@ def new_experiment(model: Path, folder: Path) -> str:
 
 def _read(model: Path) -> _Reading:
     """Read the file; weld its root and hold what follows others if that is what it takes."""
-    weld, mimic = False, False
+    weld, masters = False, set[str]()
     while True:
         try:
-            held = dict.fromkeys(mimic_joints(model)) if mimic else {}
-            return _Reading(ModelFile(model, weld_root=weld, lock=held).tree(), weld, mimic)
+            held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
+            tree = ModelFile(model, weld_root=weld, lock=held).tree()
+            break
         except FreeRootError:
             if weld:
                 raise
             weld = True
-        except MimicError:
-            if mimic:
+        except MimicError as error:
+            if masters:
                 raise
-            mimic = True
+            masters = set(error.masters.values())
+    lock = _grippers(tree, masters)
+    if lock:
+        tree = ModelFile(model, weld_root=weld, lock=held | lock).tree()
+    return _Reading(tree, weld, bool(masters), lock)
+
+
+def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
+    """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
+
+    Their stroke is too short for their masses to be told.
+    """
+    carrying = {joint.parent for joint in tree.joints}
+    own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
+    if len(own) == tree.n:  # the robot is a gripper
+        return {}
+    rest = {}
+    for joint in (tree.joints[j] for j in own):
+        low, high = joint.position_range
+        rest[joint.name] = 0.0 if low <= 0 <= high else _float((low + high) / 2)
+    return rest
 
 
 def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
@@ -102,9 +125,15 @@ def _robot(found: _Reading) -> list[str]:
     lines = ["", "[robot]"]
     if found.lock_mimic:
         lines.append(_said("lock_mimic", True, "joints that follow others are held"))
-    lines.append(
-        "# lock = { JOINT = 0.0 }".ljust(COLUMN) + "  # joints that do not move [rad or m]"
-    )
+    if found.lock:
+        held = ", ".join(f"{_key(name)} = {place!r}" for name, place in found.lock.items())
+        lines.append(
+            f"lock = {{ {held} }}".ljust(COLUMN) + "  # ASSUMED: a gripper, held [rad or m]"
+        )
+    else:
+        lines.append(
+            "# lock = { JOINT = 0.0 }".ljust(COLUMN) + "  # joints that do not move [rad or m]"
+        )
     bare = [j for j in range(tree.n) if not (tree.joints[j].coulomb or tree.joints[j].viscous)]
     if bare:
         calm = _calm(tree)

@@ -40,6 +40,9 @@ LEAST = 1e-12
 ROW, FRAME = 0.19, 0.62
 """Height of a row, and of title and axis [inches]."""
 
+TICKS = 10
+"""Of a scale as wide as a panel."""
+
 FORMS = {"external": "o", "internal": "D"}
 
 
@@ -155,7 +158,9 @@ def draw(
     axis.tick_params(axis="y", length=0)
     axis.grid(True, axis="x", color=colours["faint"], alpha=0.35)
     axis.grid(False, axis="y")
-    axis.xaxis.set_major_locator(LogLocator(numticks=7))
+    axis.xaxis.set_major_locator(
+        LogLocator(numticks=max(3, int(TICKS * axis.get_position().width)))
+    )
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
     axis.xaxis.set_minor_locator(NullLocator())
     axis.set_xlabel("relative error [%]" if dots.sigmas else "relative sigma [%]", labelpad=3)
@@ -185,7 +190,7 @@ def _figure(dots: ErrorDots, limits: tuple[float, float], left: float) -> tuple[
     with rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         axis = figure.subplots()
-        figure.subplots_adjust(left=left, right=0.97, bottom=0.5 / height, top=1 - 0.1 / height)
+        figure.subplots_adjust(left=left, right=0.94, bottom=0.5 / height, top=1 - 0.1 / height)
         draw(axis, dots, limits, {**COLOURS, "faint": FAINT})
     return figure, axis
 

@@ -17,7 +17,7 @@ from testbed.files import replacing
 from testbed.recordings.recording import Recording
 from testbed.reporting.contents import contents
 
-_SIGNS = {"+-": "±", "^2": "²"}
+_SIGNS = {"+-": "±", "^2": "²", " %": "\u00a0%"}
 
 _EXPONENT = re.compile(r"[-+]?\d[\d.]*e-\d+")
 """A number that a browser would break at its second sign."""

@@ -15,7 +15,7 @@ from testbed.excitation.limits import limits_of
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.motions import motion_of
 from testbed.experiment.new_experiment import new_experiment
-from tests.helpers.paths import GOLDEN
+from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.runs import MODELS
 
 
@@ -92,3 +92,21 @@ def test_golden_robots_have_one(tmp_path: Path) -> None:
     for file in sorted((GOLDEN / "robots").glob("*.urdf"))[:6]:
         experiment = written(file, tmp_path)
         assert set(experiment.motion.max_acceleration) == set(robot_of(experiment).names)
+
+
+FOLLOWER = """<link name="counterweight"><inertial><mass value="1"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+<joint name="parallel" type="revolute"><parent link="link1"/><child link="counterweight"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="2"/>
+<mimic joint="shoulder" multiplier="-1"/></joint></robot>"""
+
+
+def test_grippers_are_held_with_their_fingers_and_arms_are_not(tmp_path: Path) -> None:
+    panda = written(REAL / "panda_description/urdf/panda.urdf", tmp_path)
+    assert panda.robot.lock == {"panda_finger_joint1": 0.0}
+    assert robot_of(panda).n == 7
+    text = (ROOT / "models/puma562.urdf").read_text().replace("</robot>", FOLLOWER)
+    (tmp_path / "arm.urdf").write_text(text)
+    arm = written(tmp_path / "arm.urdf", tmp_path)
+    assert arm.robot.lock == {}  # the shoulder is followed, and carries the elbow
+    assert robot_of(arm).names == ("waist", "shoulder", "elbow")
