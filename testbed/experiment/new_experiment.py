@@ -183,7 +183,16 @@ def _motion(tree: Tree) -> list[str]:
         _said("fundamental", 0.1, "Hz; it repeats after its inverse"),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
-    return lines + _limits(tree, limits)
+    return lines + _limits(tree, limits) + (_APART if many else [])
+
+
+_APART = [
+    "",
+    "[excitation]",
+    "# ASSUMED: random motions of so many joints that keep clear of the robot itself are tiny. In the",
+    "# simulation nothing collides; for a real robot take the line out, or use testbed excite.",
+    'clearance = "off"',
+]
 
 
 def _limits(tree: Tree, limits: Limits) -> list[str]:

@@ -120,8 +120,8 @@ def _page(
 
 def _robot(name: str, size: float, at: str, shown: str = "robot and reaction") -> rrb.Spatial3DView:
     eye = rrb.EyeControls3D(
-        position=(1.0 * size, -1.65 * size, 1.0 * size),
-        look_target=(0, 0, 0.35 * size),
+        position=(1.25 * size, -2.06 * size, 1.2 * size),
+        look_target=(0, 0, 0.3 * size),
         eye_up=(0, 0, 1),
     )
     return rrb.Spatial3DView(origin=f"{at}/world", name=f"{name}: {shown}", eye_controls=eye)
