@@ -189,7 +189,7 @@ def _motion(tree: Tree) -> list[str]:
 _APART = [
     "",
     "[excitation]",
-    "# ASSUMED: random motions of so many joints that keep clear of the robot itself are tiny. In the",
+    "# ASSUMED: random motions of so many joints that keep clear of the robot are tiny. In the",
     "# simulation nothing collides; for a real robot take the line out, or use testbed excite.",
     'clearance = "off"',
 ]

@@ -15,6 +15,7 @@ from testbed.experiment.growth import growth
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.viewer.blueprint import blueprint, live_blueprint
 from testbed.viewer.log import write_rrd
+from testbed.viewer.overview import learned
 from testbed.viewer.scene import Scene, scene_of
 from tests.helpers.ideal import ideal
 from tests.helpers.robots import random_robot
@@ -42,11 +43,24 @@ def names(parts: Any) -> list[str]:
     return [part.name for part in parts]
 
 
-def test_the_first_tab_shows_signals_and_what_is_left_over_side_by_side(scene: Scene) -> None:
+def test_the_first_tab_shows_what_is_learned_beside_what_is_left_over(scene: Scene) -> None:
     tabs = tabs_of(blueprint([scene]))
-    assert names(tabs.contents) == ["wrench", "joints", "friction", "estimates", "notes"]
-    assert tabs.active_tab in (0, "wrench")
-    rows = tabs.contents[0].contents
+    assert names(tabs.contents) == [
+        "overview", "wrench", "joints", "friction", "estimates", "notes"
+    ]  # fmt: skip
+    assert tabs.active_tab in (0, "overview")
+    values, rest = (column.contents for column in tabs.contents[0].contents)
+    assert names(values) == [
+        f"{each.name} [{each.unit.replace('^2', '²')}] as the data grow" for each in learned(scene)
+    ]
+    for view, each in zip(values, learned(scene), strict=True):
+        shown = view.properties["ScalarAxis"].range.pa_array.to_pylist()[0]
+        np.testing.assert_allclose(shown, each.scale)
+    assert [view.origin for view in rest] == [f"/residual/wrench/{axis}" for axis in AXES]
+
+
+def test_signals_and_what_is_left_over_stand_side_by_side(scene: Scene) -> None:
+    rows = tabs_of(blueprint([scene])).contents[1].contents
     assert len(rows) == 6
     for row, axis, unit in zip(rows, AXES, PLATE_UNITS, strict=True):
         signal, rest = row.contents
@@ -63,7 +77,7 @@ def test_the_tab_that_was_asked_for_is_in_front(scene: Scene, tab: str) -> None:
 
 def test_plots_over_time_open_on_the_window(scene: Scene) -> None:
     tabs = tabs_of(blueprint([scene]))
-    for tab in tabs.contents[:2]:
+    for tab in tabs.contents[1:3]:
         for view in views(tab):
             shown = view.properties["TimeAxis"].view_range.pa_array.to_pylist()[0]
             ends = [shown[side] for side in ("start", "end")]
@@ -111,7 +125,7 @@ def test_growing_errors_are_scaled_by_the_late_ones(scene: Scene) -> None:
     tame, mad = (
         [view.properties["ScalarAxis"].range.pa_array.to_pylist() for view in views(each)]
         for each in (
-            tabs_of(blueprint([one])).contents[3] for one in (scene, replace(scene, growth=wild))
+            tabs_of(blueprint([one])).contents[4] for one in (scene, replace(scene, growth=wild))
         )
     )
     assert tame == mad
