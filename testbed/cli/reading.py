@@ -93,14 +93,14 @@ class Reading:
         return joined(sources), warnings
 
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
-        """What to doubt of an imported recording; nothing is said of others, nor of free bases.
+        """What to doubt of an imported recording; nothing is said of others.
 
         Raises:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.sanity.accept import accept
 
-        imported = "mapping" in source.facts and not tree.floating
+        imported = "mapping" in source.facts
         return accept(tree, source, unchecked=unchecked).warnings if imported else ()
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:

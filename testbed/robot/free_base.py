@@ -63,6 +63,23 @@ def on_free_base(tree: Tree) -> Tree:
     )
 
 
+def poses(found: Array) -> Array:
+    """Positions and quaternions (w, x, y, z) of the base's frame, (M, 7): `coordinates` undone.
+
+    Args:
+        found: The six coordinates, (M, 6) [m, rad].
+    """
+    cosine, sine = np.cos(found[:, 3:] / 2), np.sin(found[:, 3:] / 2)
+    (yaw, pitch, roll), (yaws, pitches, rolls) = cosine.T, sine.T
+    turn = [
+        yaw * pitch * roll + yaws * pitches * rolls,
+        yaw * pitch * rolls - yaws * pitches * roll,
+        yaw * pitches * roll + yaws * pitch * rolls,
+        yaws * pitch * roll - yaw * pitches * rolls,
+    ]
+    return np.hstack([found[:, :3], np.stack(turn, axis=1)])
+
+
 def coordinates(base: Array) -> Array:
     """The six coordinates of poses, (M, 6) [m, rad]; angles without jumps.
 

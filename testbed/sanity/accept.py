@@ -6,15 +6,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from testbed.errors import RecordingError
 from testbed.recordings.importing.convert import converted
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import read_mapping
+from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned, cure
 from testbed.sanity.clock_offset import ClockOffset, clock_offsets
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.sanity import ENOUGH, check_sanity
+
+STILL = 5e-3
+"""By how much a base that is welded may seem to move [m]."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,10 @@ def accept(tree: Tree, source: Source, *, unchecked: bool = False) -> Acceptance
     Raises:
         RecordingError: The recording cannot be true of this robot; says what would cure it.
     """
+    source = on_its_base(source, tree)
+    moved = [] if tree.floating else _moving_base(source)
+    if moved and not unchecked:
+        raise RecordingError(moved[0])
     found = check_sanity(tree, source)
     if not unchecked:
         found.require()
@@ -48,7 +59,21 @@ def accept(tree: Tree, source: Source, *, unchecked: bool = False) -> Acceptance
     mapping = source.facts.get("mapping", {})
     late = [f"{each.text}; {cure(each, mapping)}" for each in clocks if each.late or each.drifts]
     said = [each.text for each in (*found.certain, *found.likely)]
-    return Acceptance(tuple(clocks), (*said, *late))
+    return Acceptance(tuple(clocks), (*moved, *said, *late))
+
+
+def _moving_base(source: Source) -> list[str]:
+    """What is wrong where a base moves and the robot's is taken as welded."""
+    if "base" not in source.signals:
+        return []
+    base = source.part(0, min(source.samples, ENOUGH)).measured("base")
+    distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
+    if distance <= STILL:
+        return []
+    return [
+        f"the recording's base moves by {distance:.2g} m, and the robot's is taken as welded to "
+        "the bedplate: add --set robot.base=measured"
+    ]
 
 
 def accepted_import(

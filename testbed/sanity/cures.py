@@ -12,7 +12,7 @@ from testbed.arrays import Array
 from testbed.identification.finding import Finding, few
 from testbed.recordings.columns import AXES
 from testbed.robot.tree import Tree
-from testbed.sanity.mistakes import Mistake
+from testbed.sanity.mistakes import Mistake, own_joints
 from testbed.sanity.search import Reading
 
 WHAT = {
@@ -28,8 +28,19 @@ WHAT = {
     "force_unit": "another unit of the plate's forces",
     "moment_unit": "another unit of the plate's moments",
     "plate_order": "the plate's columns in another order",
+    "base_unit": "another unit of the base's position",
+    "quaternion_order": "x, y, z, w of the base's quaternion taken for w, x, y, z",
 }
 """By the kind of mistake."""
+
+OF_PLATE = ("wrench_sense", "force_unit", "moment_unit", "plate_order")
+"""Mistakes about plates."""
+
+OF_BASE = ("base_unit", "quaternion_order")
+"""Mistakes about a base that moves."""
+
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+"""Units of a base's position [m]."""
 
 OTHER_UNIT = {
     ("N", 1e-3): "kN",
@@ -57,8 +68,8 @@ def mistake_finding(
     names = [tree.names[k] for k in mistake.joints]
     subject = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
     if not names:
-        subject = "the plate"
-    elif len(names) == tree.n > 1:
+        subject = "the base" if mistake.kind in OF_BASE else "the plate"
+    elif len(names) == len(own_joints(tree)) > 1:
         subject = "all joints"
     worst = int(np.argmax(given.fit.left - found.fit.left))
     before, after = float(given.fit.left[worst]), float(found.fit.left[worst])
@@ -139,20 +150,21 @@ def position_finding(tree: Tree, position: Array, outside: float) -> Iterator[Fi
 
 def _line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
     """What to write, in terms of what is written if that is known."""
-    n = tree.n
     signal = "torque" if mistake.kind.startswith("torque") else "position"
     table = mapping.get(signal, {})
-    if mistake.kind in ("wrench_sense", "force_unit", "moment_unit", "plate_order"):
-        return _plate_line(mistake, mapping.get("wrench", {}))
+    if mistake.kind in OF_BASE:
+        return _base_line(mistake, mapping.get("base", {}))
+    if mistake.kind in OF_PLATE:
+        plates = {f"plates.{name}": said for name, said in mapping.get("plates", {}).items()}
+        tables = plates or {"wrench": mapping.get("wrench", {})}
+        return "; ".join(_plate_line(mistake, name, said) for name, said in tables.items())
     if mistake.kind.endswith("sign"):
-        if "matrix" in table:
-            return f"turn the signs of these joints' rows in the matrix of [{signal}]"
-        return "; ".join(_turned(tree, mistake, key, signal, mapping) for key in _keys(table))
+        keys = _keys(table)
+        turned = "; ".join(_turned(tree, mistake, key, signal, mapping) for key in keys)
+        rows = f"turn the signs of these joints' rows in the matrix of [{signal}]"
+        return rows if "matrix" in table else turned
     if mistake.kind in ("degrees", "radians"):
-        right, other = ("deg", "rad") if mistake.kind == "degrees" else ("rad", "deg")
-        units = [right if k in mistake.joints else other for k in range(n)]
-        every = all(unit == right for unit in units)
-        return f"[position] unit = {json.dumps(right if every else units)}"
+        return f"[position] unit = {json.dumps(_angle_units(tree, mistake, table, mapping))}"
     if mistake.kind == "zero":
         offsets = _by_name(tree, table.get("offset"), mapping, 0.0)
         for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
@@ -161,21 +173,47 @@ def _line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
     return _order_line(tree, mistake, mapping)
 
 
-def _plate_line(mistake: Mistake, table: Mapping[str, Any]) -> str:
-    """What to write of the plate's sense, units or columns."""
+def _angle_units(
+    tree: Tree, mistake: Mistake, table: Mapping[str, Any], mapping: Mapping[str, Any]
+) -> str | list[str]:
+    """Units of the positions: one for all joints, or a list in the mapping's order."""
+    right, other = ("deg", "rad") if mistake.kind == "degrees" else ("rad", "deg")
+    given = table.get("unit")
+    said = _by_name(tree, given if isinstance(given, list) else None, mapping, None)
+    units = []
+    for k, (joint, unit) in enumerate(zip(tree.joints, said, strict=True)):
+        kept = unit or (other if joint.revolute else "m")
+        units.append(right if k in mistake.joints else kept)
+    found = _by_mapping(tree, units, mapping)
+    return right if set(found) == {right} else found
+
+
+def _plate_line(mistake: Mistake, name: str, table: Mapping[str, Any]) -> str:
+    """What to write of a plate's sense, units or columns in its table."""
     if mistake.kind == "wrench_sense":
         other = "on_plate" if table.get("sense") == "on_robot" else "on_robot"
-        return f'[wrench] sense = "{other}"'
+        return f'[{name}] sense = "{other}"'
     if mistake.kind == "plate_order":
         columns = table.get("columns", AXES)
         if len(columns) != len(AXES):
             columns = AXES
-        return f"[wrench] columns = {json.dumps([columns[k] for k in mistake.order])}"
+        return f"[{name}] columns = {json.dumps([columns[k] for k in mistake.order])}"
     place = 0 if mistake.kind == "force_unit" else 1
     units = list(table.get("units", ("N", "N m")))
     units[place] = OTHER_UNIT.get((units[place], mistake.factor), f"{units[place]} of another size")
     times = f"{mistake.factor:g} times what they should be"
-    return f"[wrench] units = {json.dumps(units)}: {('forces', 'moments')[place]} are {times}"
+    return f"[{name}] units = {json.dumps(units)}: {('forces', 'moments')[place]} are {times}"
+
+
+def _base_line(mistake: Mistake, table: Mapping[str, Any]) -> str:
+    """What to write of the base's unit or quaternion."""
+    if mistake.kind == "quaternion_order":
+        columns = table.get("quaternion", ("x", "y", "z", "w"))
+        return f"[base] quaternion = {json.dumps([columns[k] for k in mistake.order])}"
+    wanted = LENGTHS.get(table.get("unit", "m"), 1.0) / mistake.factor
+    other = [unit for unit, size in LENGTHS.items() if np.isclose(size, wanted)]
+    times = f"positions are {mistake.factor:g} times what they should be"
+    return f'[base] unit = "{other[0]}": {times}' if other else f"[base] unit: {times}"
 
 
 def _keys(table: Mapping[str, Any]) -> tuple[str, ...]:

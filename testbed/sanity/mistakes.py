@@ -10,11 +10,14 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
 
 Kind = Literal[
     "position_sign", "torque_sign", "wrench_sense", "degrees", "radians", "zero",
     "position_order", "torque_order", "joint_order", "force_unit", "moment_unit", "plate_order",
+    "base_unit", "quaternion_order",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
@@ -37,6 +40,12 @@ PLATE_ORDERS = (
     (1, 2, 0, 4, 5, 3), (2, 0, 1, 5, 3, 4),
 )  # fmt: skip
 """Moments before forces, and axes in another order."""
+
+BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
+"""Times that a base's positions are taken too small or too large: mm or cm for m."""
+
+SCALAR_LAST = (3, 0, 1, 2)
+"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 MERGED = ("position_sign", "torque_sign", "degrees", "zero")
 """Kinds of which there is one line in a mapping for all joints."""
@@ -71,7 +80,7 @@ class Mistake:
         joints: Indices of the joints that it is about.
         angles: Of zeros that are missing, one a joint [rad].
         order: Of orders: the k-th joint's, or the plate's k-th, column stands in place order[k].
-        factor: Of the plate's units: what is measured is so many times too large.
+        factor: Of units of plate or base: what is measured is so many times too large.
     """
 
     kind: Kind
@@ -105,6 +114,12 @@ class Mistake:
         if self.kind == "zero":
             position = position.copy()
             position[:, here] += self.angles
+        if self.kind == "base_unit":
+            position = _times(position, [0, 1, 2], 1 / self.factor)
+        if self.kind == "quaternion_order":
+            pose = poses(position[:, :FREE])
+            pose[:, 3:] = pose[:, 3:][:, list(self.order)]
+            position = np.hstack([_upright(pose), position[:, FREE:]])
         return replace(signals, position=position, torque=torque, wrench=wrench)
 
     def _plate(self, wrench: Array) -> Array:
@@ -148,7 +163,7 @@ def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
         tree: The robot.
         signals: What there is.
     """
-    everyone = tuple(range(tree.n))
+    everyone = tuple(own_joints(tree))
     large = [k for k in _turning(tree, everyone) if np.abs(signals.position[:, k]).max() > BEYOND]
     if signals.torque is not None:
         yield Mistake("torque_sign", everyone)
@@ -162,8 +177,12 @@ def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
     span = np.ptp(signals.position[:, _turning(tree, everyone)], axis=0)
     if span.size and span.max() < LITTLE:
         yield Mistake("radians", tuple(_turning(tree, everyone)))
-    orders = [tuple(np.roll(everyone, k).tolist()) for k in range(1, tree.n)] + [everyone[::-1]]
-    for order in orders:
+    if tree.floating:
+        yield from (Mistake("base_unit", factor=factor) for factor in BASE_UNITS)
+        yield Mistake("quaternion_order", order=SCALAR_LAST)
+    rolled = [tuple(np.roll(everyone, k).tolist()) for k in range(1, len(everyone))]
+    base = tuple(range(tree.n - len(everyone)))
+    for order in ((*base, *each) for each in (*rolled, everyone[::-1])):
         if 2 < tree.n <= MOST_JOINTS:
             yield from _orders(tree, signals, order)
 
@@ -176,7 +195,7 @@ def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> 
         signals: What there is.
         doubted: Joints about which something is odd.
     """
-    near = range(tree.n) if tree.n <= MOST_JOINTS else doubted
+    near = own_joints(tree) if tree.n <= MOST_JOINTS else doubted
     for joint in near:  # a position shows in the torques of its carriers
         yield Mistake("position_sign", (joint,))
         if signals.torque is not None and joint in doubted:
@@ -185,7 +204,7 @@ def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> 
             if np.abs(signals.position[:, joint]).max() > BEYOND:
                 yield Mistake("degrees", (joint,))
             yield from (Mistake("zero", (joint,), (angle,)) for angle in QUARTERS)
-        for other in range(tree.n) if tree.n <= MOST_JOINTS and joint in doubted else ():
+        for other in own_joints(tree) if tree.n <= MOST_JOINTS and joint in doubted else ():
             if other < joint or (other > joint and other not in doubted):
                 order = list(range(tree.n))
                 order[joint], order[other] = other, joint
@@ -205,6 +224,23 @@ def rarer_mistakes(tree: Tree, doubted: Sequence[int]) -> Iterator[Mistake]:
             for angles in product(QUARTERS, repeat=2):
                 yield Mistake("zero", (joint, other), angles)
         yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def own_joints(tree: Tree) -> range:
+    """The robot's own joints: all, but for the coordinates of a free base.
+
+    Args:
+        tree: The robot.
+    """
+    return range(FREE if tree.floating else 0, tree.n)
+
+
+def _upright(pose: Array) -> Array:
+    """Coordinates of poses, (M, 6); as if the base lay still where it stands on its head."""
+    try:
+        return coordinates(pose)
+    except RecordingError:
+        return np.zeros((len(pose), FREE))
 
 
 def _orders(tree: Tree, signals: Signals, order: tuple[int, ...]) -> Iterator[Mistake]:

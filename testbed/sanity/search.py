@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.robot.tree import Tree
 from testbed.sanity.mistakes import (
@@ -16,6 +17,7 @@ from testbed.sanity.mistakes import (
     Signals,
     mistakes_of_all,
     mistakes_of_joints,
+    own_joints,
     rarer_mistakes,
 )
 from testbed.sanity.model_rows import ModelRows, model_rows
@@ -87,13 +89,13 @@ def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
         rate: Samples a second [Hz].
     """
     found = given
-    while len(found.mistakes) < MOST and (found is given or not _good(tree, found)):
+    while len(found.mistakes) < MOST and (found is given or not _good(found)):
         signals, better, doubted = found.signals, found, doubted_joints(tree, found)
         if not doubted:
             break
         few = [*mistakes_of_all(tree, signals), *mistakes_of_joints(tree, signals, doubted)]
         better = _best(tree, found, rate, few, better)
-        if better is found or _of_zeros(better) or not _good(tree, better):
+        if better is found or _of_zeros(better) or not _good(better):
             rarer = rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ())
             better = _best(tree, found, rate, rarer, better)
         if better is found:
@@ -121,11 +123,10 @@ def _of_zeros(reading: Reading) -> bool:
     return reading.mistakes[-1].kind == "zero"
 
 
-def _good(tree: Tree, reading: Reading) -> bool:
+def _good(reading: Reading) -> bool:
     """Whether nothing is left that a rarer mistake would have to explain."""
-    doubted = doubted_joints(tree, reading)
     allowed = GOOD + NOISY * reading.rows.noise_share
-    return not doubted or bool((reading.fit.left < allowed)[doubted].all())
+    return bool((reading.fit.left < allowed)[odd_channels(reading)].all())
 
 
 def _refined(tree: Tree, start: Reading, found: Reading, rate: float) -> Reading:
@@ -150,15 +151,24 @@ def doubted_joints(tree: Tree, reading: Reading) -> list[int]:
         tree: The robot.
         reading: Of the data.
     """
+    odd = odd_channels(reading)
+    if (odd >= reading.rows.joints).any():
+        return list(own_joints(tree))
+    return [int(k) for k in odd]
+
+
+def odd_channels(reading: Reading) -> NDArray[np.intp]:
+    """Channels of which something is not explained.
+
+    Args:
+        reading: Of the data.
+    """
     rows, left = reading.rows, reading.fit.left
     variance = np.maximum(rows.measured.var(axis=0), 1e-30)
     bodies = rows.bodies.sum(axis=2).var(axis=0) / variance
     bodies[: rows.joints] *= reading.fit.gains[: rows.joints] ** 2
     least = EXPLAINED + NOISY * rows.noise_share
-    odd = np.flatnonzero((left > least) & ((bodies > CONCERNS * left) | (left > PUSHING)))
-    if (odd >= reading.rows.joints).any():
-        return list(range(tree.n))
-    return [int(k) for k in odd]
+    return np.flatnonzero((left > least) & ((bodies > CONCERNS * left) | (left > PUSHING)))
 
 
 def _best(

@@ -81,22 +81,24 @@ class LaggedProducts:
             self.last @ maps,
         )
 
-    def shifted(self, i: int, j: int, start: int) -> Array:
-        """z_(t-i) z_(t-j)' summed over t >= start, (C, q, q).
+    def moments(self, inner: Array, order: int) -> Array:
+        """z_(t-i)' B z_(t-j) summed over t >= P, (C, P + 1, P + 1).
 
         Args:
-            i: At most `start`.
-            j: At most `start`.
-            start: At most K.
+            inner: B, symmetric, (q, q).
+            order: P, at most K.
         """
-        if i > j:
-            return np.asarray(self.shifted(j, i, start).transpose(0, 2, 1))
-        lag = j - i
-        head = self.first[:, :, lag : start - i], self.first[:, :, : start - i - lag]
-        size = self.last.shape[2]
-        tail = self.last[:, :, size - i :], self.last[:, :, size - i - lag : size - lag]
-        edges = sum(_together(now, before) for now, before in (head, tail))
-        return np.asarray(self.products[lag] - edges)
+        whole = np.einsum("kcij,ij->kc", self.products[: order + 1], inner)
+        first, last = (each @ inner @ each.swapaxes(2, 3) for each in (self.first, self.last))
+        found, size = np.zeros((len(whole[0]), order + 1, order + 1)), self.last.shape[2]
+        for i in range(order + 1):
+            for j in range(i, order + 1):
+                lag = j - i  # rows before t = P, and those after the last t - i, do not count
+                head = first[:, :, lag : order - i, : order - i - lag]
+                tail = last[:, :, size - i :, size - i - lag : size - lag]
+                edges = sum(np.trace(e, axis1=2, axis2=3).sum(axis=0) for e in (head, tail))
+                found[:, i, j] = found[:, j, i] = whole[lag] - edges
+        return found
 
     def whitened(self, coefficients: Array) -> Array:
         """e_t e_t' of e_t = z_t - sum over i of a_i z_(t-i), over t >= P, (C, q, q).

@@ -65,6 +65,20 @@ def test_rows_after_a_pause_have_no_rows_before(order: int) -> None:
     found, apart = sums.finish(), [summed(rows, []) for rows in each]
     assert found.after(order) == sum(one.after(order) for one in apart)
     np.testing.assert_allclose(found.whitened(a), sum(one.whitened(a) for one in apart), rtol=1e-11)
+    inner = rng.normal(size=(5, 5))
+    inner += inner.T
+    expected = sum(one.moments(inner, order) for one in apart)
+    np.testing.assert_allclose(found.moments(inner, order), expected, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("order", range(LAGS + 1))
+def test_moments_are_sums_over_the_same_rows(order: int) -> None:
+    rng = np.random.default_rng(order)
+    rows, inner = rng.normal(size=(3, 30, 5)), rng.normal(size=(5, 5))
+    inner += inner.T
+    found = summed(rows, [11]).moments(inner, order)
     for i in range(order + 1):
-        expected = sum(one.shifted(i, order, order) for one in apart)
-        np.testing.assert_allclose(found.shifted(i, order, order), expected, rtol=1e-9, atol=1e-11)
+        for j in range(order + 1):
+            both = (rows[:, order - lag : 30 - lag] for lag in (i, j))
+            expected = np.einsum("ctp,pq,ctq->c", next(both), inner, next(both))
+            np.testing.assert_allclose(found[:, i, j], expected, rtol=1e-9, atol=1e-10)
