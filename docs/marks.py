@@ -52,7 +52,15 @@ def table(head: str, rows: list[tuple[str, ...]]) -> list[str]:
     """
     columns = head.split("|")
     lines = [f"| {' | '.join(c.strip() for c in columns)} |", f"|{' --- |' * len(columns)}"]
-    return lines + [f"| {' | '.join(c.replace('|', '&#124;') for c in row)} |" for row in rows]
+    return lines + [f"| {' | '.join(cell(each) for each in row)} |" for row in rows]
+
+
+def cell(text: str) -> str:
+    """What stands in a cell: its bars are none of the table's."""
+    parts = re.split(r"(`[^`]*`)", text)
+    parts[::2] = [part.replace("|", "&#124;") for part in parts[::2]]
+    parts[1::2] = [re.sub(r" ?\| ?", " or ", code) for code in parts[1::2]]
+    return "".join(parts)
 
 
 def prose(text: str) -> str:
