@@ -13,8 +13,8 @@ STYLE = HERE.parent.parent / "testbed/report/page/style.css"
 COLOURS = re.compile(r"(?:@media \(prefers-color-scheme: dark\) \{ )?:root \{.*?\}(?: \})?", re.DOTALL)
 ROW = 22
 """Height of a line of a plot [pixels]."""
-LEFT, RIGHT = 120, 560
-"""Where a plot's scale begins and ends [pixels]."""
+LEFT, LONG = 120, 440
+"""Where a plot's scale begins, and how long it is [pixels]."""
 
 
 def save(name: str, width: float, height: float, parts: Sequence[str], title: str) -> None:
@@ -123,13 +123,14 @@ def turn(x: float, y: float, radius: float, ends: tuple[float, float], colour: s
 
 
 def error_dots(
-    errors: Mapping[str, Mapping[str, float]], says: Mapping[str, str]
+    errors: Mapping[str, Mapping[str, float]], says: Mapping[str, str], left: float = LEFT
 ) -> tuple[float, float, list[str]]:
     """Errors of parameters as dots on one logarithmic scale.
 
     Args:
         errors: In percent, by parameter, by method.
         says: What the methods are called.
+        left: Room for the names [pixels].
 
     Returns:
         Width and height [pixels], and the elements.
@@ -141,12 +142,12 @@ def error_dots(
 
     def at(error: float) -> float:
         share = (math.log10(max(abs(error), 10.0**low)) - low) / (high - low)
-        return LEFT + share * (RIGHT - LEFT)
+        return left + share * LONG
 
     top, bottom = 40, 40 + ROW * len(errors) + 6
     parts = []
     for k, (method, said) in enumerate(says.items()):
-        x = LEFT + 190 * k
+        x = left + 190 * k
         parts += [dot(x + 6, 16, 5.5, method), words(x + 18, 21, said)]
     for power in range(low, high + 1, step):
         x = at(10.0**power)
@@ -155,8 +156,8 @@ def error_dots(
         parts.append(words(x, bottom + 18, label, "middle", "font-size: 12px", "faint"))
     for k, (name, row) in enumerate(errors.items()):
         y = top + ROW * (k + 0.5)
-        parts.append(words(LEFT - 14, y + 5, name, "end"))
+        parts.append(words(left - 14, y + 5, name, "end"))
         found = [at(e) for e in row.values()]
         parts.append(line((min(found), y, max(found), y), "line", 2))
         parts += [dot(at(error), y, 5.5, method) for method, error in row.items()]
-    return RIGHT + 40, bottom + 28, parts
+    return left + LONG + 40, bottom + 28, parts
