@@ -138,7 +138,7 @@ def error_dots(
     shown = [abs(e) for row in errors.values() for e in row.values() if e and math.isfinite(e)]
     low = math.floor(math.log10(max(min(shown), 1e-14)))
     high = max(math.ceil(math.log10(max(shown))), low + 1)
-    step = max(1, (high - low) // 5)
+    step = max(1, math.ceil((high - low) / 5))
 
     def at(error: float) -> float:
         share = (math.log10(max(abs(error), 10.0**low)) - low) / (high - low)

@@ -7,8 +7,8 @@ FILES. A comment in the line before a block may say
     <!-- not run: REASON -->    it needs what a test has not: hardware, a network, minutes
     <!-- shown: WHAT -->        it is no code: what is printed, or a drawing
     <!-- part of FILE -->       its lines stand in that file of the project
-    <!-- ends with 1: WHY -->   its exit code is another than 0; such blocks are slow
-    <!-- slow -->               only the slow test runs it
+    <!-- ends with 1: WHY -->   its exit code is another than 0
+    <!-- slow -->               only the slow test runs it; also <!-- slow, ends with 1: WHY -->
 """
 
 from __future__ import annotations
@@ -67,7 +67,13 @@ class Block:
 
     @property
     def slow(self) -> bool:
-        return self.mark.startswith(("slow", "ends with "))
+        return self.mark.startswith("slow")
+
+    @property
+    def code(self) -> int:
+        """The exit code that is right."""
+        ends = re.search(r"ends with (\d+): ", self.mark)
+        return int(ends[1]) if ends else 0
 
     @property
     def excused(self) -> bool:
@@ -140,12 +146,11 @@ def run(blocks: list[Block], place: Path) -> None:
         elif block.language == "python":
             exec(compile(block.text, block.page.name, "exec", dont_inherit=True), scope)
         elif block.language == "sh":
-            ends = re.match(r"ends with (\d+): ", block.mark)
-            shell(block.text, place, int(ends[1]) if ends else 0)
+            shell(block.text, place, block.code)
         elif block.language == "console":
             for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
                 command, _, said = part.partition("\n")
-                assert shell(command, place) == said
+                assert shell(command, place, block.code) == said
         else:
             is_understood(tomllib.loads(block.text))
 

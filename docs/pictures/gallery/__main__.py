@@ -86,7 +86,7 @@ def carried_out(path: Path) -> dict[str, str]:
     if run.drives is not None:
         shows = draw_friction(path.stem, run)
     else:
-        width, height, parts = error_dots(errors_of(run), METHODS)
+        width, height, parts = error_dots(errors_of(run), {m: METHODS[m] for m in run.estimates})
         shows = "Relative errors of the parameters, by the plate and by joint torques"
         save(f"gallery/{path.stem}", width, height, parts, shows)
     found = [
