@@ -50,7 +50,7 @@ class Block(BlockProcessor):
 
     def run(self, parent: ElementTree.Element, blocks: list[str]) -> None:
         formula = mathml(blocks.pop(0).strip().strip("$"), "block")
-        place = ElementTree.SubElement(parent, "div", {"class": "formula", "tabindex": "0"})
+        place = ElementTree.SubElement(parent, "div", {"class": "formula"})
         place.text = self.parser.md.htmlStash.store(formula)
 
 
