@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import subprocess
-import sys
 import tomllib
 from dataclasses import fields, is_dataclass
 from itertools import chain
@@ -32,8 +30,8 @@ def test_the_readmes_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path
     for name in ("models", "experiments"):
         (tmp_path / name).symlink_to(ROOT / name)
     monkeypatch.chdir(tmp_path)
-    blocks = code(README, "python") + code((ROOT / "docs/tour.md").read_text(), "python")
-    assert len(blocks) >= 2
+    blocks = code(README, "python")
+    assert blocks
     for block in blocks:
         exec(compile(block, "README.md", "exec"), {})
 
@@ -92,30 +90,3 @@ def test_every_public_argument_is_documented(name: str) -> None:
         assert re.search(rf"^ +{argument}: ", said, flags=re.MULTILINE) or (
             len(inspect.signature(function).parameters) == 1
         ), f"{name}: {argument}"
-
-
-CONSOLE = [
-    pytest.param(command, output, id=command[:60])
-    for command, output in re.findall(
-        r"```console\n\$ (.*)\n(.*?)```", (ROOT / "docs/robotran.md").read_text(), re.DOTALL
-    )
-]
-
-
-@pytest.mark.parametrize(("command", "output"), CONSOLE)
-def test_what_the_documents_show_is_what_the_tool_prints(command: str, output: str) -> None:
-    words = command.split()
-    assert words[0] == "testbed"
-    call = [sys.executable, "-m", "testbed.cli", *words[1:]]
-    assert (
-        subprocess.run(call, capture_output=True, text=True, cwd=ROOT, check=False).stdout == output
-    )
-
-
-@pytest.mark.parametrize("name", ["robotran.md", "instruments.md", "consistency.md"])
-def test_the_python_of_the_documents_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(ROOT)
-    blocks = code((ROOT / "docs" / name).read_text(), "python")
-    assert blocks
-    for block in blocks:
-        exec(compile(block, name, "exec"), {})

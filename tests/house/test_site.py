@@ -1,0 +1,164 @@
+"""The documentation's site: it builds strictly, opens from disk, and fetches nothing."""
+
+from __future__ import annotations
+
+import re
+import time
+import tomllib
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from docs import api, commands, gallery, keys
+from docs.marks import written
+from tests.helpers.axe import axe, complaints
+from tests.helpers.browser import browser
+from tests.helpers.paths import ROOT
+
+KINDS = ("index", "tour", "api", "commands", "keys", "warnings", "gallery", "why-a-plate", "glossary",
+         "minimal-sets-explained", "your-plate", "robotran", "experiments")  # fmt: skip
+"""Pages of every kind."""
+LOADS = {"link": "href", "script": "src", "img": "src", "iframe": "src", "source": "srcset"}
+"""Elements whose addresses a browser follows by itself, and where these stand."""
+NO_FETCH = ("canonical", "prev", "next")
+"""Links that only say something."""
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a site that was built strictly."""
+    for library in ("zensical", "latex2mathml"):
+        if find_spec(library) is None:
+            pytest.skip(f"no {library}: pip install '.[docs]'")
+    from docs.site import main
+
+    return main(tmp_path_factory.mktemp("site")).parent
+
+
+def nav() -> Iterator[str]:
+    """Pages that the navigation leads to."""
+
+    def inside(entry: Any) -> Iterator[str]:
+        if isinstance(entry, str):
+            yield entry
+        else:
+            for each in entry.values() if isinstance(entry, dict) else entry:
+                yield from inside(each)
+
+    return inside(tomllib.loads((ROOT / "zensical.toml").read_text())["project"]["nav"])
+
+
+def test_the_navigation_leads_to_every_page_once() -> None:
+    found = list(nav())
+    assert len(found) == len(set(found))
+    assert {path.name for path in (ROOT / "docs").glob("*.md")} <= set(found)
+
+
+@pytest.mark.parametrize("module", [api, commands, gallery, keys], ids=lambda m: m.__name__)
+def test_what_is_written_from_the_code_is_up_to_date(module: Any) -> None:
+    text = module.DOCUMENT.read_text()
+    assert written(text, module.MODULE, module.as_markdown) == text, f"python -m {module.MODULE}"
+
+
+def test_every_experiment_and_robot_of_the_gallery_has_its_picture() -> None:
+    for name in [*(r.name for r in gallery.ROBOTS), *(p.stem for p in gallery.experiments())]:
+        assert (gallery.PLACE / f"{name}.svg").exists(), f"python -m docs.pictures.gallery {name}"
+
+
+def test_every_page_is_built(site: Path) -> None:
+    for page in nav():
+        assert (site / page).with_suffix(".html").exists(), page
+
+
+class Loads(HTMLParser):
+    """Addresses that a page loads, and the words of its text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.found: list[str] = []
+        self.words: list[str] = []
+        self._code = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        own = dict(attrs)
+        if own.get("rel") not in NO_FETCH:
+            self.found.append(own.get(LOADS.get(tag, ""), "") or "")
+        self._code += tag in ("code", "script", "style")
+
+    def handle_endtag(self, tag: str) -> None:
+        self._code -= tag in ("code", "script", "style")
+
+    def handle_data(self, data: str) -> None:
+        if not self._code:
+            self.words.append(data)
+
+
+def test_no_page_loads_anything_from_a_network(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 30
+    for page in pages:
+        seen = Loads()
+        seen.feed(page.read_text())
+        assert not [a for a in seen.found if re.match(r"(https?:)?//", a)], page
+    for style in site.rglob("*.css"):
+        assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text()), style
+    for drawing in site.rglob("*.svg"):
+        assert not re.search(r'(href|src)="(https?:)?//', drawing.read_text()), drawing
+
+
+def test_formulas_are_formulas(site: Path) -> None:
+    for name in ("api", "barycentric-parameters", "sigma"):
+        text = (site / f"{name}.html").read_text()
+        assert "<math" in text
+        seen = Loads()
+        seen.feed(text)
+        assert "$" not in "".join(seen.words), name
+
+
+@pytest.mark.slow
+def test_the_search_finds_from_disk(site: Path, tmp_path: Path) -> None:
+    """Opened as a file: no server is there."""
+    with browser(tmp_path, 1200) as seen:
+        seen.open(site / "tour.html")
+        time.sleep(1)
+        seen.run("document.querySelector('.md-search__button').click()")
+        time.sleep(1)
+        seen.command("Input.insertText", {"text": "crosstalk"})
+        shown = (
+            "return [...document.querySelectorAll('*')].filter(e => e.shadowRoot)"
+            ".map(e => e.shadowRoot.textContent).join(' ')"
+        )
+        for _ in range(50):
+            if re.search(r"[1-9]\d* results", found := seen.run(shown)):
+                break
+            time.sleep(0.2)
+        assert re.search(r"[1-9]\d* results", found)
+        assert "plate_crosstalk" in found or "crosstalk" in found
+        assert seen.complaints() == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1200, 390])
+def test_no_page_scrolls_sideways_or_complains(site: Path, tmp_path: Path, width: int) -> None:
+    with browser(tmp_path, width) as seen:
+        for page in nav():
+            seen.open((site / page).with_suffix(".html"))
+            assert seen.run("return document.documentElement.scrollWidth") <= width, page
+            assert seen.complaints() == [], page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("width", "dark"), [(1200, False), (1200, True), (390, False)], ids=["light", "dark", "phone"]
+)
+def test_pages_are_accessible(site: Path, tmp_path: Path, width: int, dark: bool) -> None:
+    source = axe()
+    with browser(tmp_path, width, dark) as seen:
+        for name in KINDS:
+            seen.open(site / f"{name}.html")
+            time.sleep(0.5)
+            assert [f"{name}: {each}" for each in complaints(seen, source)] == []
