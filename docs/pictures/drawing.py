@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 HERE = Path(__file__).parent
-STYLE = HERE.parent.parent / "testbed/report/page/style.css"
+STYLE = HERE.parent.parent / "testbed/reporting/page/style.css"
 COLOURS = re.compile(r"(?:@media \(prefers-color-scheme: dark\) \{ )?:root \{.*?\}(?: \})?", re.DOTALL)
 ROW = 22
 """Height of a line of a plot [pixels]."""

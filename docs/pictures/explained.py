@@ -14,7 +14,7 @@ import testbed as tb
 from docs.pictures.drawing import arrow, dot, error_dots, line, placed, save, turn, words
 from testbed.instruments.chain import measured_again
 from testbed.parameters.barycentric import STANDARD
-from testbed.report.figures import Panel
+from testbed.reporting.figures import Panel
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 BOLD = "font-weight: 600"

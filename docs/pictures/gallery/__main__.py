@@ -22,9 +22,9 @@ from docs.pictures.explained import errors_of
 from testbed.cli.reading import Reading
 from testbed.experiment.comparison import Comparison, compare
 from testbed.experiment.summary import obtained, percent
-from testbed.report.drive_sections import curve_lines
-from testbed.report.figures import Panel
-from testbed.report.portrait import portrait
+from testbed.reporting.drive_sections import curve_lines
+from testbed.reporting.figures import Panel
+from testbed.reporting.portrait import portrait
 from testbed.robot.visuals.appearance import load_appearance
 
 PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data"
