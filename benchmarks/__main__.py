@@ -209,16 +209,21 @@ def accuracy(
     first: Annotated[int, typer.Option(help="The first seed.")] = 9000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+    motion: Annotated[str, typer.Option(help="Of the remedies' lines.")] = "chosen",
 ) -> None:
     """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
     from benchmarks.accuracy import REMEDIES, efficiency, remedied
+    from benchmarks.random_recordings import MOTIONS
+
+    if motion not in MOTIONS:
+        raise typer.BadParameter(f"{motion} is none of {', '.join(MOTIONS)}")
 
     for robot in ("puma", "ur5"):
         if only in f"bound {robot}":
             _print(efficiency(robot, first, runs, seconds))
     for fault in REMEDIES:
         if only in f"remedy {fault}":
-            _print(remedied(fault, first, runs, seconds))
+            _print(remedied(fault, motion, first, runs, seconds))
 
 
 @app.command()

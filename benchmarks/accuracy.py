@@ -1,20 +1,19 @@
 """How small errors are: beside what the plate's noise allows, and beside those without a fault.
 
-Motions are random ones with the noise of table6; every seed is another motion and other noise.
+The instrument has the noise of table6; every seed is another motion and other noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import testbed as tb
-from benchmarks.random_recordings import PLATE, ROBOTS, happened, recorded
+from benchmarks.bounds import least
+from benchmarks.random_recordings import ROBOTS, recorded
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
 from testbed.identification.estimate import Estimate
 from testbed.instruments.encoders import EncoderZeroError
 from testbed.instruments.fault import Fault
@@ -22,8 +21,8 @@ from testbed.instruments.plate import PlateOriginHeight, PlatePose
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 from testbed.instruments.plate_noise import PlateBias, PlateDrift
 
-EVERY = 10
-"""Samples of which one is looked at for the least error: motions are slow beside 1 kHz."""
+REDRAWN = 4000
+"""Times that seeds are drawn again for an interval."""
 
 UNDECIDED = 0.5
 """Weight of the answer with constants below which they count as not estimated."""
@@ -64,7 +63,8 @@ def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, A
         estimate = tb.identify(
             tree, recorded(tree, "default", "white", seconds, seed), settings=settings
         )
-        ratios.append(_error(tree, estimate) / _least(tree, estimate, seconds, seed))
+        bound = least(tree, estimate.minimal, "default", seconds, seed)
+        ratios.append(_error(tree, estimate) / bound)
         assert estimate.noise is not None
         without.append(estimate.noise.bias_weight < UNDECIDED)
     squares = np.square(ratios)
@@ -80,11 +80,15 @@ def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, A
     }
 
 
-def remedied(fault: str, first: int, runs: int, seconds: float) -> dict[str, Any]:
+def remedied(fault: str, motion: str, first: int, runs: int, seconds: float) -> dict[str, Any]:
     """Errors of the PUMA's nine with a fault and its nuisances, and without either.
+
+    Beside them is what the nuisances cost whoever estimates them: the Cramer-Rao bound with
+    them over that without. No estimate that is right on average has a smaller ratio.
 
     Args:
         fault: One of REMEDIES.
+        motion: One of MOTIONS.
         first: The first seed.
         runs: How many.
         seconds: Duration of every recording.
@@ -92,6 +96,7 @@ def remedied(fault: str, first: int, runs: int, seconds: float) -> dict[str, Any
     tree = tb.load_tree(ROBOTS["puma"])
     faults, nuisances = REMEDIES[fault]
     found: dict[str, list[float]] = {"clean": [], "faulty": [], "remedied": []}
+    bounds: dict[str, list[float]] = {"clean": [], "remedied": []}
     for seed in range(first, first + runs):
         for name, wrong, asked in (
             ("clean", (), ()),
@@ -99,36 +104,45 @@ def remedied(fault: str, first: int, runs: int, seconds: float) -> dict[str, Any
             ("remedied", faults, nuisances),
         ):
             settings = tb.Settings(zeros=True, nuisances=asked)
-            recording = recorded(tree, "default", "white", seconds, seed, wrong)
+            recording = recorded(tree, motion, "white", seconds, seed, wrong)
             estimate = tb.identify(tree, recording, settings=settings)
-            error = _error(tree, estimate) / estimate.minimal.values(tb.barycentric(tree))
-            found[name].append(float(np.sqrt(np.mean(np.square(error[:9])))))
-    rms = {name: float(np.sqrt(np.mean(np.square(each)))) for name, each in found.items()}
+            found[name].append(_of_nine(tree, estimate, _error(tree, estimate)))
+            if name in bounds:
+                spread = least(tree, estimate.minimal, motion, seconds, seed, asked)
+                bounds[name].append(_of_nine(tree, estimate, spread))
+    rms = {name: _rms(each) for name, each in found.items()}
+    cost = _rms(bounds["remedied"]) / _rms(bounds["clean"])
     return {
         "fault": fault,
+        "motion": motion,
         "seconds": seconds,
         "runs": runs,
         "seeds": f"{first} to {first + runs - 1}",
         **{name: float(f"{value:.3g}") for name, value in rms.items()},
-        "ratio": round(rms["remedied"] / rms["clean"], 2),
+        "ratio": round(rms["remedied"] / rms["clean"], 3),
+        "interval": [round(x, 3) for x in _interval(found["remedied"], found["clean"])],
+        "bound": float(f"{_rms(bounds['remedied']):.3g}"),
+        "ratio_of_bounds": round(cost, 3),
+        "over_bound": round(rms["remedied"] / _rms(bounds["remedied"]), 3),
     }
+
+
+def _of_nine(tree: tb.Tree, estimate: Estimate, error: Array) -> float:
+    """Rms of the first nine as shares of their values."""
+    return _rms((error / estimate.minimal.values(tb.barycentric(tree)))[:9])
+
+
+def _rms(values: Sequence[float] | Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _interval(above: Sequence[float], below: Sequence[float]) -> tuple[float, float]:
+    """Of the ratio of two rms over the same seeds, 95 %: seeds are drawn again, in pairs."""
+    drawn = np.random.default_rng(0).integers(0, len(above), (REDRAWN, len(above)))
+    ratio = [_rms(np.take(above, pick)) / _rms(np.take(below, pick)) for pick in drawn]
+    low, high = np.quantile(ratio, [0.025, 0.975])
+    return float(low), float(high)
 
 
 def _error(tree: tb.Tree, estimate: Estimate) -> Array:
     return np.asarray(estimate.values - estimate.minimal.values(tb.barycentric(tree)))
-
-
-def _least(tree: tb.Tree, estimate: Estimate, seconds: float, seed: int) -> Array:
-    """Standard deviations that no unbiased estimate falls below."""
-    time, truth, _ = happened(tree, "default", seconds, seed)
-    part = slice(None, None, EVERY)
-    assert truth.velocity is not None
-    assert truth.acceleration is not None
-    motion = Motion(
-        time[part], truth.position[part], truth.velocity[part], truth.acceleration[part]
-    )
-    lift = estimate.minimal.lift.reshape(tree.n, 10, -1)
-    columns = linear(tree, motion, lift, tree.gravity)[1]
-    sigma = np.repeat([PLATE.force_noise, PLATE.moment_noise], 3)
-    rows = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
-    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(EVERY * rows.T @ rows))))
