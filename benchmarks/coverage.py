@@ -1,8 +1,8 @@
 """How often intervals of 95 % hold the truth, under white and coloured noise.
 
-Motions are random ones, inside the robot's limits, or the best of forty; signals are those of rigid bodies with dry
-and viscous friction, simulated where the joints' torques are asked for. Every seed is another
-motion and other noise.
+Motions are random ones, inside the robot's limits, or the best of forty; signals are those of
+rigid bodies with dry and viscous friction, simulated where the joints' torques are asked for.
+Every seed is another motion and other noise.
 """
 
 from __future__ import annotations
