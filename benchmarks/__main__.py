@@ -212,7 +212,7 @@ def accuracy(
     motion: Annotated[str, typer.Option(help="Of the remedies' lines.")] = "chosen",
 ) -> None:
     """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
-    from benchmarks.accuracy import REMEDIES, efficiency, remedied
+    from benchmarks.accuracy import REMEDIES, efficiency, remedies
     from benchmarks.random_recordings import MOTIONS
 
     if motion not in MOTIONS:
@@ -221,9 +221,9 @@ def accuracy(
     for robot in ("puma", "ur5"):
         if only in f"bound {robot}":
             _print(efficiency(robot, first, runs, seconds))
-    for fault in REMEDIES:
-        if only in f"remedy {fault}":
-            _print(remedied(fault, motion, first, runs, seconds))
+    asked = [fault for fault in REMEDIES if only in f"remedy {fault}"]
+    for line in remedies(asked, motion, first, runs, seconds) if asked else ():
+        _print(line)
 
 
 @app.command()

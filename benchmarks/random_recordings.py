@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -89,11 +90,16 @@ def _series(tree: tb.Tree, motion: str, seed: int) -> Fourier:
     if motion == "designed":
         return read_motion(ROOT / "experiments/motions/table6.toml").motion_for(tree)
     if motion == "chosen":
-        table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", [f"seed={seed}"])
-        return motion_of(table6, tree)
+        return _chosen(seed)
     speed = SPEEDS[motion]
     limits = limits_of(tree, {} if speed is None else dict.fromkeys(tree.names, speed), {})
     return random_motion(tree, limits, 0.1, 5, np.random.default_rng(seed))
+
+
+@lru_cache(maxsize=1)
+def _chosen(seed: int) -> Fourier:
+    table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", [f"seed={seed}"])
+    return motion_of(table6, tb.load_tree(ROBOTS["puma"]))
 
 
 def recorded(
