@@ -176,10 +176,13 @@ def faults(
     seeds: Annotated[int, typer.Option(help="Clean recordings of each of three robots.")] = 0,
 ) -> None:
     """Wrong data: errors of the estimates, and who says so; clean data, about which nobody may."""
-    from benchmarks.faults import clean, results
+    from benchmarks.faults import clean, results, total
 
+    lines = []
     for line in results(seconds):
+        lines.append(line)
         _print(line)
+    _print(total(lines))
     for line in clean(seeds, min(seconds, 20.0)) if seeds else ():
         _print(line)
 
