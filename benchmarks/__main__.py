@@ -85,12 +85,13 @@ def identify(
     gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
 ) -> None:
     """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
-    from benchmarks.identify import answer, memory, stored
+    from benchmarks.identify import answer, default, memory, stored
     from benchmarks.regressor import cases
 
     known = {case.name: case for case in cases()}
     if gigabytes:  # first: what a process once held stays in its peak
         _print(stored(known["puma6"], gigabytes))
+    _print(default(rounds))
     _print(memory(known["puma6"]))
     for case in known.values():
         for model in ("dynamic", "reaction"):
