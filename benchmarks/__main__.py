@@ -85,12 +85,13 @@ def identify(
     gigabytes: Annotated[float, typer.Option(help="Size of a recording to identify.")] = 0.0,
 ) -> None:
     """The complete answer against Pinocchio in a loop and lstsq; threads; memory."""
-    from benchmarks.identify import answer, memory, stored
+    from benchmarks.identify import answer, default, memory, stored
     from benchmarks.regressor import cases
 
     known = {case.name: case for case in cases()}
     if gigabytes:  # first: what a process once held stays in its peak
         _print(stored(known["puma6"], gigabytes))
+    _print(default(rounds))
     _print(memory(known["puma6"]))
     for case in known.values():
         for model in ("dynamic", "reaction"):
@@ -176,10 +177,13 @@ def faults(
     seeds: Annotated[int, typer.Option(help="Clean recordings of each of three robots.")] = 0,
 ) -> None:
     """Wrong data: errors of the estimates, and who says so; clean data, about which nobody may."""
-    from benchmarks.faults import clean, results
+    from benchmarks.faults import clean, results, total
 
+    lines = []
     for line in results(seconds):
+        lines.append(line)
         _print(line)
+    _print(total(lines))
     for line in clean(seeds, min(seconds, 20.0)) if seeds else ():
         _print(line)
 
@@ -209,16 +213,21 @@ def accuracy(
     first: Annotated[int, typer.Option(help="The first seed.")] = 9000,
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     only: Annotated[str, typer.Option(help="Only lines whose words hold this.")] = "",
+    motion: Annotated[str, typer.Option(help="Of the remedies' lines.")] = "chosen",
 ) -> None:
     """Errors over the Cramer-Rao bound, and of remedies over those without a fault."""
-    from benchmarks.accuracy import REMEDIES, efficiency, remedied
+    from benchmarks.accuracy import REMEDIES, efficiency, remedies
+    from benchmarks.random_recordings import MOTIONS
+
+    if motion not in MOTIONS:
+        raise typer.BadParameter(f"{motion} is none of {', '.join(MOTIONS)}")
 
     for robot in ("puma", "ur5"):
         if only in f"bound {robot}":
             _print(efficiency(robot, first, runs, seconds))
-    for fault in REMEDIES:
-        if only in f"remedy {fault}":
-            _print(remedied(fault, first, runs, seconds))
+    asked = [fault for fault in REMEDIES if only in f"remedy {fault}"]
+    for line in remedies(asked, motion, first, runs, seconds) if asked else ():
+        _print(line)
 
 
 @app.command()

@@ -1,20 +1,19 @@
 """How small errors are: beside what the plate's noise allows, and beside those without a fault.
 
-Motions are random ones with the noise of table6; every seed is another motion and other noise.
+The instrument has the noise of table6; every seed is another motion and other noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 import testbed as tb
-from benchmarks.random_recordings import PLATE, ROBOTS, happened, recorded
+from benchmarks.bounds import least
+from benchmarks.random_recordings import ROBOTS, recorded
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
 from testbed.identification.estimate import Estimate
 from testbed.instruments.encoders import EncoderZeroError
 from testbed.instruments.fault import Fault
@@ -22,8 +21,8 @@ from testbed.instruments.plate import PlateOriginHeight, PlatePose
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDelay
 from testbed.instruments.plate_noise import PlateBias, PlateDrift
 
-EVERY = 10
-"""Samples of which one is looked at for the least error: motions are slow beside 1 kHz."""
+REDRAWN = 4000
+"""Times that seeds are drawn again for an interval."""
 
 UNDECIDED = 0.5
 """Weight of the answer with constants below which they count as not estimated."""
@@ -64,7 +63,8 @@ def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, A
         estimate = tb.identify(
             tree, recorded(tree, "default", "white", seconds, seed), settings=settings
         )
-        ratios.append(_error(tree, estimate) / _least(tree, estimate, seconds, seed))
+        bound = least(tree, estimate.minimal, "default", seconds, seed)
+        ratios.append(_error(tree, estimate) / bound)
         assert estimate.noise is not None
         without.append(estimate.noise.bias_weight < UNDECIDED)
     squares = np.square(ratios)
@@ -80,55 +80,77 @@ def efficiency(robot: str, first: int, runs: int, seconds: float) -> dict[str, A
     }
 
 
-def remedied(fault: str, first: int, runs: int, seconds: float) -> dict[str, Any]:
+def remedies(
+    only: Sequence[str], motion: str, first: int, runs: int, seconds: float
+) -> Iterator[dict[str, Any]]:
     """Errors of the PUMA's nine with a fault and its nuisances, and without either.
 
+    Beside them is what the nuisances cost whoever estimates them: the Cramer-Rao bound with
+    them over that without. No estimate that is right on average has a smaller ratio.
+
     Args:
-        fault: One of REMEDIES.
+        only: Of REMEDIES; a line each.
+        motion: One of MOTIONS.
         first: The first seed.
         runs: How many.
         seconds: Duration of every recording.
     """
     tree = tb.load_tree(ROBOTS["puma"])
-    faults, nuisances = REMEDIES[fault]
-    found: dict[str, list[float]] = {"clean": [], "faulty": [], "remedied": []}
+    minimal = tb.minimal_set(tree, "reaction", zeros=True)
+    truth = minimal.values(tb.barycentric(tree))
+
+    def of_nine(errors: Array) -> float:
+        return _rms((errors / truth)[:9])
+
+    found: dict[str, list[tuple[float, ...]]] = {fault: [] for fault in only}
     for seed in range(first, first + runs):
-        for name, wrong, asked in (
-            ("clean", (), ()),
-            ("faulty", faults, ()),
-            ("remedied", faults, nuisances),
-        ):
+
+        def error(faults: Sequence[Fault], asked: Sequence[str], seed: int = seed) -> float:
             settings = tb.Settings(zeros=True, nuisances=asked)
-            recording = recorded(tree, "default", "white", seconds, seed, wrong)
-            estimate = tb.identify(tree, recording, settings=settings)
-            error = _error(tree, estimate) / estimate.minimal.values(tb.barycentric(tree))
-            found[name].append(float(np.sqrt(np.mean(np.square(error[:9])))))
-    rms = {name: float(np.sqrt(np.mean(np.square(each)))) for name, each in found.items()}
-    return {
-        "fault": fault,
-        "seconds": seconds,
-        "runs": runs,
-        "seeds": f"{first} to {first + runs - 1}",
-        **{name: float(f"{value:.3g}") for name, value in rms.items()},
-        "ratio": round(rms["remedied"] / rms["clean"], 2),
-    }
+            recording = recorded(tree, motion, "white", seconds, seed, faults)
+            return of_nine(_error(tree, tb.identify(tree, recording, settings=settings)))
+
+        def bound(asked: Sequence[str], seed: int = seed) -> float:
+            return of_nine(least(tree, minimal, motion, seconds, seed, asked))
+
+        clean = error((), ()), bound(())
+        for fault, lines in found.items():
+            faults, asked = REMEDIES[fault]
+            lines.append((*clean, error(faults, ()), error(faults, asked), bound(asked)))
+    for fault, lines in found.items():
+        clean_, least_, faulty, remedied, allowed = np.array(lines).T
+        yield {
+            "fault": fault,
+            "motion": motion,
+            "seconds": seconds,
+            "runs": runs,
+            "seeds": f"{first} to {first + runs - 1}",
+            "clean": _digits(_rms(clean_)),
+            "faulty": _digits(_rms(faulty)),
+            "remedied": _digits(_rms(remedied)),
+            "median": _digits(float(np.median(remedied))),
+            "ratio": round(_rms(remedied) / _rms(clean_), 3),
+            "interval": _interval(remedied, clean_),
+            "bound": _digits(_rms(allowed)),
+            "ratio_of_bounds": round(_rms(allowed) / _rms(least_), 3),
+            "over_bound": round(_rms(remedied) / _rms(allowed), 3),
+        }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _interval(above: Array, below: Array) -> list[float]:
+    """Of the ratio of two rms over the same seeds, 95 %: seeds are drawn again, in pairs."""
+    drawn = np.random.default_rng(0).integers(0, len(above), (REDRAWN, len(above)))
+    ratio = [_rms(above[pick]) / _rms(below[pick]) for pick in drawn]
+    return [round(float(x), 3) for x in np.quantile(ratio, [0.025, 0.975])]
 
 
 def _error(tree: tb.Tree, estimate: Estimate) -> Array:
     return np.asarray(estimate.values - estimate.minimal.values(tb.barycentric(tree)))
-
-
-def _least(tree: tb.Tree, estimate: Estimate, seconds: float, seed: int) -> Array:
-    """Standard deviations that no unbiased estimate falls below."""
-    time, truth, _ = happened(tree, "default", seconds, seed)
-    part = slice(None, None, EVERY)
-    assert truth.velocity is not None
-    assert truth.acceleration is not None
-    motion = Motion(
-        time[part], truth.position[part], truth.velocity[part], truth.acceleration[part]
-    )
-    lift = estimate.minimal.lift.reshape(tree.n, 10, -1)
-    columns = linear(tree, motion, lift, tree.gravity)[1]
-    sigma = np.repeat([PLATE.force_noise, PLATE.moment_noise], 3)
-    rows = (columns / sigma[:, None]).reshape(-1, columns.shape[2])
-    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(EVERY * rows.T @ rows))))

@@ -1,8 +1,8 @@
 """How often intervals of 95 % hold the truth, under white and coloured noise.
 
-Motions are random ones, inside the robot's limits; signals are those of rigid bodies with dry
-and viscous friction, simulated where the joints' torques are asked for. Every seed is another
-motion and other noise.
+Motions are random ones, inside the robot's limits, or the best of forty; signals are those of
+rigid bodies with dry and viscous friction, simulated where the joints' torques are asked for.
+Every seed is another motion and other noise.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from benchmarks import random_recordings
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate, Method
+from testbed.identification.trace_findings import trace_findings
 from testbed.instruments.encoders import EncoderResolution
 from testbed.instruments.fault import Fault
 from testbed.recordings.recording import Recording
@@ -36,7 +37,7 @@ class Study:
 
     Attributes:
         robot: One of ROBOTS.
-        motion: One of SPEEDS.
+        motion: One of SPEEDS, or "chosen": the best of forty.
         noise: One of NOISES: the plate's; joints' torques have white noise always.
         method: Whose sigmas.
         seconds: Duration of every recording.
@@ -69,7 +70,7 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         runs: How many.
     """
     tree = tb.load_tree(ROBOTS[study.robot])
-    scores, errors, taken = [], [], 0.0
+    scores, errors, taken, alarms, steps = [], [], 0.0, 0, 0
     names: tuple[str, ...] = ()
     for seed in range(first, first + runs):
         recording = recorded(tree, study, seed)
@@ -80,6 +81,8 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         scores.append((estimate.values - truth) / estimate.sigma)
         errors.append((estimate.values - truth) / truth)
         names = estimate.names
+        alarms += any(trace_findings(estimate))
+        steps += estimate.noise is not None and estimate.noise.steps_matter
         if sys.stderr.isatty():
             print(f"\r{seed - first + 1} of {runs}", end="", file=sys.stderr)
     inside = np.abs(scores) < NORMAL
@@ -103,6 +106,8 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         "total_mass": _share(each[mass].mean()) if mass.any() else None,
         "rms_z": _share(float(np.sqrt(np.mean(np.square(scores))))),
         "error_of_nine": float(f"{np.sqrt(np.mean(np.square(errors)[:, :9])):.3g}"),
+        "faults_seen": _share(alarms / runs),
+        "steps_seen": _share(steps / runs),
         "cpu_seconds": round(taken / runs, 2),
     }
     if study.method == "internal":
@@ -115,8 +120,9 @@ def recorded(tree: tb.Tree, study: Study, seed: int) -> Recording:
     if study.method == "external":
         kind = (study.motion, study.noise, study.seconds)
         return random_recordings.recorded(tree, *kind, seed, study.faults)
-    settings = [f"seed={seed}", f"motion.duration={study.seconds}", "motion.candidates=1"]
-    speed = SPEEDS[study.motion]
+    settings = [f"seed={seed}", f"motion.duration={study.seconds}"]
+    settings += ["motion.candidates=1"] * (study.motion != "chosen")
+    speed = SPEEDS.get(study.motion)
     if speed is not None:
         listed = ",".join(f'"{name}"={speed}' for name in tree.names)
         settings.append(f"motion.max_velocity={{{listed}}}")
@@ -139,7 +145,7 @@ def studies(settings: tb.Settings, seconds: float) -> Iterator[Study]:
             yield Study("puma", motion, noise, "external", seconds, zeros)
     for noise in ("white", "ar .3 s"):
         yield Study("ur5", "default", noise, "external", seconds, settings)
-    for motion in SPEEDS:
+    for motion in (*SPEEDS, "chosen"):
         yield Study("puma", motion, "white", "internal", seconds, zeros)
     for noise in ("white", "ar .3 s"):
         yield Study("puma", "slow", noise, "external", seconds, zeros, COARSE)

@@ -97,12 +97,16 @@ def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, 
     tree = tb.load_tree(ROBOTS[trial.robot])
     settings = tb.Settings(zeros=trial.robot == "puma")
     ranks: list[int | None] = []
+    steps = others = 0
     wrong: set[str] = set()
     start = time.process_time()
     for seed in range(first, first + runs):
         recording = recorded(tree, trial.motion, trial.noise, seconds, seed, trial.faults)
         estimate = tb.identify(tree, recording, settings=settings)
-        for finding in trace_findings(estimate):
+        traces = list(trace_findings(estimate))
+        steps += estimate.noise is not None and estimate.noise.steps_matter
+        others += len(estimate.findings) > len(traces)
+        for finding in traces:
             right = SAID.get(trial.right)
             ranks.append(finding.causes.index(right) + 1 if right in finding.causes else None)
             wrong |= {finding.causes[0]} - {right}
@@ -117,6 +121,8 @@ def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, 
         "seeds": f"{first} to {first + runs - 1}",
         "alarms": _share(len(ranks) / runs),
         "interval": [_share(interval.low), _share(interval.high)],
+        "coarse_encoders": _share(steps / runs),
+        "other_findings": _share(others / runs),
         "goal": trial.goal,
         "held": len(ranks) / runs >= trial.goal if trial.fault else len(ranks) <= trial.goal * runs,
         "named_otherwise": sorted(wrong),
@@ -136,7 +142,9 @@ def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
     """
     clean = [line for line in lines if line["fault"] == "none"]
     runs = sum(line["runs"] for line in clean)
-    alarms = round(sum(line["alarms"] * line["runs"] for line in clean))
+    words = ("alarms", "coarse_encoders", "other_findings")
+    counts = {word: round(sum(line[word] * line["runs"] for line in clean)) for word in words}
+    alarms = counts["alarms"]
     interval = stats.binomtest(alarms, runs).proportion_ci(method="exact")
     return {
         "fault": "none",
@@ -144,7 +152,7 @@ def total(lines: Iterable[dict[str, Any]]) -> dict[str, Any]:
         "motion": "all",
         "noise": "all",
         "runs": runs,
-        "alarms": _share(alarms / runs),
+        **{word: _share(count / runs) for word, count in counts.items()},
         "interval": [_share(interval.low), _share(interval.high)],
         "goal": FALSE_ALARMS,
         "held": alarms <= FALSE_ALARMS * runs,

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import random_motion
+from testbed.experiment.motion_file import read_motion
+from testbed.experiment.motions import motion_of
 from testbed.instruments.chain import Instrument, measure
 from testbed.instruments.fault import Fault
 from testbed.instruments.plate_noise import PlateColouredNoise, PlatePinkNoise
@@ -23,7 +27,11 @@ ROBOTS: Mapping[str, Path] = {"puma": ROOT / "models/puma562.xml"} | {
     for name in ("ur5", "gantry_ppp_rrr", "stanford", "kuka_lwr4")
 }
 SPEEDS: Mapping[str, float | None] = {"default": None, "slow": 0.3}
-"""Greatest joint speed [rad/s or m/s]; None for the robot's own."""
+"""Greatest joint speed [rad/s or m/s] of a random motion; None for the robot's own."""
+
+MOTIONS = (*SPEEDS, "chosen", "designed")
+"""Besides, the best of forty random ones, as experiments/table6.toml runs it, and the one that was
+designed for that experiment, the same for all seeds: of the PUMA."""
 
 PLATE = Instrument(
     encoder_resolution=1e-4,
@@ -67,18 +75,31 @@ def happened(tree: tb.Tree, motion: str, seconds: float, seed: int) -> tuple[Arr
 
     Args:
         tree: The robot.
-        motion: One of SPEEDS.
+        motion: One of MOTIONS.
         seconds: Duration.
         seed: Of the motion.
     """
-    speed = SPEEDS[motion]
-    limits = limits_of(tree, {} if speed is None else dict.fromkeys(tree.names, speed), {})
-    fourier = random_motion(tree, limits, 0.1, 5, np.random.default_rng(seed))
-    states = fourier.at(np.arange(0, seconds, 1 / PLATE.rate))
+    states = _series(tree, motion, seed).at(np.arange(0, seconds, 1 / PLATE.rate))
     tare = tb.pedestal_wrench(tree)
     still = np.zeros_like(states.q)
     torque, wrench = tb.joint_forces(tree, states), tb.base_wrench(tree, states) + tare
     return states.t, Truth(states.q, states.qd, states.qdd, torque, still, wrench), tare
+
+
+def _series(tree: tb.Tree, motion: str, seed: int) -> Fourier:
+    if motion == "designed":
+        return read_motion(ROOT / "experiments/motions/table6.toml").motion_for(tree)
+    if motion == "chosen":
+        return _chosen(seed)
+    speed = SPEEDS[motion]
+    limits = limits_of(tree, {} if speed is None else dict.fromkeys(tree.names, speed), {})
+    return random_motion(tree, limits, 0.1, 5, np.random.default_rng(seed))
+
+
+@lru_cache(maxsize=1)
+def _chosen(seed: int) -> Fourier:
+    table6 = tb.Experiment.load(ROOT / "experiments/table6.toml", [f"seed={seed}"])
+    return motion_of(table6, tb.load_tree(ROBOTS["puma"]))
 
 
 def recorded(
@@ -88,7 +109,7 @@ def recorded(
 
     Args:
         tree: The robot.
-        motion: One of SPEEDS.
+        motion: One of MOTIONS.
         noise: One of NOISES.
         seconds: Duration.
         seed: Of motion and noise.

@@ -22,7 +22,7 @@ from testbed.identification.noise.units import Beside
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
-from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
+from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest, in_order
 from testbed.identification.nuisances.foretold import row_filter
 from testbed.identification.nuisances.offsets import SLOPE
 from testbed.identification.nuisances.structure import Imitated, still_open, told_apart
@@ -316,4 +316,4 @@ def trace_tests(
                 parameter=names[int(moved.argmax())],
             )
         )
-    return tuple(sorted(tests, key=lambda test: -test.clearness))
+    return in_order(tests)

@@ -3,7 +3,13 @@
 from __future__ import annotations
 
 from testbed.identification.nuisances.clock import CLOCK_RATE, SKEW
-from testbed.identification.nuisances.encoder_errors import ECCENTRICITY, ENCODER_GAINS, JOINT_ZEROS
+from testbed.identification.nuisances.encoder_errors import (
+    ECCENTRICITY,
+    ENCODER_DELAYS,
+    ENCODER_GAINS,
+    JOINT_ZEROS,
+    SAMPLING,
+)
 from testbed.identification.nuisances.matrix import MATRIX
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
@@ -16,11 +22,13 @@ NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, MATRIX, POSE, HEIGHT
 TESTED: tuple[Nuisance, ...] = (
     SKEW,
     CLOCK_RATE,
+    SAMPLING,
     POSE,
     GAINS,
     CROSSTALK,
     JOINT_ZEROS,
     ENCODER_GAINS,
+    ENCODER_DELAYS,
     ECCENTRICITY,
 )
 """Those whose traces are looked for in every estimate. A drift is not: slow noise looks alike."""

@@ -1,4 +1,4 @@
-"""Encoders whose zero or scale is wrong."""
+"""Encoders whose zero, scale or time is wrong."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.nuisances.foretold import Change, Foretold, Number
-from testbed.identification.nuisances.nuisance import Nuisance, Part
+from testbed.identification.nuisances.nuisance import Nuisance, Part, always
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
@@ -28,6 +28,19 @@ def _waves(tree: Tree) -> tuple[Part, ...]:
     return tuple(
         Part(f"eccentricity/{j}/{wave}", "rad") for j in turning for wave in ("sin", "cos")
     )
+
+
+def _delays(tree: Tree) -> tuple[Part, ...]:
+    return tuple(Part(f"encoder_delays/{joint}", "s") for joint in tree.names)
+
+
+def _late(foretold: Foretold) -> Array:
+    return np.concatenate([foretold.passing(j) for j in range(foretold.tree.n)], axis=2)
+
+
+def _hurried(foretold: Foretold) -> Array:
+    each = [foretold.along(j, _in_time) for j in range(foretold.tree.n)]
+    return foretold.rows(-np.sum(each, axis=0)[..., None])
 
 
 def _moved(foretold: Foretold) -> Array:
@@ -57,6 +70,11 @@ def _constant(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
 
 def _proportion(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
     return q, qd, qdd
+
+
+def _in_time(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
+    del q
+    return 0.0, qd, 2 * qdd
 
 
 def _sine(q: Array, qd: Array, qdd: Array) -> tuple[Number, Number, Number]:
@@ -92,3 +110,22 @@ ECCENTRICITY = Nuisance(
     cure="correct the encoders once a turn",
 )
 """Errors that repeat with every turn."""
+
+ENCODER_DELAYS = Nuisance(
+    "encoder_delays",
+    "encoders that are late",
+    _delays,
+    _late,
+    cure="read all encoders at one instant",
+    covers=("skew",),
+)
+"""By how much each is late; all of them by as much are a plate that is early."""
+
+SAMPLING = Nuisance(
+    "sampling",
+    "a sampling rate that is not the stated one, or lost samples",
+    always(Part("sampling", "")),
+    _hurried,
+    cure="count the samples of a known time, and look for lost ones",
+)
+"""By how much more time passes between samples than their stamps say, relative."""

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from testbed.identification.nuisances.nuisance import Nuisance
+
+NEARLY = 0.9
+"""Part of what a cause explains that a simpler one among it has to explain to be named first."""
 
 
 @dataclass(frozen=True)
@@ -65,3 +69,21 @@ class TraceTest:
             own = [(name, size) for name, own_unit, size in numbers if own_unit == unit]
             told += [f"{name} {size:.3g} {unit}".rstrip() for name, size in own[:count]]
         return told
+
+
+def in_order(tests: Iterable[TraceTest]) -> tuple[TraceTest, ...]:
+    """The clearest first; one that holds a simpler one after it, if that does nearly as well.
+
+    Args:
+        tests: Of all kinds.
+    """
+    every = tuple(tests)
+    clearness = {test.nuisance.kind: test.clearness for test in every}
+
+    def rank(test: TraceTest) -> tuple[float, int]:
+        own = test.clearness
+        held = [clearness.get(kind, 0.0) for kind in test.nuisance.covers]
+        nearly = [other for other in held if other > NEARLY * own > 0]
+        return -min([own, *nearly]), len(nearly)
+
+    return tuple(sorted(every, key=rank))

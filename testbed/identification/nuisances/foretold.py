@@ -88,7 +88,7 @@ class Foretold:
         tree: The robot; only its geometry matters.
         gravity: (3,) [m/s^2], bedplate frame.
         theta: Barycentric parameters that the estimate allows, (n, 10).
-        motion: At m instants.
+        motion: At m instants; its time begins at the first.
         tare: Static wrench of the pedestal, (6,) [N, N m].
         time: Of the rows, from the middle of the recording, (rows,) [s].
         filter: From instants to rows.
@@ -141,6 +141,21 @@ class Foretold:
             found += np.broadcast_to(by, len(found))[:, None] * slope
         return found
 
+    def passing(self, joint: int) -> Array:
+        """What one joint's motion alone changes of the wrench in time, filtered, (rows, 6, 1).
+
+        Its jerk, which encoders do not tell, is left to the filter: by parts.
+
+        Args:
+            joint: Index.
+        """
+        by_position, by_velocity, by_acceleration = self._slopes[joint]
+        q, qd, qdd = (each[:, joint, None] for each in self._coordinates)
+        del q
+        turning = _rate(by_acceleration, self.motion.t)
+        known = by_position * qd + by_velocity * qdd - turning * qdd
+        return self.rows(known[..., None]) + self.rates((by_acceleration * qdd)[..., None])
+
     @property
     def _coordinates(self) -> tuple[Array, Array, Array]:
         return self.motion.q, self.motion.qd, self.motion.qdd
@@ -173,6 +188,16 @@ class Foretold:
         return linear(self.tree, motion, self.theta[..., None], self.gravity)[1][..., 0]
 
 
+def _rate(signal: Array, time: Array) -> Array:
+    """Derivative of smooth signals, (m, k), by differences of order four; of two at the ends."""
+    found = np.gradient(signal, time, axis=0)
+    if len(time) > 4:
+        step = time[1] - time[0]
+        near, far = signal[3:-1] - signal[1:-3], signal[4:] - signal[:-4]
+        found[2:-2] = (8 * near - far) / (12 * step)
+    return np.asarray(found)
+
+
 def foretold(
     plan: Plan, filtered: RowFilter, theta: Array, signals: Signals, first: int
 ) -> Foretold:
@@ -197,7 +222,7 @@ def foretold(
         tree=layout.tree,
         gravity=layout.gravity,
         theta=theta,
-        motion=_motion(signals, at, count, filtered.stride),
+        motion=_motion(signals, at, count, filtered.stride, rate),
         tare=plan.tare,
         time=rows,
         filter=filtered,
@@ -205,9 +230,9 @@ def foretold(
     )
 
 
-def _motion(signals: Signals, first: int, count: int, stride: int) -> Motion:
+def _motion(signals: Signals, first: int, count: int, stride: int, rate: float) -> Motion:
     """Coordinates at every so many samples."""
-    time = np.arange(count, dtype=np.float64)
+    time = np.arange(count) * stride / rate
     if len(signals.velocity):
         part = slice(first, first + (count - 1) * stride + 1, stride)
         found = (signals.position[part], signals.velocity[part], signals.acceleration[part])

@@ -70,7 +70,7 @@ class Nuisance:
             the encoders is in the foretold one and in what is to be explained, and makes weakly
             told numbers drift; noise of the plate is in neither twice.
         passing: Whether it is of one recording only, so that another has its own.
-        covers: Other kinds whose effects are among this one's.
+        covers: Other kinds whose effects are among this one's; they are simpler.
         whole: Whether it is of no use unless all its numbers can be told; they are close to what
             the parameters do, and their columns have to be exact.
         added: Whether its columns are what it adds to the plate's channels as they are, before

@@ -35,6 +35,11 @@ GAINS = Nuisance(
 """Relative."""
 
 CROSSTALK = Nuisance(
-    "crosstalk", "crosstalk of the plate", _of_pairs, _others, cure="calibrate the plate"
+    "crosstalk",
+    "crosstalk of the plate",
+    _of_pairs,
+    _others,
+    cure="calibrate the plate",
+    covers=("pose",),
 )
-"""What a channel shows of another's load."""
+"""What a channel shows of another's load; a plate that is turned or shifted does that, too."""

@@ -63,6 +63,25 @@ def of_encoder(joint: int, table: dict[str, object]) -> Callable[[tb.Tree, Recor
     return changed
 
 
+def of_time(joint: int | None) -> Callable[[tb.Tree, Recording], Array]:
+    """The same of one encoder that is late, or of stamps that are too close together."""
+
+    def changed(tree: tb.Tree, recording: Recording) -> Array:
+        q, qd, qdd = recording.position, recording.velocity, recording.acceleration
+        assert qd is not None
+        assert qdd is not None
+        if joint is None:
+            seen = Motion(recording.time, q, (1 + SMALL) * qd, (1 + 2 * SMALL) * qdd)
+        else:
+            late = np.where(np.arange(tree.n) == joint, SMALL, 0.0)
+            jerk = np.gradient(qdd, recording.time, axis=0, edge_order=2)
+            seen = Motion(recording.time, q - late * qd, qd - late * qdd, qdd - late * jerk)
+        true = Motion(recording.time, q, qd, qdd)
+        return -(tb.base_wrench(tree, seen) - tb.base_wrench(tree, true)) / SMALL
+
+    return changed
+
+
 def unit(k: int, length: int = 6) -> list[float]:
     return [SMALL if j == k else 0.0 for j in range(length)]
 
@@ -90,6 +109,8 @@ WITNESSES: dict[str, Callable[[int], Callable[[tb.Tree, Recording], Array]]] = {
     "matrix": lambda k: on_plate({"kind": "plate_crosstalk", "size": 0.0, "matrix": felt(k)}),
     "joint_zeros": lambda k: of_encoder(k, {"kind": "encoder_zero_error"}),
     "encoder_gains": lambda k: of_encoder(k, {"kind": "encoder_gain"}),
+    "encoder_delays": of_time,
+    "sampling": lambda k: of_time(None),
 }
 
 
@@ -170,6 +191,14 @@ def test_columns_of_the_measured_wrench_are_those_of_the_foretold_one(name: str,
     foretold = columns_of(tree, recording, ALL[kind])
     measured = columns_of(tree, recording, ALL[kind], estimated=True)
     np.testing.assert_allclose(measured, foretold, atol=1e-3 * np.abs(foretold).max())
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_encoders_that_are_late_together_are_a_plate_that_is_early(name: str) -> None:
+    tree = robot(name)
+    recording = recorded(tree)
+    each, skew = (columns_of(tree, recording, ALL[kind]) for kind in ("encoder_delays", "skew"))
+    np.testing.assert_allclose(each.sum(axis=2), -skew[..., 0], atol=1e-3 * np.abs(skew).max())
 
 
 def test_a_tare_shows_as_a_bias_does() -> None:

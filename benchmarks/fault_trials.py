@@ -1,0 +1,220 @@
+"""Recordings that are wrong: physical faults at every joint and channel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import AnyArray, Array
+from testbed.identification.estimate import METHODS, Method
+from testbed.recordings.columns import AXES
+from testbed.recordings.recording import Recording
+
+POUND = 4.4482216152605
+"""Of force [N]."""
+
+Change = Callable[[Recording], Recording]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One fault, of a kind, and which method suffers from it."""
+
+    kind: str
+    fault: str
+    method: Method
+    change: Change
+    tree: tb.Tree
+
+
+def trials(tree: tb.Tree) -> Iterator[Trial]:
+    """All faults at every joint and channel where they can be."""
+    for kind, fault, change in _of_the_plate():
+        yield Trial(kind, fault, "external", change, tree)
+    for kind, fault, change in _of_the_drives(tree.names):
+        yield Trial(kind, fault, "internal", change, tree)
+    for method in METHODS:
+        for kind, fault, change in _of_the_encoders(tree.names):
+            yield Trial(kind, fault, method, change, tree)
+        for kind, fault, change, other in _of_the_model(tree):
+            yield Trial(kind, fault, method, change, other)
+
+
+def _of_the_plate() -> Iterator[tuple[str, str, Change]]:
+    eye = np.eye(6)
+    yield "sign", "wrench and tare negated", lambda r: _tared(_mixed(r, -eye), -1.0)
+    yield "tare", "tare 0", lambda r: _tared(r, 0.0)
+    yield "unit", "wrench in lbf", lambda r: _mixed(r, eye / POUND)
+    yield "unit", "wrench in kgf", lambda r: _mixed(r, eye / 9.80665)
+    yield "unit", "moments in N mm", lambda r: _mixed(r, np.diag([1, 1, 1, 1e3, 1e3, 1e3]))
+    for k, axis in enumerate(AXES):
+        unit = np.outer(eye[k], eye[k])
+        size = 20.0 if k < 3 else 4.0
+        yield "sign", f"{axis} of opposite sign", _linear("wrench", eye - 2 * unit)
+        yield "gain", f"{axis} x 1.05", _linear("wrench", eye + 0.05 * unit)
+        yield "drift", f"{axis} drifts by {size:g}", _drift(size * eye[k])
+        yield "channel", f"{axis} saturated at half", _saturated("wrench", k)
+        yield "channel", f"{axis} dead", _linear("wrench", eye - unit)
+    for a, b in combinations(range(6), 2):
+        yield "order", f"{AXES[a]} and {AXES[b]} exchanged", _linear("wrench", _exchanged(6, a, b))
+    for late in (5, 20):
+        yield "clock", f"wrench {late} ms late", _late("wrench", late)
+    for degrees, axes in ((5, "xyz"), (1, "xy")):
+        for k, axis in enumerate(axes):
+            yield (
+                "pose",
+                f"plate turned {degrees} deg about {axis}",
+                _turned(np.deg2rad(degrees), k),
+            )
+    for far in (0.02, 0.2):
+        for k, axis in enumerate("xyz"):
+            yield (
+                "pose",
+                f"moment point off by {100 * far:g} cm along {axis}",
+                _moved(far * np.eye(3)[k]),
+            )
+
+
+def _of_the_drives(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
+    n = len(names)
+    eye = np.eye(n)
+    yield "sign", "torques of opposite sign", _linear("torque", -eye)
+    yield "unit", "torques in N mm", _linear("torque", 1e3 * eye)
+    yield "unit", "torques in lbf ft", _linear("torque", eye / (POUND * 0.3048))
+    for k, name in enumerate(names):
+        unit = np.outer(eye[k], eye[k])
+        yield "sign", f"torque of {name} of opposite sign", _linear("torque", eye - 2 * unit)
+        yield "gain", f"torque of {name} x 1.1", _linear("torque", eye + 0.1 * unit)
+        yield "unit", f"torque of {name} in N mm", _linear("torque", eye + 999 * unit)
+        yield "channel", f"torque of {name} saturated at half", _saturated("torque", k)
+        yield "channel", f"torque of {name} dead", _linear("torque", eye - unit)
+    for a, b in combinations(range(n), 2):
+        swapped = _linear("torque", _exchanged(n, a, b))
+        yield "order", f"torques of {names[a]} and {names[b]} exchanged", swapped
+    for late in (5, 20):
+        yield "clock", f"torques {late} ms late", _late("torque", late)
+
+
+def _of_the_encoders(names: tuple[str, ...]) -> Iterator[tuple[str, str, Change]]:
+    n = len(names)
+    eye = np.eye(n)
+    degrees = 180 / np.pi
+    yield "unit", "encoders in degrees", _linear("position", degrees * eye)
+    for k, name in enumerate(names):
+        unit = np.outer(eye[k], eye[k])
+        yield "gain", f"encoder of {name} x 1.01", _linear("position", eye + 0.01 * unit)
+        yield "zero", f"encoder of {name} + 0.02", _shifted(0.02 * eye[k])
+        yield "sign", f"encoder of {name} of opposite sign", _linear("position", eye - 2 * unit)
+        yield (
+            "unit",
+            f"encoder of {name} in degrees",
+            _linear("position", eye + (degrees - 1) * unit),
+        )
+        yield "clock", f"encoder of {name} 20 ms late", _late("position", 20, k)
+    for a, b in combinations(range(n), 2):
+        swapped = _linear("position", _exchanged(n, a, b))
+        yield "order", f"encoders of {names[a]} and {names[b]} exchanged", swapped
+    yield "clock", "1 % of samples lost", _lossy
+    yield "clock", "clock 1 % fast", lambda r: replace(r, time=r.time / 1.01)
+
+
+def _of_the_model(tree: tb.Tree) -> Iterator[tuple[str, str, Change, tb.Tree]]:
+    longer = [replace(j, offset=j.offset * (0.45 / 0.4318)) for j in tree.joints[2:]]
+    wrong = replace(tree, joints=(*tree.joints[:2], *longer))
+    yield "model", "upper arm 0.45 m for 0.4318 m", _of_no_robot, wrong
+    for fault, gravity in (("Moon's gravity", [0, 0, -1.62]), ("gravity upwards", [0, 0, 9.81])):
+        yield "gravity", fault, _under(gravity), tree
+
+
+def _linear(signal: str, matrix: AnyArray) -> Change:
+    """A signal's channels mixed; the wrench's tare is what it was."""
+    return lambda r: replace(r, **{signal: r.measured(signal) @ np.asarray(matrix).T})
+
+
+def _mixed(recording: Recording, matrix: AnyArray) -> Recording:
+    return _linear("wrench", matrix)(recording)
+
+
+def _tared(recording: Recording, factor: float) -> Recording:
+    assert recording.tare is not None
+    return replace(recording, tare=factor * recording.tare)
+
+
+def _exchanged(n: int, a: int, b: int) -> Array:
+    order = list(range(n))
+    order[a], order[b] = b, a
+    return np.eye(n)[order]
+
+
+def _drift(size: Array) -> Change:
+    return lambda r: replace(
+        r, wrench=r.measured("wrench") + np.linspace(0, 1, r.samples)[:, None] * size
+    )
+
+
+def _saturated(signal: str, channel: int) -> Change:
+    """Beyond half of what it reaches from its mean, nothing."""
+
+    def change(recording: Recording) -> Recording:
+        values = recording.measured(signal).copy()
+        mean = values[:, channel].mean()
+        far = 0.5 * np.abs(values[:, channel] - mean).max()
+        values[:, channel] = np.clip(values[:, channel], mean - far, mean + far)
+        return replace(recording, **{signal: values})  # type: ignore[arg-type]
+
+    return change
+
+
+def _late(signal: str, milliseconds: int, channel: int | None = None) -> Change:
+    """A whole signal, or one channel of it, comes later than the others."""
+
+    def change(recording: Recording) -> Recording:
+        values = recording.measured(signal).copy()
+        lag = round(1e-3 * milliseconds * recording.rate)
+        which = slice(None) if channel is None else channel
+        values[lag:, which] = values[:-lag, which]
+        late = replace(recording, **{signal: values})  # type: ignore[arg-type]
+        return late.part(lag, recording.samples)  # nobody saw what came before
+
+    return change
+
+
+def _turned(angle: float, axis: int) -> Change:
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.roll(np.array([[1, 0, 0], [0, c, -s], [0, s, c]]), (axis, axis), (0, 1))
+    return _linear("wrench", np.kron(np.eye(2), turn))
+
+
+def _moved(off: Array) -> Change:
+    lever = np.eye(6)
+    lever[3:, :3] = np.cross(off, np.eye(3)).T  # moments about a point that is `off` elsewhere
+    return _linear("wrench", lever)
+
+
+def _shifted(by: Array) -> Change:
+    return lambda r: replace(r, position=r.position + by)
+
+
+def _lossy(recording: Recording) -> Recording:
+    """What is lost leaves no gap in the time stamps."""
+    kept = np.flatnonzero(np.random.default_rng(0).random(recording.samples) > 0.01)
+    signals = {s: recording.measured(s)[kept] for s in recording.signals if s != "time"}
+    return replace(recording, time=recording.time[: len(kept)], **signals)  # type: ignore[arg-type]
+
+
+def _of_no_robot(recording: Recording) -> Recording:
+    """Without the geometry that would give another robot away."""
+    return replace(recording, facts=_without(recording, "geometry"))
+
+
+def _under(gravity: list[float]) -> Change:
+    return lambda r: replace(r, facts=dict(r.facts) | {"gravity": gravity})
+
+
+def _without(recording: Recording, *facts: str) -> dict[str, Any]:
+    return {key: value for key, value in recording.facts.items() if key not in facts}
