@@ -119,7 +119,21 @@ def squatting(tree: tb.Tree, seed: int) -> Fourier:
         for part, share in bends:
             k = FREE + tree.index(f"{side}_{part}_joint")
             offset[k], cosine[k, 3] = 0.45 * share, cosine[k, 3] - 0.45 * share
-    return Fourier(0.05, offset, sine, cosine)
+    return within(tree, Fourier(0.05, offset, sine, cosine))
+
+
+def within(tree: tb.Tree, motion: Fourier) -> Fourier:
+    """The same with each joint inside its range: smaller where it must be, and moved."""
+    low, high = np.array([joint.position_range for joint in tree.joints]).T
+    q = motion.at(np.linspace(0, motion.period, 1000)).q[:, FREE:]
+    share = np.minimum(1.0, 0.9 * (high - low) / np.ptp(q, axis=0))
+    middle = motion.offset[FREE:]
+    least, most = (middle + share * (each - middle) for each in (q.min(axis=0), q.max(axis=0)))
+    room = 0.05 * (high - low)
+    moved = np.maximum(low + room - least, 0.0) - np.maximum(most - high + room, 0.0)
+    every = np.concatenate([np.ones(FREE), share])[:, None]
+    offset = motion.offset + np.concatenate([np.zeros(FREE), moved])
+    return Fourier(motion.fundamental, offset, every * motion.sine, every * motion.cosine)
 
 
 def humanoid(duration: float, rate: float, seed: int, noise: float) -> tuple[tb.Tree, Recording]:
