@@ -95,7 +95,7 @@ def identify(
     doubt = reading.doubt(tree)
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
-    lacking = [name for name in wanted if name not in there]
+    lacking = [name for name in wanted if name not in there and not tree.floating]
     warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in lacking]
     warnings += accepted
 

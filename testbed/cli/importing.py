@@ -46,7 +46,7 @@ def import_(
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
     from testbed.recordings.importing.import_report import ImportReport
-    from testbed.recordings.recording import Recording
+    from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
@@ -59,22 +59,36 @@ def import_(
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines, warnings = [], []
     if model is None:
-        recording = Recording.from_mapping(mapping)
+        made, cuts = pieces(mapping)
     else:
         reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic)
         tree = reading.tree(model)
-        recording, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
+        made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
         warnings = [*tree.warnings, *found.warnings]
-    recording.save(out)
-    report = ImportReport.from_dict(recording.facts["import"])
+    paths = _paths(out, len(made))
+    for recording, path in zip(made, paths, strict=True):
+        recording.save(path)
+    reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
+    doubts = [*dict.fromkeys(line for report in reports for line in report.warnings()), *warnings]
     if as_json:
-        said = {"import": report.as_dict(), "clocks": lines, "warnings": warnings}
-        output.print_json(said)
-    else:
-        lines = [*report.lines(), *lines, f"recording: {out}"]
-        output.print_lines(lines, [*report.warnings(), *warnings])
+        several = {"recordings": [str(path) for path in paths], "cuts": cuts} if cuts else {}
+        found_in = [report.as_dict() for report in reports]
+        said = {"import": found_in if cuts else found_in[0], "clocks": lines, "warnings": warnings}
+        output.print_json(said | several)
+        return
+    told = [line for report in reports for line in report.lines()]
+    names = ", ".join(map(str, paths))
+    last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
+    output.print_lines([*cuts, *told, *lines, last], doubts)
+
+
+def _paths(out: Path, count: int) -> list[Path]:
+    """Where recordings go: `out`, or its name with a number each."""
+    if count == 1:
+        return [out]
+    return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
 
 
 def _guess(file: Path, out: Path | None) -> None:

@@ -80,16 +80,22 @@ class Reading:
     ) -> tuple[Source, list[str]]:
         """Recordings as one source, each held against the robot, and what to doubt of them.
 
+        Of one that is cut where a source was silent, the longest piece is.
+
         Raises:
             RecordingError: One of them cannot be true of this robot, or they are not alike.
         """
         from testbed.recordings.joined import joined
+        from testbed.recordings.measured_base import on_its_base
 
-        sources = [self.source(path, tree) for path in paths]
-        several, warnings = len(paths) > 1, []
-        for path, source in zip(paths, sources, strict=True):
-            said = self.accepted(source, tree, unchecked=unchecked)
+        several, sources, warnings = len(paths) > 1, [], []
+        for path in paths:
+            pieces, said = opened_pieces(path)
+            made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
+            longest = max(made, key=lambda source: source.samples)
+            said += self.accepted(longest, tree, unchecked=unchecked)
             warnings += [f"{path.name}: {line}" if several else line for line in said]
+            sources += made
         return joined(sources), warnings
 
     def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
@@ -129,6 +135,17 @@ def opened(path: Path) -> Source:
     from testbed.recordings.source import open_source
 
     return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
+
+
+def opened_pieces(path: Path) -> tuple[Sequence[Source], list[str]]:
+    """The same; what a mapping file makes is cut where a source was silent, and in words where.
+
+    Args:
+        path: Parquet, or TOML for a mapping.
+    """
+    from testbed.recordings.importing.pieces import pieces
+
+    return pieces(path) if path.suffix == ".toml" else ([opened(path)], [])
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:

@@ -129,6 +129,8 @@ def assemble_run(
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in methods:
+        if tree.floating and method == "internal":
+            continue  # nothing is missing: joint torques are none of the ground's
         try:
             estimates[method] = identify(
                 tree,

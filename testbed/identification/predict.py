@@ -64,7 +64,7 @@ def parameters_of(estimate: Estimate, others: Array | None = None) -> Array:
     start = np.zeros(base.matrix.shape[1]) if others is None else others.ravel()
     gap = base.values - base.matrix @ start
     theta: Array = start + np.linalg.lstsq(base.matrix, gap, rcond=None)[0]
-    return theta.reshape(-1, 10)
+    return estimate.minimal.carried(theta).reshape(-1, 10)
 
 
 def predictions(

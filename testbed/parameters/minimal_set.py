@@ -130,9 +130,18 @@ class MinimalSet:
         for k, parts in enumerate(self._elimination.directions):
             for body, numbers in parts.items():
                 lift[10 * body : 10 * body + 10, k] = numbers
-        if self._tree.floating:  # what carries the base's coordinates weighs as much as it carries
-            lift[: 10 * (FREE - 1) : 10] = lift[10 * (FREE - 1)]
-        return readonly(lift, lift.shape, "lift")
+        return readonly(self.carried(lift), lift.shape, "lift")
+
+    def carried(self, theta: Array) -> Array:
+        """Parameters with what carries a free base's coordinates as heavy as what it carries.
+
+        Args:
+            theta: Barycentric parameters, (10 n, ...), which the rows of those bodies do not tell.
+        """
+        found = np.array(theta)
+        if self._tree.floating:
+            found[: 10 * (FREE - 1) : 10] = found[10 * (FREE - 1)]
+        return found
 
     @cached_property
     def standard_matrix(self) -> Array:

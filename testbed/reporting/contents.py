@@ -18,6 +18,7 @@ from testbed.reporting.matrix_map import matrix_maps
 from testbed.reporting.portrait import portrait
 from testbed.reporting.sections import SHOWN, seconds_shown, sections
 from testbed.reporting.tables import with_sigma
+from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 
@@ -151,9 +152,13 @@ def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> di
 def _maps(tree: Tree) -> list[dict[str, Any]]:
     """What joint torques, and what the bedplate, can tell of each link's ten parameters."""
     tables = []
-    for seen in identifiability(tree)[:2]:
+    maps = identifiability(tree)[:2]
+    first = FREE - 1 if tree.floating else 0  # what carries a base's coordinates has no matter
+    names = [tree.joints[k].body if k < FREE else name for k, name in enumerate(tree.names)]
+    for seen in maps[1:] if tree.floating else maps:
         rows = []
-        for name, codes in zip(tree.names, seen.standard, strict=True):
+        shown = names[first:] if tree.floating else tree.names
+        for name, codes in zip(shown, seen.standard[first:], strict=True):
             cells = [{"glyph": GLYPHS[k], "kind": KINDS[k], "says": SAYS[k]} for k in codes]
             rows.append((name, cells))
         title = f"{seen.instrument}: {seen.count} combinations"

@@ -10,6 +10,7 @@ from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 from testbed.reporting.choice_table import choice_lines
+from testbed.robot.free_base import FREE
 
 Facts = list[tuple[str, str]]
 
@@ -20,10 +21,12 @@ def asked(run: Run) -> Facts:
     Args:
         run: The run.
     """
-    joints = f"{run.tree.n} joint{'s' if run.tree.n > 1 else ''}: {', '.join(run.tree.names)}"
+    names = run.tree.names[FREE:] if run.tree.floating else run.tree.names
+    joints = f"{len(names)} joint{'s' if len(names) > 1 else ''}: {', '.join(names)}"
+    base = ", on a base that moves and whose pose is measured" if run.tree.floating else ""
     gx, gy, gz = run.tree.gravity
     facts = [
-        ("robot", f"{run.tree.name}, {joints}"),
+        ("robot", f"{run.tree.name}{base}, {joints}"),
         ("gravity", f"{gx:g} {gy:g} {gz:g} m/s^2 in the bedplate frame"),
     ]
     if run.model is not None:
@@ -51,7 +54,8 @@ def _of_recording(run: Run) -> Facts:
         "velocities": recording.velocity,
         "accelerations": recording.acceleration,
     }
-    there = ["joint positions", *(name for name, signal in signals.items() if signal is not None)]
+    there = ["joint positions", *(["pose of the base"] if run.tree.floating else [])]
+    there += [name for name, signal in signals.items() if signal is not None]
     return [
         ("recording", f"{duration:.4g} s, {recording.rate:.5g} samples a second"),
         ("measured", ", ".join(there)),
@@ -100,9 +104,10 @@ def _treatment(run: Run) -> str:
     unknown = f"; unknown of the instrument: {', '.join(settings.nuisances)}" * bool(
         settings.nuisances
     )
+    dropped = f"joint rows below {settings.deadband:g} rad/s or m/s dropped; "
     return (
-        f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; joint rows below "
-        f"{settings.deadband:g} rad/s or m/s dropped; noise taken for {taken}; parameters "
+        f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; "
+        f"{'' if run.tree.floating else dropped}noise taken for {taken}; parameters "
         f"known to be zero: {known}{unknown}"
     )
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import RecordingError
-from testbed.recordings.importing.convert import converted
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import read_mapping
+from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
@@ -78,8 +78,8 @@ def _moving_base(source: Source) -> list[str]:
 
 def accepted_import(
     path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False
-) -> tuple[Recording, Acceptance]:
-    """A recording made by a mapping file, held against its robot.
+) -> tuple[tuple[Recording, ...], list[str], Acceptance]:
+    """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
         path: The mapping file.
@@ -88,21 +88,21 @@ def accepted_import(
         unchecked: Whether what is certainly wrong is only warned of.
 
     Returns:
-        The recording, and what was found in it before anything was taken back.
+        The recording, or its pieces where a source was silent for too long; where it was cut, in
+        words; and what was found before anything was taken back.
 
     Raises:
         ExperimentError: The mapping is not understood.
         RecordingError: A file is damaged, or the recording cannot be true of this robot.
     """
-    recording = Recording.from_mapping(path)
-    found = accept(tree, recording, unchecked=unchecked)
+    made, lines = pieces(path)
+    longest = max(made, key=lambda each: each.samples)
+    found = accept(tree, longest, unchecked=unchecked)
     if not align:
-        return recording, found
-    report = ImportReport.from_dict(recording.facts["import"])
-    mapping = aligned(read_mapping(path), report, found.clocks)
-    again = converted(mapping, path.parent)
-    made = Recording.from_columns(again.columns, again.metadata, str(path))
-    return made, Acceptance(found.clocks, _without_clocks(found.warnings))
+        return made, lines, found
+    report = ImportReport.from_dict(longest.facts["import"])
+    again, lines = pieces(path, aligned(read_mapping(path), report, found.clocks))
+    return again, lines, Acceptance(found.clocks, _without_clocks(found.warnings))
 
 
 def _without_clocks(warnings: Sequence[str]) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from testbed.recordings.columns import members_of
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
 from testbed.recordings.importing.held_samples import held_share, slow_device
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
+from testbed.recordings.importing.interruptions import cut, without_gaps
 from testbed.recordings.importing.mapping import (
     AnyTable,
     BaseTable,
@@ -104,9 +105,41 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     Raises:
         RecordingError: A file is missing or damaged, has no such columns, or its clock is none.
     """
+    tables, times = _opened(mapping, folder)
+    return _converted(mapping, tables, times, _window(mapping, times))
+
+
+def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[str]]:
+    """The same, cut wherever a source was silent for too long; and in words where.
+
+    Args:
+        mapping: What the files' columns mean.
+        folder: To which the files are relative.
+
+    Returns:
+        One or more, in the order of time; a line a cut, none where there is one piece.
+
+    Raises:
+        RecordingError: As `converted`; of a gap where no piece is long enough.
+    """
+    tables, times = _opened(mapping, folder)
+    windows, lines = cut(_window(mapping, times), mapping.sources, times)
+    return [_converted(mapping, tables, times, each) for each in windows], lines
+
+
+def _opened(mapping: Mapping, folder: Path) -> tuple[dict[str, ForeignTable], dict[str, Array]]:
+    """The sources' files, and when their samples were taken."""
     tables = {name: _open(folder, mapping, name) for name in _used(mapping)}
-    times = {name: _times(mapping, name, table) for name, table in tables.items()}
-    window = _window(mapping, times)
+    return tables, {name: _times(mapping, name, table) for name, table in tables.items()}
+
+
+def _converted(
+    mapping: Mapping,
+    tables: Table[str, ForeignTable],
+    times: Table[str, Array],
+    window: tuple[float, float],
+) -> Imported:
+    """What the files say of a part of the time."""
     sources = {
         name: _read(mapping, name, table, times[name], window) for name, table in tables.items()
     }
@@ -190,7 +223,8 @@ def _read(
     source, wanted = mapping.sources[name], list(dict.fromkeys(_used(mapping)[name]))
     columns = table.read(wanted)
     low, high = np.searchsorted(np.maximum.accumulate(time), window)
-    part = slice(max(0, low - 1), high + 2)
+    part = slice(max(0, low - 1), min(high + 2, len(time)))
+    part = without_gaps(source, time, part, window)
     values = np.stack([columns[each][part] for each in wanted], axis=1)
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):

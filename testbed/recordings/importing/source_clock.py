@@ -28,6 +28,16 @@ LONGEST, SHORTEST = 1e9, 1e-9
 """Sampling times beyond these are a mistake [s]."""
 
 
+def longest_bridged(table: SourceTable, typical: float) -> float:
+    """Longest time without samples that splines bridge [s].
+
+    Args:
+        table: What the mapping says of the source.
+        typical: Its sampling time [s].
+    """
+    return table.max_gap or max(BRIDGED, BRIDGED_SAMPLES * typical)
+
+
 @dataclass(frozen=True)
 class ClockReport:
     """What a source's stamps look like.
@@ -158,13 +168,12 @@ def clock_report(
             "check `time_unit`"
         )
     longest = float(used.max())
-    most = table.max_gap or max(BRIDGED, BRIDGED_SAMPLES * typical)
-    if longest > most:
+    if longest > longest_bridged(table, typical):
         k = int(np.argmax(used))
         raise RecordingError(
             f"sources.{name}: nothing was recorded for {longest:.3g} s after "
-            f"{time[k] - time[0]:.6g} s; cut it out by `start` and `stop`, or say "
-            f"`max_gap` = {longest:.3g} to bridge it"
+            f"{time[k] - time[0]:.6g} s; `testbed import` cuts it there, `start` and `stop` "
+            f"take one part, `max_gap` = {longest:.3g} bridges it"
         )
     near = steps[steps <= GAP * typical]
     jitter = float(np.std(near) / typical) if len(near) else 0.0
