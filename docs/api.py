@@ -102,7 +102,9 @@ def types(thing: Any) -> dict[str, str]:
     found = thing.__annotations__ if hasattr(thing, "__annotations__") else {}
     if inspect.isclass(thing):
         found = {k: v for kind in reversed(thing.__mro__) for k, v in types_of(kind).items()}
-    texts = {k: v if isinstance(v, str) else getattr(v, "__name__", str(v)) for k, v in found.items()}
+    texts = {
+        k: v if isinstance(v, str) else getattr(v, "__name__", str(v)) for k, v in found.items()
+    }
     return {k: re.sub(r"\b(?:[a-z_]+\.)+(\w+)", r"\1", v) for k, v in texts.items()}
 
 

@@ -66,7 +66,9 @@ ROBOTS = (
         lock=("panda_finger_joint1=0",),
         mimic=True,
     ),
-    Robot("tx40", "Staubli TX40", "examples/tx40/tx40.urdf", (0.4, 0.5, 1.2, 0.2, 0.6), accept=True),
+    Robot(
+        "tx40", "Staubli TX40", "examples/tx40/tx40.urdf", (0.4, 0.5, 1.2, 0.2, 0.6), accept=True
+    ),
     Robot(
         "gantry",
         "A gantry with a wrist",

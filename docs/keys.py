@@ -9,8 +9,8 @@ import json
 import re
 import textwrap
 import types
-import typing
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -112,7 +112,7 @@ def meanings(model: type) -> dict[str, str]:
     for kind in reversed(model.__mro__):
         if kind.__module__.startswith("testbed"):
             body = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0].body  # type: ignore[attr-defined]
-            for line, after in zip(body, body[1:], strict=False):
+            for line, after in pairwise(body):
                 if isinstance(line, ast.AnnAssign) and isinstance(after, ast.Expr):
                     said[line.target.id] = ast.literal_eval(after.value)  # type: ignore[union-attr]
     return said
@@ -144,10 +144,9 @@ def takes(annotation: Any) -> str:
         return " or ".join(dict.fromkeys(takes(each) for each in kept))
     if origin is Literal:
         return " or ".join(f"`{json.dumps(each)}`" for each in inner)
-    if origin is tuple and inner[-1] is not Ellipsis:
-        return f"{len(inner)} of: {takes(inner[0])}"
     if origin in (tuple, list, Sequence):
-        return f"list of: {takes(inner[0])}"
+        several = origin is tuple and inner[-1] is not Ellipsis
+        return f"{len(inner) if several else 'list'} of: {takes(inner[0])}"
     if origin in (dict, Mapping):
         return f"table by name: {takes(inner[1])}"
     names = {bool: "true or false", int: "whole number", float: "number", str: "text"}

@@ -19,7 +19,7 @@ ROOT = Path(__file__).parent.parent
 HOME = ROOT / "README.md"
 PAGES = Path("build/pages")
 SITE = Path("build/site")
-ASSETS = ("style.css", "iframe-worker.js", "scrolling.js")
+ASSETS = ("style.css", "iframe-worker.js", "keyboard.js")
 
 LINK = re.compile(r'(\]\(|(?:src|href|srcset)=")([^)"#\s]+)(#[^)"\s]*)?')
 """How a page refers to another file: `](target#part`, `src="target`."""

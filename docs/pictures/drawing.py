@@ -1,4 +1,4 @@
-"""Drawings of the pages as SVG files: they take the report's colours, and the dark as the page does."""
+"""Drawings of the pages as SVG files, in the report's colours, light and dark."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 STYLE = HERE.parent.parent / "testbed/reporting/page/style.css"
-COLOURS = re.compile(r"(?:@media \(prefers-color-scheme: dark\) \{ )?:root \{.*?\}(?: \})?", re.DOTALL)
+COLOURS = re.compile(
+    r"(?:@media \(prefers-color-scheme: dark\) \{ )?:root \{.*?\}(?: \})?", re.DOTALL
+)
 ROW = 22
 """Height of a line of a plot [pixels]."""
 LEFT, LONG = 120, 440
@@ -93,8 +95,7 @@ def arrow(x0: float, y0: float, x1: float, y1: float, colour: str, width: float 
         )
     )
     return (
-        line((x0, y0, bx, by), colour, width)
-        + f'<polygon points="{head}" fill="var(--{colour})"/>'
+        line((x0, y0, bx, by), colour, width) + f'<polygon points="{head}" fill="var(--{colour})"/>'
     )
 
 

@@ -84,8 +84,8 @@ def save_augmented() -> None:
     parts.append(words(x0, y0 + 34, "joint 2", "middle", SMALL, "faint"))
     parts.append(words(560, 290, "mass, first moments and inertia about joint 2:", "middle"))
     parts.append(words(560, 312, "ten numbers that never change as the robot moves", "middle"))
-    save("augmented", 830, 335, parts, "Body 2 with what it carries as a point mass at the joint "
-         "that carries it: the augmented body, whose ten numbers are barycentric parameters")  # fmt: skip
+    save("augmented", 830, 335, parts, "Body 2 with what it carries as a point mass at the "
+         "joint that carries it: the augmented body")  # fmt: skip
 
 
 def save_same_forces() -> None:
@@ -129,7 +129,7 @@ def fourier(tree: tb.Tree) -> tb.Motion:
 
 
 def indistinguishable(tree: tb.Tree) -> tb.Tree:
-    """The same tree with other bodies that have the same minimal parameters, by torques and plate."""
+    """The same tree with other bodies of the same minimal parameters, by torques and plate."""
     from testbed.parameters.barycentric import on_standard, with_standard
 
     seen = np.concatenate(
@@ -151,8 +151,8 @@ def save_errors() -> None:
     """Table 6 by plate and by torques."""
     run = tb.carry_out(tb.Experiment.load(EXPERIMENT))
     width, height, parts = error_dots(errors_of(run), METHODS)
-    save("errors", width, height, parts, "Relative errors of the nine parameters that both tell: by "
-         "the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
+    save("errors", width, height, parts, "Relative errors of the nine parameters that both tell: "
+         "by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
 
 
 def errors_of(run: Any) -> dict[str, dict[str, float]]:
@@ -172,7 +172,7 @@ def errors_of(run: Any) -> dict[str, dict[str, float]]:
 
 
 def save_sigma() -> None:
-    """One parameter by many experiments that differ by their noise alone, with intervals of 95 %."""
+    """One parameter by experiments that differ by their noise alone, with intervals of 95 %."""
     experiment = short(["motion.duration=10"])
     clean = replace(experiment.measurement, encoder_noise=0.0, encoder_resolution=0.0,
                     force_noise=0.0, moment_noise=0.0, torque_noise=0.0)  # fmt: skip

@@ -19,8 +19,10 @@ from tests.helpers.axe import axe, complaints
 from tests.helpers.browser import browser
 from tests.helpers.paths import ROOT
 
-KINDS = ("index", "tour", "api", "commands", "keys", "warnings", "gallery", "why-a-plate", "glossary",
-         "minimal-sets-explained", "your-plate", "robotran", "experiments")  # fmt: skip
+KINDS = (
+    "index", "tour", "api", "commands", "keys", "warnings", "gallery", "why-a-plate", "glossary",
+    "minimal-sets-explained", "your-plate", "robotran", "experiments",
+)  # fmt: skip
 """Pages of every kind."""
 LOADS = {"link": "href", "script": "src", "img": "src", "iframe": "src", "source": "srcset"}
 """Elements whose addresses a browser follows by itself, and where these stand."""

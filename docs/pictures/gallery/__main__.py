@@ -1,4 +1,4 @@
-"""Robots on their plates and what came of the experiments: `python -m docs.pictures.gallery [NAME ...]`.
+"""Robots on their plates, what came of the experiments: `python -m docs.pictures.gallery`.
 
 With names only these are made anew. All take some minutes; the robots of example-robot-data
 need the extra `dev`.
@@ -128,7 +128,9 @@ def compared(path: Path) -> dict[str, str]:
     shows = "Rms error of the plate's estimate with one fault at a time, and with its remedy"
     save(f"gallery/{path.stem}", width, height, parts, shows)
     cured = max(row["external"] for row in errors.values() if "external" in row)
-    said = f"Obtained: {len(errors) - 1} faults; with their remedies at most {percent(cured / 100)}."
+    said = (
+        f"Obtained: {len(errors) - 1} faults; with their remedies at most {percent(cured / 100)}."
+    )
     return {
         "claim": comparison.claim, "command": "compare", "obtained": said, "shows": shows,
     }  # fmt: skip
