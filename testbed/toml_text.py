@@ -16,6 +16,9 @@ from testbed.errors import ExperimentError, UnknownName
 LARGEST_FILE = 1_000_000
 """Bytes of a TOML file."""
 
+MODELS = (".urdf", ".xml", ".mjcf")
+"""Endings of model files, which people run where they mean an experiment."""
+
 LONGEST_KEY = 1000
 """Parts of a dotted key: the parser's memory grows with their square."""
 
@@ -54,6 +57,10 @@ def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
     except RecursionError:
         raise ExperimentError(f"{path}: not a readable TOML file: nested too deeply") from None
     except (OSError, ValueError) as error:
+        if path.suffix.lower() in MODELS and what == "experiment":
+            raise ExperimentError(
+                f"'{path}' is a model file, no experiment; testbed new {path} writes one for it"
+            ) from None
         raise ExperimentError(f"{path}: not a readable TOML file: {_of_parser(error)}") from None
 
 

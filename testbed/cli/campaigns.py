@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from contextlib import AbstractContextManager, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Set, app
+from testbed.cli.options import Set, app, note
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
@@ -137,4 +138,7 @@ def _engine(
         return workers_at(scheduler, tls)
     if tls is not None:
         raise typer.BadParameter("the TLS options go with --scheduler")
+    if workers is None and find_spec("distributed") is None:
+        note(["no Dask: one run after the other; pip install '.[cluster]' uses all processors"])
+        workers = 0
     return nullcontext(InThisProcess()) if workers == 0 else local_workers(workers)

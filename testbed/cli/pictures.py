@@ -212,7 +212,7 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
     from testbed.experiment.run_folder import read_run
 
     if not path.exists():
-        raise ExperimentError(f"there is no run folder or recording '{path}'")
+        raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
     if path.is_dir():
         return read_run(path)
     if model is None:
@@ -228,6 +228,18 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         doubt=reading.doubt(tree),
     )
     return replace(run, warnings=tuple(dict.fromkeys((*accepted, *run.warnings))))
+
+
+def _alike(path: Path) -> str:
+    """Run folders beside a path whose names go on from its own: a run's folder ends in a hash."""
+    if not path.name or not path.parent.is_dir():
+        return ""
+    found = [
+        str(each)
+        for each in path.parent.iterdir()
+        if each.name.startswith(path.name) and (each.is_dir() or each.suffix == ".parquet")
+    ]
+    return f"; there is {', '.join(sorted(found)[:3])}" if found else ""
 
 
 def _loaded(

@@ -32,7 +32,9 @@ def new(
 
     Example: testbed new models/puma562.xml
     """
-    if (robot is None) == (recording is None):
+    if robot is not None and recording is not None:
+        raise typer.BadParameter("name a robot's model file or --recording FILE, not both")
+    if robot is None and recording is None:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
     source = robot or recording
     assert source is not None

@@ -99,6 +99,6 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[str]:
     more = f" and of {others} more parameter{'s' * (others > 1)}" if others else ""
     yield (
         f"the {estimate.method} estimate of {estimate.names[worst]}{more} is off by more than "
-        f"{FAR:g} sigma ({far[worst]:.0f} at most): its errors are systematic, such as "
+        f"{FAR:g} sigma (up to {far[worst]:.0f}): its errors are systematic, such as "
         f"{CAUSES[estimate.method]}, and sigma does not tell them"
     )

@@ -213,7 +213,7 @@ def _findings(found: Validation) -> Iterator[Finding]:
             remedy = "compare the instrument at rest before both"
         yield Finding(
             channel_label(found.method, name),
-            f"is foretold {ratio:.3g} times worse than noise and sigma say ({told})",
+            f"is predicted {ratio:.3g} times worse than noise and sigma say ({told})",
             float(ratio),
             causes,
             remedy,

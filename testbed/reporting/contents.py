@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from testbed.experiment.predictions import predict
@@ -62,7 +63,8 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         ],
         "instrument": instrument_tables(run),
         "matrix": matrix_maps(run),
-        "maps": _maps(run.tree),
+        "maps": _maps(run.tree, run.settings.zeros),
+        "zeros": bool(run.settings.zeros),
         "origin": origin(run),
     }
 
@@ -91,7 +93,10 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     paths = f"the paths of its ends over {seconds_shown(recording.time):.3g} s"
     caption = f"The robot as the recording begins, and {paths}."
     if wrench is not None:
-        caption += " Red and blue, the bedplate's force and moment on it at that moment."
+        caption += (
+            " Red and blue, the bedplate's force and moment on it at that moment, about the "
+            "bedplate's origin; they are drawn beside it, so that nothing hides them."
+        )
     motion = recording.position[shown][::step]
     return {"svg": portrait(look, motion, wrench, name), "caption": caption}
 
@@ -149,10 +154,10 @@ def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> di
     return cell
 
 
-def _maps(tree: Tree) -> list[dict[str, Any]]:
+def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
     """What joint torques, and what the bedplate, can tell of each link's ten parameters."""
     tables = []
-    maps = identifiability(tree)[:2]
+    maps = identifiability(tree, zeros=zeros)[:2]
     first = FREE - 1 if tree.floating else 0  # what carries a base's coordinates has no matter
     names = [tree.joints[k].body if k < FREE else name for k, name in enumerate(tree.names)]
     for seen in maps[1:] if tree.floating else maps:

@@ -124,7 +124,7 @@ def origin(run: Run) -> Facts:
         facts.insert(0, ("model's SHA-256", str(known["model_sha256"])))
     if run.experiment is not None:
         facts.append(("seed", str(run.experiment.seed)))
-        facts.append(("again", "testbed run experiment.toml, with the file of the run folder"))
+        facts.append(("again, in the run folder", "testbed run experiment.toml"))
     return facts
 
 

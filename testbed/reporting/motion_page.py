@@ -144,5 +144,8 @@ def _allowed(found: Excitation) -> str:
     said = f"{rules.margin:.0%} of each limit may be used."
     if rules.collision is not None and rules.collision.pairs:
         least = 1000 * float(rules.clearance.max())
-        said += f" Distances are of shapes that no joint joins; {least:g} mm are to be kept."
+        said += (
+            f" Distances are of shapes that no joint joins. {least:g} mm are to be kept; what is "
+            "left of a clearance is beyond these."
+        )
     return " ".join([said, *rules.notes])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from testbed.experiment.run import Run
 from testbed.identification.estimate import Estimate
@@ -40,9 +41,12 @@ def plot(what: Run | Estimate) -> Picture:
     figure = Picture(figsize=(WIDTH, ROW * max(len(dots.names), 1) + FRAME + 0.5), layout="tight")
     axis = figure.subplots()
     draw(axis, dots, dots.range, COLOURS)
+    bar = Line2D([], [], color=COLOURS["faint"], linewidth=2.6, alpha=0.5)
     lines = [line for line in axis.get_lines() if line.get_marker() in {"o", "D"}]
     labels = [LEGEND[method] for method in dots.errors]
+    if dots.sigmas:
+        lines, labels = [*lines, bar], [*labels, "up to one sigma"]
     axis.legend(
-        lines, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, borderpad=0
+        lines, labels, loc="lower left", bbox_to_anchor=(0, 1), ncols=3, frameon=False, borderpad=0
     )
     return figure

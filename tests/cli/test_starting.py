@@ -33,7 +33,23 @@ def test_a_mapping_for_a_log(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("t,q1,q2\n" + "".join(f"{k / 100},0,{k}\n" for k in range(9)))
     done = command_line("new", "--recording", "log.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "q2" in (tmp_path / "log.toml").read_text()
+    text = (tmp_path / "log.toml").read_text()
+    assert 'columns = ["q1", "q2"]' in text
+    assert "\nrate = 0 " in text  # nobody knows the unit of t
+    assert "# [torque]  # no column looks like it" in text
+
+
+@pytest.mark.parametrize("name", ["timestamp_ms", "t [ms]", "time (ms)"])
+def test_a_clock_s_unit_may_be_in_its_name_and_is_confirmed(name: str, tmp_path: Path) -> None:
+    rows = "".join(f"{4 * k},0,{k}\n" for k in range(9))
+    (tmp_path / "log.csv").write_text(f"{name},q_hip_deg,tau_hip\n{rows}")
+    done = command_line("new", "--recording", "log.csv", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "log.toml").read_text()
+    assert "\nrate = 250 " in text
+    assert 'time_unit = ""' in text
+    assert "ms by its name" in text
+    assert 'columns = ["q_hip_deg"]' in text
 
 
 def test_one_thing_is_asked_for(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def test_the_ending_does_not_matter_where_the_content_tells(
 
 def test_an_unknown_format_lists_the_known_ones(tmp_path: Path) -> None:
     (tmp_path / "r.doc").write_text("time\n")
-    with pytest.raises(UnknownName, match=r"'.doc'.*known: .parquet"):
+    with pytest.raises(RecordingError, match=r"'.doc'.*known: .parquet.*testbed new --recording"):
         Recording.load(tmp_path / "r.doc")
     with pytest.raises(RecordingError, match="is no file"):
         Recording.load(tmp_path)

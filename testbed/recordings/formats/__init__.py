@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
-from testbed.errors import RecordingError, UnknownName
+from testbed.errors import RecordingError
 from testbed.recordings.columns import Table
 from testbed.recordings.magic import is_parquet
 
@@ -27,8 +27,7 @@ def open_table(path: Path) -> Table:
         path: The file; one without a known ending may be Parquet.
 
     Raises:
-        RecordingError: The file is missing or damaged.
-        UnknownName: The ending is that of no known format.
+        RecordingError: The file is missing or damaged, or its ending is that of no known format.
     """
     if not path.exists():
         raise RecordingError(f"there is no recording '{path}'")
@@ -37,7 +36,10 @@ def open_table(path: Path) -> Table:
     ending, known = path.suffix.lower(), formats()
     if ending not in known:  # a file's name never names code: only one of ours is imported
         if ending and not is_parquet(path):
-            raise UnknownName("format of a recording", ending, known)
+            raise RecordingError(
+                f"unknown format of a recording '{ending}' (known: {', '.join(known)}); another "
+                f"program's file becomes one by a mapping: testbed new --recording {path}"
+            )
         ending = ".parquet"
     found: Table = import_module(f"{__name__}{ending}").open_table(path)
     return found

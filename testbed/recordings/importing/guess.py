@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,9 @@ WORDS = {
     "wrench": ("force", "wrench", "moment", "fx", "fy", "fz", "mx", "my", "mz", "ft[", "w["),
 }
 """Parts of names by which columns are told apart."""
+
+COORDINATE = re.compile(r"(?:^|[/_. ])(?:q|theta|phi)(?:$|[0-9_.\[ ])")
+"""In the names of positions: q1, q_elbow, robot.q[3], theta_2."""
 
 TIME_WORDS = ("stamp", "time", "received", "sec", "t")
 """Names of times, or parts of them; the likeliest first."""
@@ -103,10 +107,16 @@ def _seen(name: str, topic: str | None, table: ForeignTable) -> Iterator[_Seen]:
         values = table.read([column])[column] if _like_time(column) < len(TIME_WORDS) else None
         if values is not None and len(values) > 1 and (np.diff(values) > 0).mean() > 0.5:
             steps = np.diff(values)
-            unit = TIMES.get(table.unit(column) or "", 1.0)
-            yield _Seen(name, topic, table, column, float(1 / (unit * np.median(steps[steps > 0]))))
+            unit = TIMES.get(table.unit(column) or _named_unit(column), 0.0)
+            step = float(unit * np.median(steps[steps > 0]))
+            yield _Seen(name, topic, table, column, 1 / step if step else 0.0)
             return
     yield _Seen(name, topic, table, None, 0.0)
+
+
+def _named_unit(column: str) -> str:
+    """What a name such as timestamp_ms or t [us] ends in: to be confirmed, for names may lie."""
+    return re.split(r"[^a-z]+", column.lower().rstrip(" )]"))[-1]
 
 
 def _like_time(column: str) -> int:
@@ -143,8 +153,10 @@ def _clock(seen: _Seen) -> list[str]:
     if seen.time is None:
         return ["rate = 0  # no column looks like times: samples a second [Hz]"]
     unit = seen.table.unit(seen.time)
-    said = [] if unit in TIMES else [f'time_unit = ""  # {", ".join(TIMES)}']
-    rate = f"  # {seen.rate:.6g} a second, by the median" if unit in TIMES else ""
+    named = _named_unit(seen.time)
+    hint = f"; {named} by its name" if named in TIMES else ""
+    said = [] if unit in TIMES else [f'time_unit = ""  # {", ".join(TIMES)}{hint}']
+    rate = f"  # {seen.rate:.6g} a second, by the median" if seen.rate else ""
     return [f"time = {json.dumps(seen.time)}{rate}", *said]
 
 
@@ -165,11 +177,21 @@ def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
             ]
         raw = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         return [*lines, f'unit = ""  # {", ".join(UNITS[kind])}{raw}']
-    return ["", f"# [{kind}]  no column looks like it"] if kind in ("position", "torque") else []
+    if kind not in ("position", "torque"):
+        return []
+    more = "" if kind == "position" else ", if there are any"
+    return [
+        "",
+        f"# [{kind}]  # no column looks like it{more}",
+        f'# source = "{seen[0].name}"',
+        "# columns = []  # one a joint",
+        f'# unit = ""  # {", ".join(UNITS[kind])}',
+    ]
 
 
 def _kind(column: str) -> str | None:
     """What a column looks like, by its name."""
     name = column.lower()
     order = ("wrench", "torque", "acceleration", "velocity", "position")
-    return next((kind for kind in order if any(w in name for w in WORDS[kind])), None)
+    found = next((kind for kind in order if any(w in name for w in WORDS[kind])), None)
+    return found or ("position" if COORDINATE.search(name) else None)
