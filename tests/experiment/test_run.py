@@ -141,7 +141,8 @@ def test_errors_that_sigma_does_not_tell_are_named() -> None:
     (line,) = systematic_errors(off, replace(errors, z=z, relative=relative))
     name = estimate.names[3]
     assert line.startswith(
-        f"the internal estimate of {name} and of 1 more parameter is off by more than 5 sigma (up to 40)"
+        f"the internal estimate of {name} and of 1 more parameter is off by more than 5 sigma "
+        "(up to 40)"
     )
     assert "torque constant" in line
 

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
-from testbed.errors import RecordingError, UnknownName
+from testbed.errors import RecordingError
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import ideal
 from tests.helpers.robots import random_robot

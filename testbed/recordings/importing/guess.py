@@ -123,7 +123,7 @@ def _like_time(column: str) -> int:
     """How little a name is one of times: its place among the words."""
     last = column.lower().rpartition("/")[2]
     for k, word in enumerate(TIME_WORDS):
-        if last == word or (len(word) > 1 and word in last):
+        if word in last if len(word) > 1 else re.split(r"[^a-z0-9]", last)[0] == word:
             return k
     return len(TIME_WORDS)
 
