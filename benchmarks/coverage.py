@@ -20,7 +20,6 @@ from benchmarks import random_recordings
 from benchmarks.random_recordings import NOISES, ROBOTS, ROOT, SPEEDS, instrument
 from testbed.arrays import Array
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.trace_findings import trace_findings
 from testbed.instruments.encoders import EncoderResolution
 from testbed.instruments.fault import Fault
 from testbed.recordings.recording import Recording
@@ -81,7 +80,7 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         scores.append((estimate.values - truth) / estimate.sigma)
         errors.append((estimate.values - truth) / truth)
         names = estimate.names
-        alarms += any(trace_findings(estimate))
+        alarms += bool(estimate.findings)
         steps += estimate.noise is not None and estimate.noise.steps_matter
         if sys.stderr.isatty():
             print(f"\r{seed - first + 1} of {runs}", end="", file=sys.stderr)
@@ -106,8 +105,8 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         "total_mass": _share(each[mass].mean()) if mass.any() else None,
         "rms_z": _share(float(np.sqrt(np.mean(np.square(scores))))),
         "error_of_nine": float(f"{np.sqrt(np.mean(np.square(errors)[:, :9])):.3g}"),
-        "faults_seen": _share(alarms / runs),
-        "steps_seen": _share(steps / runs),
+        "findings": _share(alarms / runs),
+        "coarse_encoders": _share(steps / runs),
         "cpu_seconds": round(taken / runs, 2),
     }
     if study.method == "internal":

@@ -8,7 +8,7 @@ error is that method's; the recording holds what both need, and whatever is said
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,18 +31,18 @@ HARMFUL, SIGMAS = 0.02, 8.0
 """Relative error, and in sigmas, above which an estimate may not be silent."""
 
 CAUSES: Mapping[str, str] = {
-    "sign": "sign",
-    "tare": "tare",
-    "unit": "N mm|lbf|kgf|degrees|unit|gain|tare",
-    "gain": "gain|scale|torque constant",
-    "drift": "drift",
-    "channel": "saturated|extreme|always|not connected",
-    "order": "exchanged|another joint",
-    "clock": "late|clock|rate|repeat|lost",
-    "pose": "turned|shifted|another point|height",
-    "zero": "zero",
-    "model": "model lacks|geometry|pose|turned|zeros|scale",
-    "gravity": "gravity|sign",
+    "sign": r"\bsigns?\b",
+    "tare": r"\btare\b",
+    "unit": r"N mm|lbf|kgf|degrees|\bunits?\b|\bgains?\b",
+    "gain": r"\bgains?\b|\bscales? of the encoders|torque constant|unit or gain",
+    "drift": r"\bdrifts?\b",
+    "channel": r"saturated|not connected|at its limit|filled in",
+    "order": r"exchanged|another joint",
+    "clock": r"\blate\b|clocks|sampling rate|samples lost",
+    "pose": r"turned|shifted|another point|height",
+    "zero": r"zeros? of the encoders|another zero",
+    "model": r"the model lacks|turned or shifted|zeros of the encoders|scales of the encoders",
+    "gravity": r"gravity",
 }
 """What one of the first causes should speak of, by the kind of fault."""
 
@@ -149,10 +149,15 @@ def _line(
         "method": method,
         "error": float(f"{(error / np.abs(truth))[: minimal.count].max():.3g}"),
         "sigmas": float(f"{(error / estimate.sigma).max():.3g}"),
-        "named": any(re.search(CAUSES[kind], line) for line in warned + beside) if kind else None,
+        "named": _named(CAUSES[kind], warned + beside) if kind else None,
         "warned": warned,
         "beside": beside,
     }
+
+
+def _named(words: str, lines: Sequence[str]) -> bool:
+    """Whether a cause of these words is among the first of any line; some lines are one cause."""
+    return any(re.search(words, line.partition("; likely ")[2] or line) for line in lines)
 
 
 def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[str]:

@@ -20,6 +20,7 @@ from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.late import Lateness, lateness
 from testbed.identification.noise.noisy_columns import PositionNoise
 from testbed.identification.noise.repetition import RepetitionSums
 from testbed.identification.noise.replicas import Replicas
@@ -29,6 +30,7 @@ from testbed.identification.noise.units import NOTHING, Beside, Products, Units,
 from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
+from testbed.identification.windows import Plan
 
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
@@ -111,6 +113,7 @@ def under_coloured_noise(
         least_counts=encoders.least_counts,
         by_counts=share,
         repetition=repeated.found() if repeated else None,
+        lateness=_lateness(units, given, answer, start.values, factor, passes.plan),
     )
     tests = clues.found(units.lead[:p])
     own, others, across = covariance[:p, :p], covariance[p:, p:], covariance[:p, p:]
@@ -147,6 +150,16 @@ def _answer(units: Units, given: Products, whole: bool) -> Answer:
     """The fit that suits the rows, of what is free."""
     noise = None if given.noise is None else units.as_free(given.noise)
     return averaged_fit(units.as_free(given.every), noise, whole)
+
+
+def _lateness(
+    units: Units, given: Products, answer: Answer, values: Array, factor: float, plan: Plan
+) -> Lateness | None:
+    """Of joint torques; of the plate, traces are looked for that tell more."""
+    if plan.layout.model == "reaction" or units.facts is not None or len(plan.weights) == 1:
+        return None
+    start = np.asarray(np.linalg.solve(units.white, values), dtype=np.float64)
+    return lateness(given.every, answer.found, start, factor, plan.rate)
 
 
 def _by_facts(

@@ -18,7 +18,7 @@ from testbed.identification.noise_warnings import noise_warnings
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
-from testbed.identification.trace_findings import trace_findings
+from testbed.identification.trace_findings import noisy, trace_findings
 from testbed.robot.shafts import shares
 from testbed.robot.tree import Tree
 
@@ -59,6 +59,12 @@ ALIKE = 0.9
 DIFFERENT = 0.1
 """How far that factor must be from one to be the cause."""
 
+UNLIKELY = 6.0
+"""Sigmas by which torques are late that are not late by chance."""
+
+UNTIMELY = ("friction that is not among the terms", "a sampling rate that is not the stated one")
+"""What looks like torques that are late."""
+
 OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
     "external": (
         "exchanged channels or encoders",
@@ -93,6 +99,7 @@ def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tup
         negative += _mass(estimate, tree, survey.measured, tare)
     else:
         negative += _friction(estimate)
+        found += _late(estimate)
     found += [*negative, *trace_findings(estimate), *_residuals(estimate, tree)]
     if not negative:
         found += _impossible(estimate)
@@ -198,6 +205,22 @@ def _friction(estimate: Estimate) -> Iterator[Finding]:
                 ("the sign of the joint's torque or encoder", "exchanged joints", "late torques"),
                 "check each torque against its joint's velocity",
             )
+
+
+def _late(estimate: Estimate) -> Iterator[Finding]:
+    """Torques that follow the motion, or go before it."""
+    found = None if estimate.noise is None else estimate.noise.lateness
+    if found is None or abs(found.z) < UNLIKELY or not noisy(estimate):
+        return
+    late, early = "torques that are late", "encoders that are late"
+    yield Finding(
+        "the joint torques",
+        f"are {'behind' if found.z > 0 else 'ahead of'} the motion, by "
+        f"{1e3 * abs(found.delay):.2g} ms at least ({abs(found.z):.0f} sigma)",
+        found.delay,
+        (late if found.z > 0 else early, *UNTIMELY),
+        "record torques and encoders by one clock, and look at the drives' filters",
+    )
 
 
 def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:

@@ -35,9 +35,9 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
     Args:
         estimate: With its tests, the clearest first.
     """
-    tests, rms = estimate.trace_tests, estimate.normal_equations.rms
-    if not np.any(estimate.residual > FILTERED * rms.max(initial=0.0)):
-        return  # no noise: what the filter on positions takes from the motion is left
+    tests = estimate.trace_tests
+    if not noisy(estimate):
+        return
     clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
     if not clear:
         yield from _repetition(estimate)
@@ -54,6 +54,16 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
         (*named, *leaning, LACKING),
         best.nuisance.remedy,
     )
+
+
+def noisy(estimate: Estimate) -> bool:
+    """Whether residuals are more than what the filter on positions takes from the motion.
+
+    Args:
+        estimate: Of either method.
+    """
+    rms = estimate.normal_equations.rms
+    return bool(np.any(estimate.residual > FILTERED * rms.max(initial=0.0)))
 
 
 def _repetition(estimate: Estimate) -> Iterator[Finding]:

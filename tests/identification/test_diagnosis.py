@@ -120,6 +120,24 @@ def test_a_fault_is_told_with_its_cause(fault: str, puma: tb.Tree, recording: Re
     assert all("\n" not in line for line in estimate.warnings)
 
 
+@pytest.mark.parametrize("name", ["puma", "ur5", "gantry_ppp_rrr"])
+@pytest.mark.parametrize("samples", [4, -4])
+def test_joint_torques_that_are_late_are_told_without_a_plate(name: str, samples: int) -> None:
+    """By 20 ms, or early: then the encoders are late."""
+    tree = tb.load_tree(ROBOTS[name])
+    whole = measured(tree, duration=60.0)
+    part = slice(8, whole.samples - 8)
+    torque = np.roll(whole.measured("torque"), samples, axis=0)[part]
+    late = replace(whole.part(part.start, part.stop), torque=torque)
+    estimate = tb.identify(tree, late, "internal")
+    (line,) = (x for x in estimate.warnings if "the joint torques are" in x)
+    way, cause = ("behind", "torques") if samples > 0 else ("ahead of", "encoders")
+    assert f"are {way} the motion" in line
+    assert f"likely {cause} that are late" in line
+    sound = tb.identify(tree, whole, "internal")
+    assert sound.findings == ()
+
+
 SEEN = ("sign", "unit", "tare", "order", "channel", "gravity")
 """Kinds of faults that need no statistics of the residuals."""
 

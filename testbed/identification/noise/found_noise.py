@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from testbed.arrays import Array
+from testbed.identification.noise.late import Lateness
 from testbed.identification.noise.repetition import Repetition
 
 COARSE = 0.05
@@ -31,6 +32,7 @@ class FoundNoise:
             (n,) [rad or m]; empty if there are none.
         by_counts: Part of the whitened residuals that such counts account for.
         repetition: Whether the residuals repeat with the motion; None where that cannot be told.
+        lateness: Of joint torques against the encoders; None of a plate.
     """
 
     order: int
@@ -46,6 +48,7 @@ class FoundNoise:
     least_counts: tuple[float, ...] = ()
     by_counts: float = 0.0
     repetition: Repetition | None = None
+    lateness: Lateness | None = None
 
     @property
     def steps_matter(self) -> bool:
