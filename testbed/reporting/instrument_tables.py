@@ -55,8 +55,11 @@ def _repetition(found: Repetition, channels: Sequence[str]) -> dict[str, Any]:
     return {
         "caption": f"Part of the residuals that repeats with the motion, every {found.period:.4g} "
         f"s: chance {_chance(found.chance)} in mere noise",
-        "heads": list(channels),
-        "rows": [[f"{max(0.0, share):.0%}" for share in found.share]],
+        "heads": ["channel", "part"],
+        "rows": [
+            [channel, f"{max(0.0, share):.0%}"]
+            for channel, share in zip(channels, found.share, strict=True)
+        ],
     }
 
 

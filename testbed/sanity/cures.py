@@ -83,7 +83,9 @@ def mistake_finding(
     )
 
 
-def gain_finding(tree: Tree, sizes: Array, least: float, most: float) -> Finding:
+def gain_finding(
+    tree: Tree, sizes: Array, least: float, most: float, mapping: Mapping[str, Any]
+) -> Finding:
     """Torques that are far from what masses of that order make.
 
     Args:
@@ -91,6 +93,7 @@ def gain_finding(tree: Tree, sizes: Array, least: float, most: float) -> Finding
         sizes: Times what the model file's masses say, (n,).
         least: Below this they are doubted.
         most: Above this.
+        mapping: What the recording's mapping file says; empty if it has none.
     """
     told = [k for k in range(tree.n) if np.isfinite(sizes[k])]
     odd = [k for k in told if not least < sizes[k] < most]
@@ -106,7 +109,7 @@ def gain_finding(tree: Tree, sizes: Array, least: float, most: float) -> Finding
         f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" with '
         f"gain about {needed}"
         if small
-        else "[torque] unit"
+        else f"[torque] unit{_smaller_unit(sizes[told], mapping)}"
     )
     return Finding(
         "the torque",
@@ -116,6 +119,14 @@ def gain_finding(tree: Tree, sizes: Array, least: float, most: float) -> Finding
         causes,
         f"in the mapping: {cure}",
     )
+
+
+def _smaller_unit(sizes: Array, mapping: Mapping[str, Any]) -> str:
+    """The unit a thousand times smaller than the mapping's, where torques are so many too large."""
+    smaller = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m"}
+    unit = mapping.get("torque", {}).get("unit")
+    thousand = 0.5 < np.median(sizes) / 1e3 < 2.0
+    return f' = "{smaller[unit]}"' if thousand and unit in smaller else ""
 
 
 def position_finding(tree: Tree, position: Array, outside: float) -> Iterator[Finding]:

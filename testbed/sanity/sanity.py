@@ -122,12 +122,12 @@ def check_sanity(tree: Tree, source: Source) -> Sanity:
     told = sizes[np.isfinite(sizes)]
     doubtful = told if clear else np.median(told, keepdims=True) if len(told) else told
     beyond = gain > LIKELY and sized.free_gains and not _within(doubtful, LEAST, MOST)
-    size = [gain_finding(tree, sizes, LEAST, MOST)] if beyond else []
+    size = [gain_finding(tree, sizes, LEAST, MOST, mapping)] if beyond else []
     outside = [] if clear else position_finding(tree, signals.position, OUTSIDE)
     certain = [*outside, *(wrong if clear else []), *size]
     likely = wrong if not clear and gain > LIKELY else []
     if not beyond and not _within(sizes, SMALL, LARGE):
-        likely = [*likely, gain_finding(tree, sizes, SMALL, LARGE)]
+        likely = [*likely, gain_finding(tree, sizes, SMALL, LARGE, mapping)]
     return Sanity(
         tree.names, sized.fit.factors, sized.fit.left, sizes, tuple(certain), tuple(likely)
     )

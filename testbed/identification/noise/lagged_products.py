@@ -88,7 +88,7 @@ class LaggedProducts:
             inner: B, symmetric, (q, q).
             order: P, at most K.
         """
-        whole = np.einsum("kcij,ij->kc", self.products[: order + 1], inner)
+        whole = np.tensordot(self.products[: order + 1], inner, 2)
         first, last = (each @ inner @ each.swapaxes(2, 3) for each in (self.first, self.last))
         found, size = np.zeros((len(whole[0]), order + 1, order + 1)), self.last.shape[2]
         for i in range(order + 1):

@@ -29,8 +29,20 @@ WORDS = {
 }
 """Parts of names by which columns are told apart."""
 
-COORDINATE = re.compile(r"(?:^|[/_. ])(?:q|theta|phi)(?:$|[0-9_.\[ ])")
-"""In the names of positions: q1, q_elbow, robot.q[3], theta_2."""
+SYMBOLS = {
+    "q": "position", "theta": "position", "qpos": "position",
+    "qd": "velocity", "dq": "velocity", "qvel": "velocity", "qdot": "velocity",
+    "qdd": "acceleration", "ddq": "acceleration", "qacc": "acceleration",
+    "i": "torque", "tau": "torque",
+    "quat": "base", "quaternion": "base", "orientation": "base", "pose": "base", "base": "base",
+}  # fmt: skip
+"""Words of names, whole, that say more than their parts."""
+
+TIME_UNITS = {"sec": "s", "msec": "ms", "usec": "us", "nsec": "ns"} | {u: u for u in TIMES}
+"""Words of names that say the unit of a time."""
+
+EPOCH = 1e9
+"""Seconds since 1970 are one to three times as many: times of that size tell their unit."""
 
 TIME_WORDS = ("stamp", "time", "received", "sec", "t")
 """Names of times, or parts of them; the likeliest first."""
@@ -51,6 +63,7 @@ class _Seen:
     table: ForeignTable
     time: str | None
     rate: float
+    time_unit: str | None = None
 
 
 def guessed(path: Path, folder: Path) -> str:
@@ -78,7 +91,7 @@ def guessed(path: Path, folder: Path) -> str:
         lines += ["", *_listed(each.table), f"[sources.{each.name}]", f"file = {file}"]
         lines += [f"topic = {json.dumps(each.topic)}"] if each.topic is not None else []
         lines += _clock(each)
-    for kind in (*KINDS, "wrench"):
+    for kind in (*KINDS, "wrench", "base"):
         lines += _signal(kind, seen)
     return "\n".join(lines) + "\n"
 
@@ -107,16 +120,30 @@ def _seen(name: str, topic: str | None, table: ForeignTable) -> Iterator[_Seen]:
         values = table.read([column])[column] if _like_time(column) < len(TIME_WORDS) else None
         if values is not None and len(values) > 1 and (np.diff(values) > 0).mean() > 0.5:
             steps = np.diff(values)
-            unit = TIMES.get(table.unit(column) or _named_unit(column), 0.0)
-            step = float(unit * np.median(steps[steps > 0]))
-            yield _Seen(name, topic, table, column, 1 / step if step else 0.0)
+            step, unit = float(np.median(steps[steps > 0])), _time_unit(table, column, values)
+            known = unit is not None or step < 1  # seconds, or nobody knows
+            rate = 1 / (TIMES[unit or "s"] * step) if known else 0.0
+            yield _Seen(name, topic, table, column, rate, unit)
             return
     yield _Seen(name, topic, table, None, 0.0)
 
 
-def _named_unit(column: str) -> str:
-    """What a name such as timestamp_ms or t [us] ends in: to be confirmed, for names may lie."""
-    return re.split(r"[^a-z]+", column.lower().rstrip(" )]"))[-1]
+def _time_unit(table: ForeignTable, column: str, values: Array) -> str | None:
+    """The file's word for a time's unit, or what its name or its size says; None for nothing."""
+    if table.unit(column) in TIMES:
+        return table.unit(column)
+    named = [TIME_UNITS[word] for word in _words(column) if word in TIME_UNITS]
+    sized = [
+        unit
+        for unit in ("s", "ms", "us", "ns")
+        if EPOCH < np.median(values) * TIMES[unit] < 3 * EPOCH
+    ]
+    return next(iter([*named[-1:], *sized]), None)
+
+
+def _words(column: str) -> list[str]:
+    """The words of a name, in small letters."""
+    return re.findall("[a-z]+", column.lower())
 
 
 def _like_time(column: str) -> int:
@@ -152,12 +179,11 @@ def _clock(seen: _Seen) -> list[str]:
     """Keys of a source's clock."""
     if seen.time is None:
         return ["rate = 0  # no column looks like times: samples a second [Hz]"]
-    unit = seen.table.unit(seen.time)
-    named = _named_unit(seen.time)
-    hint = f"; {named} by its name" if named in TIMES else ""
-    said = [] if unit in TIMES else [f'time_unit = ""  # {", ".join(TIMES)}{hint}']
-    rate = f"  # {seen.rate:.6g} a second, by the median" if seen.rate else ""
-    return [f"time = {json.dumps(seen.time)}{rate}", *said]
+    unit, found = seen.table.unit(seen.time), seen.time_unit
+    likely = "likely; " if found else ""
+    said = [f'time_unit = "{found or ""}"  # {likely}{", ".join(TIMES)}']
+    rate = f"  # {seen.rate:.6g} a second, by the median" if found else ""
+    return [f"time = {json.dumps(seen.time)}{rate}", *(said if unit not in TIMES else [])]
 
 
 def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
@@ -175,6 +201,14 @@ def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
                 'sense = ""  # on_robot (at rest upwards) or on_plate',
                 "# place = { xyz = [0, 0, 0], rpy = [0, 0, 0] }  # of the sensor [m, rad]",
             ]
+        if kind == "base":
+            return [
+                *lines[:3],
+                f"# of these: {json.dumps(columns)}",
+                'position = ["", "", ""]',
+                'unit = ""  # m, cm, mm, inch',
+                'quaternion = ["", "", "", ""]  # w, x, y, z, in this order',
+            ]
         raw = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         return [*lines, f'unit = ""  # {", ".join(UNITS[kind])}{raw}']
     if kind not in ("position", "torque"):
@@ -191,7 +225,8 @@ def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
 
 def _kind(column: str) -> str | None:
     """What a column looks like, by its name."""
-    name = column.lower()
+    name, words = column.lower(), _words(column)
+    if found := [SYMBOLS[word] for word in words if word in SYMBOLS]:
+        return found[-1]
     order = ("wrench", "torque", "acceleration", "velocity", "position")
-    found = next((kind for kind in order if any(w in name for w in WORDS[kind])), None)
-    return found or ("position" if COORDINATE.search(name) else None)
+    return next((kind for kind in order if any(w in name for w in WORDS[kind])), None)
