@@ -108,6 +108,7 @@ def test_no_block_hides_by_its_indent(page: Path) -> None:
     """Four blanks after an empty line are code, too, which nothing here would see."""
     prose = FENCE.sub("", page.read_text())
     assert not re.search(r"(?<=\n)\n {4,}[^\s*-]", prose)
+    assert not re.search(r"\n +```", prose)
 
 
 FAST = [page for page, blocks in RUN.items() if any(not b.slow for b in blocks)]
