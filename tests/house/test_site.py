@@ -120,6 +120,14 @@ def test_no_page_loads_anything_from_a_network(site: Path) -> None:
         assert not re.search(r'(href|src)="(https?:)?//', drawing.read_text()), drawing
 
 
+def test_every_link_and_picture_of_a_page_is_there(site: Path) -> None:
+    """The strict build looks at pages, not at pictures and files."""
+    for page in site.rglob("*.html"):
+        for address in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
+            if page.name != "404.html" and not re.match(r"\w+:", address):
+                assert (page.parent / address).exists(), f"{page.name}: {address}"
+
+
 def test_formulas_are_formulas(site: Path) -> None:
     for name in ("api", "barycentric-parameters", "sigma"):
         text = (site / f"{name}.html").read_text()
