@@ -20,6 +20,9 @@ MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 BOLD = "font-weight: 600"
 SMALL = "font-size: 12px"
 METHODS = {"external": "force plate", "internal": "joint torques"}
+WALL, SPRING = 0.05, 0.1
+"""Of a barrier that keeps bodies possible, and of what keeps them near [kg]."""
+PATIENT = {"maxiter": 8000, "maxfev": 8000, "adaptive": True}
 TIMES = 40
 """Experiments that differ by their noise alone."""
 
@@ -94,7 +97,10 @@ def save_same_forces() -> None:
     other = indistinguishable(tree)
     sampled = fourier(tree)
     torque = [tb.joint_forces(each, sampled)[:, 1] for each in (tree, other)]
+    wrench = [tb.base_wrench(each, sampled) for each in (tree, other)]
     assert np.allclose(*torque, rtol=0, atol=1e-9)
+    assert np.allclose(*wrench, rtol=0, atol=1e-9)
+    assert all(np.linalg.eigvalsh(body.pseudo).min() > 0 for body in other.inertias)
     parts = [words(20, 24, "Two robots: their second links", "start", BOLD)]
     rows = [tb.standard(each)[1] for each in (tree, other)]
     for k, (name, one, two) in enumerate(zip(STANDARD, *rows, strict=True)):
@@ -129,17 +135,34 @@ def fourier(tree: tb.Tree) -> tb.Motion:
 
 
 def indistinguishable(tree: tb.Tree) -> tb.Tree:
-    """The same tree with other bodies of the same minimal parameters, by torques and plate."""
+    """The same tree with other bodies of the same minimal parameters, by torques and plate.
+
+    They can exist, too: the second link is light, while a barrier keeps pseudo-inertias positive
+    and a spring the rest near what it was.
+    """
+    from scipy.optimize import minimize
+
     from testbed.parameters.barycentric import on_standard, with_standard
 
     seen = np.concatenate(
         [on_standard(tree, tb.minimal_set(tree, model).matrix) for model in ("dynamic", "reaction")]
     )
     blind = np.linalg.svd(seen)[2][np.linalg.matrix_rank(seen) :]
-    second = blind[:, 10:20]
-    step = blind.T @ (second @ np.sign(tb.standard(tree)[1]))
-    theta = tb.standard(tree).ravel() + 1.5 * step
-    return with_standard(tree, theta.reshape(tree.n, 10))
+    own = tb.standard(tree).ravel()
+
+    def other(step: np.ndarray) -> tb.Tree:
+        return with_standard(tree, (own + step @ blind).reshape(tree.n, 10))
+
+    def heavy(step: np.ndarray) -> float:
+        bodies = [body.pseudo for body in other(step).inertias]
+        if min(np.linalg.eigvalsh(body).min() for body in bodies) <= 0:
+            return np.inf
+        mass = (own + step @ blind)[10]
+        wall = sum(np.linalg.slogdet(body)[1] for body in bodies)
+        return mass - WALL * wall + SPRING * float(step @ step)
+
+    found = minimize(heavy, np.zeros(len(blind)), method="Nelder-Mead", options=PATIENT)
+    return other(found.x)
 
 
 def short(more: list[str]) -> tb.Experiment:

@@ -1,4 +1,4 @@
-"""docs/extending.md: for everything that can be added, the one file to write, as printed."""
+"""docs/extending.md: a format of recordings as printed, at work; its blocks run with all others."""
 
 from __future__ import annotations
 
@@ -16,23 +16,6 @@ from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
 
 TEXT = (ROOT / "docs/extending.md").read_text()
-
-
-def blocks(heading: str) -> list[str]:
-    part = next(p for p in TEXT.split("\n## ") if p.startswith(heading))
-    return re.findall(r"```python\n(.*?)```", part, re.DOTALL)
-
-
-@pytest.mark.slow
-def test_every_example_runs_as_printed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One after the other, as a reader would type them."""
-    monkeypatch.chdir(ROOT)
-    scope: dict[str, Any] = {"__name__": "extending"}
-    found = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
-    assert len(found) >= 4
-    for block in found:
-        exec(compile(block, "docs/extending.md", "exec", dont_inherit=True), scope)
-    assert "cubic/elbow" in scope["estimate"].names
 
 
 def test_a_format_is_one_module_more(

@@ -26,6 +26,8 @@ KINDS = (
 """Pages of every kind."""
 LOADS = {"link": "href", "script": "src", "img": "src", "iframe": "src", "source": "srcset"}
 """Elements whose addresses a browser follows by itself, and where these stand."""
+LISTS = ("claims.md", "limits.md", "dependencies.md")
+"""Pages that are one table each: a picture would tell nothing more."""
 NO_FETCH = ("canonical", "prev", "next")
 """Links that only say something."""
 
@@ -58,6 +60,12 @@ def test_the_navigation_leads_to_every_page_once() -> None:
     found = list(nav())
     assert len(found) == len(set(found))
     assert {path.name for path in (ROOT / "docs").glob("*.md")} <= set(found)
+
+
+def test_every_page_has_a_picture_an_example_or_a_formula() -> None:
+    for path in (ROOT / "docs").glob("*.md"):
+        if path.name not in LISTS:
+            assert re.search(r"^!\[|^```|\$", path.read_text(), re.MULTILINE), path.name
 
 
 @pytest.mark.parametrize("module", [api, commands, gallery, keys], ids=lambda m: m.__name__)
@@ -110,6 +118,14 @@ def test_no_page_loads_anything_from_a_network(site: Path) -> None:
         assert not re.search(r"(url\(|@import)\s*[\"']?(https?:)?//", style.read_text()), style
     for drawing in site.rglob("*.svg"):
         assert not re.search(r'(href|src)="(https?:)?//', drawing.read_text()), drawing
+
+
+def test_every_link_and_picture_of_a_page_is_there(site: Path) -> None:
+    """The strict build looks at pages, not at pictures and files."""
+    for page in site.rglob("*.html"):
+        for address in re.findall(r'(?:href|src)="([^"#?]+)', page.read_text()):
+            if page.name != "404.html" and not re.match(r"\w+:", address):
+                assert (page.parent / address).exists(), f"{page.name}: {address}"
 
 
 def test_formulas_are_formulas(site: Path) -> None:
