@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,10 @@ RATE = 10.0
 TRUE = np.array([3.0, -2.0, 0.5])
 
 
-def products(delay: float, seed: int, gaps: bool = False, noise: float = 0.05) -> LaggedProducts:
-    """Two channels of slow columns, measured late by so much."""
+def products(
+    delay: float, seed: int, gaps: bool = False, noise: float = 0.05, slow: float = 0.0
+) -> LaggedProducts:
+    """Two channels of slow columns, measured late by so much; noise that goes on to next rows."""
     rng = np.random.default_rng(seed)
     time = np.arange(600) / RATE
     waves, phases = rng.uniform(0.1, 0.8, (2, 3)), rng.uniform(0, 6, (2, 3))
@@ -23,7 +27,10 @@ def products(delay: float, seed: int, gaps: bool = False, noise: float = 0.05) -
     def columns(at: Array) -> Array:
         return np.asarray(np.sin(2 * np.pi * waves[:, None] * at[:, None] + phases[:, None]))
 
-    measured = columns(time - delay) @ TRUE + noise * rng.normal(size=(2, len(time)))
+    rest = rng.normal(size=(2, len(time)))
+    for k in range(1, len(time)):
+        rest[:, k] = slow * rest[:, k - 1] + np.sqrt(1 - slow**2) * rest[:, k]
+    measured = columns(time - delay) @ TRUE + noise * rest
     ones = np.ones((2, len(time)))
     if gaps:
         ones[:, rng.random(len(time)) < 0.1] = 0.0
@@ -64,6 +71,23 @@ def test_chance_makes_no_delays(gaps: bool) -> None:
     z = [found(products(0.0, seed, gaps), TRUE).z for seed in range(100, 300)]
     assert np.std(z) == pytest.approx(1.0, abs=0.2)
     assert abs(np.mean(z)) < 0.25
+
+
+@pytest.mark.parametrize("slow", [0.3, 0.6])
+def test_nor_does_chance_that_goes_on(slow: float) -> None:
+    z = [found(products(0.0, seed, slow=slow), TRUE).z for seed in range(300, 500)]
+    assert 0.6 < np.std(z) < 1.25
+    assert np.max(np.abs(z)) < 5
+
+
+def test_a_channel_whose_noise_is_foretold_wholly_counts_as_it_is() -> None:
+    """Few rows, and a model of the noise that leaves nothing of them: that is no certainty."""
+    left = products(0.0, 4)
+    fit = weighted_fit(left)
+    nothing = replace(fit.noise, sigma=np.array([0.0, fit.noise.sigma[1]]))
+    sure = lateness(left, replace(fit, noise=nothing), np.zeros(3), 1.0, RATE)
+    plain = lateness(left, fit, np.zeros(3), 1.0, RATE)
+    assert sure == plain
 
 
 def test_too_few_lags_say_nothing() -> None:
