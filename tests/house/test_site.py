@@ -160,7 +160,7 @@ def test_the_search_finds_from_disk(site: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [1200, 390])
+@pytest.mark.parametrize("width", [1440, 390])
 def test_no_page_scrolls_sideways_or_complains(site: Path, tmp_path: Path, width: int) -> None:
     with browser(tmp_path, width) as seen:
         for page in nav():
@@ -171,7 +171,7 @@ def test_no_page_scrolls_sideways_or_complains(site: Path, tmp_path: Path, width
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("width", "dark"), [(1200, False), (1200, True), (390, False)], ids=["light", "dark", "phone"]
+    ("width", "dark"), [(1440, False), (1440, True), (390, False)], ids=["light", "dark", "phone"]
 )
 def test_pages_are_accessible(site: Path, tmp_path: Path, width: int, dark: bool) -> None:
     source = axe()
