@@ -208,6 +208,18 @@ def coverage(
 
 
 @app.command()
+def squatting(
+    runs: Annotated[int, typer.Option(min=1, help="Recordings of 40 s.")] = 12,
+    first: Annotated[int, typer.Option(help="The first seed.")] = 7100,
+) -> None:
+    """Errors in sigmas of a humanoid on plates with a measured pose, beside normal ones."""
+    from benchmarks.squatting import scores
+
+    for line in scores(first, runs):
+        _print(line)
+
+
+@app.command()
 def accuracy(
     runs: Annotated[int, typer.Option(min=2, help="Recordings of each kind.")] = 40,
     first: Annotated[int, typer.Option(help="The first seed.")] = 9000,

@@ -82,11 +82,10 @@ def whitened_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     """
     m = given.products.shape[2] - 2
     found = _weighted(given.products[0], given.rows, m)
-    if order is None:
+    if order is None:  # by residuals as they are: of coloured noise weights alone take less
         highest = _highest(given, m)
-        order = highest and best_order(
-            _moments(given, found, highest), given.after(highest), highest
-        )
+        left = given.moments(_of_residuals(found.values), highest)
+        order = highest and best_order(left, given.after(highest), highest)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, found, order), order)
         white = given.whitened(coefficients)
@@ -185,12 +184,16 @@ def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
 
     Those of the residuals, what the unknowns have taken of the noise, and the least noise.
     """
-    m = len(found.values)
-    combine = np.concatenate([-found.values, [1.0, 0.0]])
-    inner = np.outer(combine, combine)
+    m, inner = len(found.values), _of_residuals(found.values)
     inner[:m, :m] += found.inverse
     least = LEAST**2 * given.after(order) * np.eye(order + 1)
     return given.moments(inner, order) + least
+
+
+def _of_residuals(values: Array) -> Array:
+    """B with z' B z the square of what values leave of a row z, (q, q)."""
+    combine = np.concatenate([-values, [1.0, 0.0]])
+    return np.outer(combine, combine)
 
 
 def _from_covariances(covariances: Array, order: int) -> Autoregression:

@@ -1,0 +1,52 @@
+"""How far estimates of a squatting humanoid are from the truth, in sigmas."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.robot.free_base import on_free_base
+from tests.helpers.humanoid import humanoid
+
+
+def scores(first: int, runs: int) -> Iterator[dict[str, Any]]:
+    """A line a recording of 40 s at 50 Hz, then all of them beside normal errors.
+
+    Args:
+        first: The first seed, of motion and noise.
+        runs: How many.
+    """
+    every = []
+    for seed in range(first, first + runs):
+        tree, recording = humanoid(40.0, 50.0, seed, 1.0)
+        free = on_free_base(tree)
+        found = tb.identify(free, recording)
+        z = (found.values - found.minimal.values(tb.barycentric(free))) / found.sigma
+        every.append(z)
+        yield {"seed": seed, **_summary(z)}
+    largest = [float(np.abs(z).max()) for z in every]
+    count, half = len(every[0]), (0.5, 0.95)
+    normal = [float(stats.norm.isf((1 - share ** (1 / count)) / 2)) for share in half]
+    yield {
+        "runs": runs,
+        **_summary(np.concatenate(every)),
+        "normal_within_3": float(1 - 2 * stats.norm.sf(3)),
+        "median_largest": round(float(np.median(largest)), 2),
+        "normal_median_largest": round(normal[0], 2),
+        "normal_largest_95": round(normal[1], 2),
+    }
+
+
+def _summary(z: Array) -> dict[str, Any]:
+    return {
+        "parameters": len(z),
+        "rms_z": round(float(np.sqrt(np.mean(z**2))), 3),
+        "within_3": round(float(np.mean(np.abs(z) <= 3)), 4),
+        "within_1.96": round(float(np.mean(np.abs(z) <= 1.96)), 4),
+        "largest": round(float(np.abs(z).max()), 2),
+    }
