@@ -59,8 +59,8 @@ ALIKE = 0.9
 DIFFERENT = 0.1
 """How far that factor must be from one to be the cause."""
 
-UNLIKELY = 6.0
-"""Sigmas by which torques are late that are not late by chance."""
+UNLIKELY = 4.0
+"""Sigmas by which torques are late that are not late by chance: one in 15000 is."""
 
 UNTIMELY = ("friction that is not among the terms", "a sampling rate that is not the stated one")
 """What looks like torques that are late."""

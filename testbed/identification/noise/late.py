@@ -16,6 +16,9 @@ from testbed.identification.noise.fits import LEAST, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.scaled import scaled_solve
 
+ROUNDS = 3
+"""Times that the delay and the noise beside it are found in turns."""
+
 
 @dataclass(frozen=True)
 class Lateness:
@@ -53,14 +56,31 @@ def lateness(
     if given.lags < 2:
         return None
     m = len(start)
-    now, one, two = given.products[:3]
-    ones = np.maximum(now[:, -1, -1], 1.0)
-    foretold = np.zeros((len(now), m + 2))
+    ones = np.maximum(given.products[0, :, -1, -1], 1.0)
+    foretold = np.zeros((len(ones), m + 2))
     foretold[:, :m] = start + found.values
-    foretold[:, -1] = -np.einsum("ci,ci->c", now[:, -1], foretold) / ones  # its mean
-    left = np.concatenate([-found.values, [1.0, 0.0]])
-    rests = np.einsum("kcij,i,j->kc", given.products, left, left) / ones
-    weights = 1 / np.maximum(rests[0], LEAST**2)
+    foretold[:, -1] = -np.einsum("ci,ci->c", given.products[0, :, -1], foretold) / ones  # its mean
+    left = np.broadcast_to(np.concatenate([-found.values, [1.0, 0.0]]), foretold.shape)
+    slopes = _differences(_differences(_lagged(given, foretold, foretold), 1), -1) * rate**2
+    rests, across = _lagged(given, left, left), _differences(_lagged(given, left, foretold), 1)
+    late = Lateness(0.0, 0.0)
+    for _ in range(ROUNDS):  # what is left without the delay is noise
+        noise = _without(rests, across * rate, slopes, late.delay) / ones
+        weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
+        late = _fitted(given, foretold, left, weights, rate)
+        if not np.isfinite(late.sigma):
+            return None
+    alike = float(weights**2 @ (slopes * noise).sum(axis=0))
+    alike /= float(weights @ slopes[len(slopes) // 2])
+    return Lateness(late.delay, factor * late.sigma * float(np.sqrt(max(alike, 1.0))))
+
+
+def _fitted(
+    given: LaggedProducts, foretold: Array, left: Array, weights: Array, rate: float
+) -> Lateness:
+    """The delay beside the unknowns by weighted least squares; sigma is infinite for none."""
+    m = foretold.shape[1] - 2
+    now, one, two = given.products[:3]
     before, after = one @ foretold[..., None], one.swapaxes(1, 2) @ foretold[..., None]
     slope = (after - before)[..., 0] * rate / 2  # with each column, (C, m + 2)
     squares = np.einsum("ci,cij,cj->c", foretold, now - two, foretold) * rate**2 / 2
@@ -68,21 +88,29 @@ def lateness(
     shared = weights @ slope[:, :m]
     alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
     if alone <= 0:
-        return None
-    spread = _together(np.einsum("ci,kcij,cj->kc", foretold, given.products, foretold), rests)
-    alike = max(float(weights**2 @ spread) * rate**2 / float(weights @ squares), 1.0)
-    sigma = factor * float(np.sqrt(alike / alone))
-    return Lateness(-float(weights @ slope @ left) / alone, sigma)
+        return Lateness(0.0, np.inf)
+    return Lateness(-float(weights @ slope @ left[0]) / alone, 1 / float(np.sqrt(alone)))
 
 
-def _together(foretold: Array, rests: Array) -> Array:
-    """Variance of the sum of slopes times residuals, over the rate squared, (C,).
+def _lagged(given: LaggedProducts, now: Array, before: Array) -> Array:
+    """Sums of one combination of columns times another, j = -K ... K rows before, (2K + 1, C).
 
     Args:
-        foretold: Sums of what is foretold times itself so many rows later, (K + 1, C).
-        rests: Means of residuals times residuals so many rows later, (K + 1, C).
+        given: The products.
+        now: (C, q).
+        before: (C, q).
     """
-    mirrored = np.concatenate([foretold[2:0:-1], foretold])  # lags -2 ... K
-    slopes = (2 * mirrored[2:-2] - mirrored[4:] - mirrored[:-4]) / 4  # lags 0 ... K - 2
-    counted = np.where(np.arange(len(slopes)) == 0, 1.0, 2.0)
-    return np.asarray(counted @ (slopes * rests[: len(slopes)]))
+    forth = np.einsum("ci,kcij,cj->kc", now, given.products, before)
+    back = np.einsum("ci,kcij,cj->kc", before, given.products, now)
+    return np.concatenate([back[:0:-1], forth])
+
+
+def _differences(sums: Array, way: int) -> Array:
+    """The same sums with the second of the two (1), or the first (-1), as half differences."""
+    return way * (sums[:-2] - sums[2:]) / 2
+
+
+def _without(rests: Array, across: Array, slopes: Array, delay: float) -> Array:
+    """Sums of residuals times residuals, j rows apart, a delay taken back, (2K - 3, C)."""
+    inner = rests[2:-2] + delay * (across[1:-1] + across[::-1][1:-1])
+    return np.asarray(inner + delay**2 * slopes)

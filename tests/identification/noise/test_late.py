@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testbed.arrays import Array
+from testbed.identification.diagnosis import UNLIKELY
 from testbed.identification.noise.fits import weighted_fit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.late import Lateness, lateness
@@ -56,12 +57,12 @@ def test_a_delay_is_found(delay: float, start: Array) -> None:
     """Differences over two rows are a little less than slopes: the delay seems a little more."""
     late = found(products(delay, 1), start)
     assert late.delay == pytest.approx(delay, rel=0.15, abs=3 * late.sigma)
-    assert abs(late.z) > 6
+    assert abs(late.z) > UNLIKELY
 
 
 def test_it_is_seen_beside_rows_that_were_dropped() -> None:
     late = found(products(0.02, 2, gaps=True), np.zeros(3))
-    assert late.z > 6
+    assert late.z > UNLIKELY
     assert 0 < late.delay < 0.025
 
 
@@ -77,7 +78,7 @@ def test_chance_makes_no_delays(gaps: bool) -> None:
 def test_nor_does_chance_that_goes_on(slow: float) -> None:
     z = [found(products(0.0, seed, slow=slow), TRUE).z for seed in range(300, 500)]
     assert 0.6 < np.std(z) < 1.25
-    assert np.max(np.abs(z)) < 5
+    assert np.max(np.abs(z)) < UNLIKELY
 
 
 def test_a_channel_whose_noise_is_foretold_wholly_counts_as_it_is() -> None:
