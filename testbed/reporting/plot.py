@@ -11,7 +11,7 @@ from testbed.experiment.run import Run
 from testbed.identification.estimate import Estimate
 from testbed.reporting.error_dots import FRAME, LEGEND, ROW, dots_of_run, draw, error_dots
 
-COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#727b88"}
+COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#6a7380"}
 
 WIDTH = 6.4
 """Of the figure [inches]."""
