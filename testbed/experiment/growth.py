@@ -14,8 +14,11 @@ from testbed.experiment.score import relative_errors
 from testbed.identification.estimate import Method
 from testbed.identification.identify import identify
 
-STAGES = 12
-"""Estimates from more and more of a recording."""
+STAGES, FEW = 12, 6
+"""Estimates from more and more of a recording; and of a robot of many joints."""
+
+MANY = 12
+"""Joints of such a robot."""
 
 SHORTEST = 1 / 30
 """The first is from this part of the recording."""
@@ -41,12 +44,14 @@ def growth(run: Run, times: Sequence[float] | None = None) -> dict[Method, Growt
 
     Args:
         run: The run.
-        times: From the beginning until when [s]; default a dozen, each longer by one factor.
+        times: From the beginning until when [s]; default a dozen, or half of it for a robot of
+            many joints, each longer by one factor.
     """
     recording = run.recording
     start, end = float(recording.time[0]), float(recording.time[-1])
     if times is None:
-        times = np.geomspace(SHORTEST * (end - start), end - start, STAGES)[:-1].tolist()
+        stages = FEW if run.tree.n > MANY else STAGES
+        times = np.geomspace(SHORTEST * (end - start), end - start, stages)[:-1].tolist()
     last = np.searchsorted(recording.time, start + np.asarray(times), "right").tolist()
     parts = [samples for samples in last if samples < recording.samples]
     found = {}

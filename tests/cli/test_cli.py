@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import testbed as tb
+from testbed.instruments.catalogue import catalogue
 from tests.helpers.command import command_line
 from tests.helpers.paths import GOLDEN, ROOT
 
@@ -240,3 +242,9 @@ def test_every_command_helps_with_an_example(command: str, tmp_path: Path) -> No
     done = command_line(command, "--help", cwd=tmp_path)
     assert done.returncode == 0
     assert "Example: testbed" in " ".join(done.stdout.split())
+
+
+def test_the_help_of_run_lists_every_fault(tmp_path: Path) -> None:
+    done = command_line("run", "--help", cwd=tmp_path)
+    said = set(re.findall("[a-z_]+", done.stdout))
+    assert {entry.kind for entry in catalogue()} <= said
