@@ -96,8 +96,8 @@ def _limit_memory() -> None:
 
 
 LIBRARIES = (
-    "cli.commands", "experiment.carry_out", "experiment.evaluate", "report.html", "viewer.log",
-    "report.minimal_tables", "robot.formats.mjcf", "robot.formats.urdf", "symbolic.compare",
+    "cli.commands", "experiment.carry_out", "experiment.evaluate", "reporting.html", "viewer.log",
+    "reporting.minimal_tables", "robot.formats.mjcf", "robot.formats.urdf", "symbolic.compare",
     "symbolic.languages",
 )  # fmt: skip
 """What commands import when they are called."""

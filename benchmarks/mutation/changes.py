@@ -314,11 +314,17 @@ def _forced(test: ast.expr, loops: bool = False) -> Iterator[Change]:
 def _reordered(value: ast.expr) -> Iterator[Change]:
     if isinstance(value, ast.Tuple) and len(value.elts) > 1:
         first, second, *rest = value.elts
-        yield "order of results", value, _like(value, elts=[second, first, *rest])
+        if not _same(first, second):
+            yield "order of results", value, _like(value, elts=[second, first, *rest])
     if isinstance(value, ast.Call) and len(value.args) > 1:
         first, second, *rest = value.args
-        if not any(isinstance(each, ast.Starred) for each in (first, second)):
+        if not (_same(first, second) or ast.Starred in map(type, (first, second))):
             yield "order of arguments", value, _like(value, args=[second, first, *rest])
+
+
+def _same(first: ast.expr, second: ast.expr) -> bool:
+    """Whether it does not matter which of the two comes first."""
+    return ast.dump(first) == ast.dump(second)
 
 
 def _shifted(node: ast.Subscript) -> Iterator[Change]:

@@ -53,7 +53,7 @@ def test_the_report_in_a_browser(page: Path, tmp_path: Path, width: int, dark: b
     with browser(tmp_path, width, dark) as seen:
         seen.open(page)
         assert seen.run("return document.documentElement.scrollWidth") <= width
-        assert seen.run("return document.querySelectorAll('figure + details table').length") == 3
+        assert seen.run("return document.querySelectorAll('figure + details table').length") == 4
         assert seen.run("return getComputedStyle(document.body).backgroundColor") == (
             "rgb(20, 23, 27)" if dark else "rgb(255, 255, 255)"
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from testbed.identification.nuisances.nuisance import Nuisance
 
-NEARLY = 0.9
+NEARLY = 0.6
 """Part of what a cause explains that a simpler one among it has to explain to be named first."""
 
 
