@@ -111,7 +111,11 @@ def test_a_design_beats_the_random_motion_that_would_have_run(found: Excitation)
 def test_sigma_is_as_promised(
     found: Excitation, noise: tuple[float, float], tmp_path: Path
 ) -> None:
-    """Predicted before anything has run; stated by the estimate of a simulated run."""
+    """Predicted before anything has run; stated by the estimate of a simulated run.
+
+    A few parameters are told by a constant load alone, such as mb*1x of an upright first axis.
+    How well, the data decide: they are known less where the plate's zero has to be averaged.
+    """
     file = tmp_path / "motion.toml"
     write_motion(file, found)
     plate = [f"measurement.force_noise={noise[0]}", f"measurement.moment_noise={noise[1]}"]
@@ -121,7 +125,8 @@ def test_sigma_is_as_promised(
     np.testing.assert_allclose(again.design.motion.sine, found.design.motion.sine, atol=1e-6)
     estimate = tb.identify(found.tree, tb.simulate(experiment), "external")
     ratio = estimate.sigma / again.predicted.sigma
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1, abs=0.15)
+    assert ratio.min() > 0.85
+    assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
 
 
 def test_random_motions_of_experiments_are_proven() -> None:
