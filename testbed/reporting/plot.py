@@ -9,7 +9,7 @@ from matplotlib.lines import Line2D
 
 from testbed.experiment.run import Run
 from testbed.identification.estimate import Estimate
-from testbed.reporting.error_dots import FRAME, LEGEND, ROW, dots_of_run, draw, error_dots
+from testbed.reporting.error_dots import FORMS, FRAME, LEGEND, ROW, dots_of_run, draw, error_dots
 
 COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#6a7380"}
 
@@ -42,7 +42,7 @@ def plot(what: Run | Estimate) -> Picture:
     axis = figure.subplots()
     draw(axis, dots, dots.range, COLOURS)
     bar = Line2D([], [], color=COLOURS["faint"], linewidth=2.6, alpha=0.5)
-    lines = [line for line in axis.get_lines() if line.get_marker() in {"o", "D"}]
+    lines = [line for line in axis.get_lines() if line.get_marker() in FORMS.values()]
     labels = [LEGEND[method] for method in dots.errors]
     if dots.sigmas:
         lines, labels = [*lines, bar], [*labels, "up to one sigma"]

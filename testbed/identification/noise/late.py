@@ -63,33 +63,38 @@ def lateness(
     left = np.broadcast_to(np.concatenate([-found.values, [1.0, 0.0]]), foretold.shape)
     slopes = _differences(_differences(_lagged(given, foretold, foretold), 1), -1) * rate**2
     rests, across = _lagged(given, left, left), _differences(_lagged(given, left, foretold), 1)
+    now, one = given.products[:2]
+    before, after = one @ foretold[..., None], one.swapaxes(1, 2) @ foretold[..., None]
+    slope = (after - before)[..., 0] * rate / 2  # with each column, (C, m + 2)
+    squares = slopes[len(slopes) // 2]
     late = Lateness(0.0, 0.0)
     for _ in range(ROUNDS):  # what is left without the delay is noise
         noise = _without(rests, across * rate, slopes, late.delay) / ones
         weights = 1 / np.maximum(noise[len(noise) // 2], LEAST**2)
-        late = _fitted(given, foretold, left, weights, rate)
+        late = _fitted(now[:, :m, :m], slope, squares, left[0], weights)
         if not np.isfinite(late.sigma):
             return None
     alike = float(weights**2 @ (slopes * noise).sum(axis=0))
-    alike /= float(weights @ slopes[len(slopes) // 2])
+    alike /= float(weights @ squares)
     return Lateness(late.delay, factor * late.sigma * float(np.sqrt(max(alike, 1.0))))
 
 
-def _fitted(
-    given: LaggedProducts, foretold: Array, left: Array, weights: Array, rate: float
-) -> Lateness:
-    """The delay beside the unknowns by weighted least squares; sigma is infinite for none."""
-    m = foretold.shape[1] - 2
-    now, one, two = given.products[:3]
-    before, after = one @ foretold[..., None], one.swapaxes(1, 2) @ foretold[..., None]
-    slope = (after - before)[..., 0] * rate / 2  # with each column, (C, m + 2)
-    squares = np.einsum("ci,cij,cj->c", foretold, now - two, foretold) * rate**2 / 2
-    normal = np.tensordot(weights, now[:, :m, :m], 1)
-    shared = weights @ slope[:, :m]
+def _fitted(columns: Array, slope: Array, squares: Array, left: Array, weights: Array) -> Lateness:
+    """The delay beside the unknowns by weighted least squares; sigma is infinite for none.
+
+    Args:
+        columns: Products of the unknowns' columns, (C, m, m).
+        slope: Of slopes with every column, (C, m + 2).
+        squares: Of slopes with themselves, (C,).
+        left: What of the columns the residuals are, (m + 2,).
+        weights: (C,).
+    """
+    shared = weights @ slope[:, : columns.shape[1]]
+    normal = np.tensordot(weights, columns, 1)
     alone = float(weights @ squares - shared @ scaled_solve(normal, shared))
     if alone <= 0:
         return Lateness(0.0, np.inf)
-    return Lateness(-float(weights @ slope @ left[0]) / alone, 1 / float(np.sqrt(alone)))
+    return Lateness(-float(weights @ slope @ left) / alone, 1 / float(np.sqrt(alone)))
 
 
 def _lagged(given: LaggedProducts, now: Array, before: Array) -> Array:
