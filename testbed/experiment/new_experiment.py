@@ -18,6 +18,7 @@ from testbed.excitation.limits import CALM, Limits, limits_of
 from testbed.experiment.experiment import run_name
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.load import mimic_joints
+from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Joint, Tree
 
@@ -93,11 +94,8 @@ def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
     own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
     if len(own) == tree.n:  # the robot is a gripper
         return {}
-    rest = {}
-    for joint in (tree.joints[j] for j in own):
-        low, high = joint.position_range
-        rest[joint.name] = 0.0 if low <= 0 <= high else _float((low + high) / 2)
-    return rest
+    joints = [tree.joints[j] for j in own]
+    return {joint.name: _float(Travel(*joint.position_range).rest) for joint in joints}
 
 
 def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
