@@ -85,9 +85,9 @@ def under_coloured_noise(
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
     clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    replicas, squares = Replicas(found.noise, m + directions.shape[1]), np.zeros(len(units.root))
+    replicas = Replicas(found.noise, m + directions.shape[1])
     back = _in_channels(units, directions)
-    bias = back @ found.values[m:]
+    bias, left = back @ found.values[m:], _Left(back)
     repeated = _repetition_sums(passes, found.noise)
     doubt = CountDoubt(found, m)
     for rows in units.rows(passes, values, encoders.again(passes.plan, values)):
@@ -97,7 +97,7 @@ def under_coloured_noise(
         clues.add(columns, rows.ones, rows.looked_at)
         doubt.add(columns[..., :m], rows.made)
         far = rows.own - bias[:, None] - rows.further[..., : beside.unknown] @ further
-        squares += (far**2 * rows.ones).sum(axis=1)
+        left.add(far, rows.ones)
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
@@ -117,7 +117,7 @@ def under_coloured_noise(
     )
     tests = clues.found(units.lead[:p])
     own, others, across = covariance[:p, :p], covariance[p:, p:], covariance[:p, p:]
-    return Refined(start, values, own, squares, noise, further, others, across, tests)
+    return Refined(start, values, own, left.squares, noise, further, others, across, tests)
 
 
 def further_values(
@@ -212,6 +212,29 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
         return PositionNoise(none, none)
     filtered = len(plan.weights) > 1
     return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)
+
+
+class _Left:
+    """Sums of the squares of what is left of each channel.
+
+    Under noise that wanders, the likeliest constant may lie far from all that was measured: where
+    a channel has one, its residuals are taken about their mean.
+    """
+
+    def __init__(self, back: Array) -> None:
+        """None yet; `back` are the constants' directions in the channels, (C, k)."""
+        self._free = back.any(axis=1)
+        self._sums = np.zeros((3, len(back)))
+
+    def add(self, far: Array, ones: Array) -> None:
+        """Count residuals, (C, M), where `ones` are not zero."""
+        self._sums += [part.sum(axis=1) for part in (ones, far * ones, far**2 * ones)]
+
+    @property
+    def squares(self) -> Array:
+        """The sums, (C,)."""
+        used, first, second = self._sums
+        return np.asarray(second - self._free * first**2 / np.maximum(used, 1.0))
 
 
 def _in_channels(units: Units, directions: Array) -> Array:
