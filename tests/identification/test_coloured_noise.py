@@ -161,3 +161,14 @@ def test_few_rows_are_enough_for_some_estimate_or_named(robot: str, method: str)
         made += 1
         assert np.isfinite(estimate.covariance).all()
     assert made >= 3
+
+
+@pytest.mark.parametrize("robot", ["puma", "ur5"])
+def test_residuals_are_about_as_large_as_the_noise(robot: str) -> None:
+    """However slowly it wanders: the likeliest constant may lie far off. Of Fz the mass has it."""
+    tree, others = load(robot), [0, 1, 3, 4, 5]
+    for seed in range(12):
+        noisy, quiet = (measured(tree, seed, memory=0.9983, noise=size) for size in (1.0, 0.0))
+        noise = noisy.measured("wrench") - quiet.measured("wrench")
+        ratio = tb.identify(tree, noisy).residual / noise.std(axis=0)
+        np.testing.assert_array_less(ratio[others], 1.35)  # noise of the encoders adds
