@@ -88,6 +88,7 @@ def test_at_every_instant_one_of_them_is_there(kind: str, tmp_path: Path) -> Non
     assert names(tmp_path) == ["place"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", ["one step", "two steps"])
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_three_writers_at_once(kind: str, steps: str, tmp_path: Path) -> None:

@@ -141,6 +141,7 @@ def certificates(folder: Path) -> Tls:
     return Tls(*made)
 
 
+@pytest.mark.slow
 def test_the_scene_of_a_kill_ends_well_undisturbed(tmp_path: Path) -> None:
     """What the kills are measured against."""
     scene = Scene(campaign_of(tmp_path, 30), tmp_path / "r", "1")

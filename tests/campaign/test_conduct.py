@@ -34,6 +34,7 @@ def campaign(tmp_path: Path) -> Campaign:
     return Campaign.load(campaign_file(tmp_path, 20, NOISES))
 
 
+@pytest.mark.slow
 def test_bundles_and_their_order_do_not_show(tmp_path: Path, campaign: Campaign) -> None:
     tables = set()
     for seed, size in enumerate((None, 1, 3, 7)):
@@ -75,6 +76,7 @@ def dying(after: int) -> Odd:
     return Odd(work, size=2, seed=after)
 
 
+@pytest.mark.slow
 def test_ended_at_any_moment_it_goes_on(
     tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,6 +131,7 @@ def test_failures_are_rows_and_are_not_tried_again_but_killed_runs_are(
     assert len(folder.failures()) == 1
 
 
+@pytest.mark.slow
 def test_a_rule_for_stopping_looks_at_whole_rounds_alone(tmp_path: Path) -> None:
     """Which runs there are does not depend on bundles; more are made where more are needed."""
     stop = '[stop]\nfigure = "external_rms_relative_error"\nstandard_error = 0.01\nround = 4\n'
@@ -165,6 +168,7 @@ def test_rows_that_are_not_asked_for_any_more_are_kept_apart(tmp_path: Path) -> 
     assert table(tmp_path / "r") == before
 
 
+@pytest.mark.slow
 def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
     tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -211,6 +215,7 @@ def test_a_folder_is_written_by_one_command_and_by_no_other_kind(
         conduct(campaign, tmp_path / "letters/to-mum.txt", Odd())
 
 
+@pytest.mark.slow
 def test_real_runs_give_the_same_bits_in_any_bundles_and_recordings_are_kept(
     tmp_path: Path,
 ) -> None:

@@ -75,6 +75,7 @@ def test_numbers_are_for_programs(tmp_path: Path) -> None:
     assert said["searches"][0]["end"] < said["searches"][0]["start"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -28,6 +28,7 @@ def altered(folder: Path, old: str, new: str) -> Path:
     return folder / "map.toml"
 
 
+@pytest.mark.slow
 def test_the_real_tx40_is_imported_and_identified(tmp_path: Path) -> None:
     mapping = str(TX40 / "tx40.toml")
     done = command_line("import", mapping, "--out", "tx40.parquet", *MODEL, cwd=tmp_path)

@@ -91,6 +91,7 @@ def test_large_matrices_are_written_if_asked_for(large: str) -> None:
     assert np.shape(document["reaction"]["matrix"]) == (len(document["reaction"]["names"]), 600)
 
 
+@pytest.mark.slow
 def test_it_imports_only_what_it_needs() -> None:
     """Most of the second that it takes would be imports that it has no use for."""
     words = ["-X", "importtime", "-m", "testbed.cli", "minimal", UR5]

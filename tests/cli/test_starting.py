@@ -13,6 +13,7 @@ from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
 
 
+@pytest.mark.slow
 def test_a_new_experiment_runs_as_it_is(tmp_path: Path) -> None:
     done = command_line("new", str(MODELS["gantry"]), cwd=tmp_path)
     assert done.returncode == 0, done.stderr

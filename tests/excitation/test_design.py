@@ -64,6 +64,7 @@ def wish(
     return Wish(rules, information, rows_of(name), ((0.2, 4),), starts, np.inf, seed)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry", "random"])
 def test_a_design_tells_more_than_random_motions_and_is_proven(name: str) -> None:
     asked = wish(name, starts=1)
@@ -83,6 +84,7 @@ def test_a_design_tells_more_than_random_motions_and_is_proven(name: str) -> Non
     assert (np.abs(motor_efforts(tree, fine)) <= 0.95 * limits.effort + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_proof_that_fails_between_samples_is_had_by_a_finer_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -102,6 +104,7 @@ def test_a_proof_that_fails_between_samples_is_had_by_a_finer_search(
     assert refined.value < only_smaller.value
 
 
+@pytest.mark.slow
 def test_searches_are_the_same_again_and_seeds_differ() -> None:
     first, again, other = (design(wish("puma", seed=seed)) for seed in (1, 1, 2))
     np.testing.assert_array_equal(first.motion.sine, again.motion.sine)
@@ -110,6 +113,7 @@ def test_searches_are_the_same_again_and_seeds_differ() -> None:
     assert first.value == pytest.approx(min(s.end for s in first.searches), abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_another_solver_finds_hardly_better(seed: int) -> None:
     """SciPy's SLSQP from the same start, with the same limits."""
@@ -239,6 +243,7 @@ def test_a_search_that_is_told_to_stop_has_a_motion_that_may_be_run() -> None:
     assert design(replace(asked, seconds=0.0)).proof.holds
 
 
+@pytest.mark.slow
 def test_bodies_keep_clear_in_a_design() -> None:
     """Sticks of a robot without a file; the same limits without clearance bring them nearer."""
     asked = wish("puma", clear=True, starts=1)

@@ -76,6 +76,7 @@ def test_jets_bound_how_forces_change(seed: int) -> None:
     assert (curved(wrench[:, 3:]).max(axis=1) <= slack * bounds.moment).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("haste", [1.0, 10.0])
 def test_efforts_are_proven_as_tightly_as_they_are(seed: int, haste: float, puma: tb.Tree) -> None:

@@ -68,6 +68,7 @@ def test_a_true_prior_is_no_worse_and_what_fails_is_said() -> None:
     assert not wrong.as_expected
 
 
+@pytest.mark.slow
 def test_the_report_draws_every_link_three_times(run: Run) -> None:
     section = next(s for s in contents(run)["figures"] if s["id"] == "bodies")
     assert list(section["legend"].values()) == ["model file", "truth", "estimate"]
@@ -77,6 +78,7 @@ def test_the_report_draws_every_link_three_times(run: Run) -> None:
     assert [row[0] for row in section["rows"]] == [joint.body for joint in run.tree.joints]
 
 
+@pytest.mark.slow
 def test_an_outline_is_the_ellipsoid_seen_from_there(run: Run) -> None:
     """Radii and turn of the truth's ellipses: the ellipsoid's matrix, projected, y down."""
     section = next(s for s in contents(run)["figures"] if s["id"] == "bodies")

@@ -39,6 +39,7 @@ def found() -> Excitation:
     return excite(asked())
 
 
+@pytest.mark.slow
 def test_a_motion_comes_back_from_its_file_as_it_was(found: Excitation, tmp_path: Path) -> None:
     file = tmp_path / "motion.toml"
     write_motion(file, found)
@@ -137,6 +138,7 @@ def test_random_motions_of_experiments_are_proven() -> None:
         assert prove(motion, rules_of(experiment, tree, designed=False)).holds
 
 
+@pytest.mark.slow
 def test_random_motions_keep_clear_of_a_box() -> None:
     """Where the best candidate would hit it, another one is run, or a smaller one."""
     free = asked("puma", "motion.candidates=5")
@@ -249,6 +251,7 @@ def test_other_robots_are_excited_too(model: Path) -> None:
     assert np.isfinite(found.predicted.sigma).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle(name: str) -> None:
     """Against the same experiment under way, whose periodic part is the same motion."""

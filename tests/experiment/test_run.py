@@ -19,6 +19,7 @@ from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("method", METHODS)
 def test_one_signal_is_enough_for_one_method(name: str, method: Method) -> None:

@@ -42,6 +42,7 @@ def same(one: object, other: tb.Recording) -> None:
     assert one.facts == other.facts
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "clock"),
     [
@@ -69,6 +70,7 @@ def test_a_run_does_not_depend_on_those_beside_it(name: str, clock: str) -> None
             same(found, alone[k])
 
 
+@pytest.mark.slow
 def test_what_happens_twice_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
 
@@ -90,6 +92,7 @@ def test_what_happens_twice_is_simulated_once(monkeypatch: pytest.MonkeyPatch) -
         same(one, other)
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_fails_alone() -> None:
     fine = [experiment("puma", f"seed={k}") for k in (1, 2)]
     wrong = experiment("puma", "robot.lock.nobody=0.0")

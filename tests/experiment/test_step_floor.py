@@ -19,11 +19,13 @@ def run(file: str, *words: str) -> dict[str, float]:
     return dict(metrics)
 
 
+@pytest.mark.slow
 def test_only_a_coarse_step_has_a_floor_to_state() -> None:
     assert "external_floor" not in run("table6")
     assert 0 < run("table6", "simulation.step=1e-3")["external_floor"] < 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_it_is_the_error_of_an_experiment_whose_instruments_are_perfect(seed: int) -> None:
     """By that experiment itself, which shares only the motion and the plant."""

@@ -176,6 +176,7 @@ def module_name(path: Path) -> str:
 NAMES = {module_name(path): path for path in MODULES}
 
 
+@pytest.mark.slow
 def test_no_files_import_each_other_in_a_circle() -> None:
     graph = {name: needs(path) - {name} for name, path in NAMES.items() if name != "testbed"}
     done: set[str] = {"testbed"}

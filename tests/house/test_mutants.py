@@ -25,6 +25,7 @@ def mutants() -> list[Mutant]:
     return draw(ROOT, 150, seed=1)
 
 
+@pytest.mark.slow
 def test_a_seed_draws_the_same_and_another_others() -> None:
     one, same, other = (draw(ROOT, 20, seed, only="excitation") for seed in (1, 1, 2))
     assert one == same

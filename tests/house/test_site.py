@@ -79,6 +79,7 @@ def test_every_experiment_and_robot_of_the_gallery_has_its_picture() -> None:
         assert (gallery.PLACE / f"{name}.svg").exists(), f"python -m docs.pictures.gallery {name}"
 
 
+@pytest.mark.slow
 def test_every_page_is_built(site: Path) -> None:
     for page in nav():
         assert (site / page).with_suffix(".html").exists(), page

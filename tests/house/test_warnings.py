@@ -94,6 +94,7 @@ def test_every_kind_of_warning_has_its_cause_and_cure(said: str) -> None:
     assert any(holds(entry, said) for entry in entries()), f"docs/warnings.md: {said}"
 
 
+@pytest.mark.slow
 def test_no_entry_is_of_a_warning_that_is_not_made() -> None:
     known = sentences()
     for entry in entries():

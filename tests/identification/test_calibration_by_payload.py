@@ -171,6 +171,7 @@ def test_a_centre_of_mass_alone_has_no_scale(name: str) -> None:
         calibrate(tree, measured(tree, duration=4.0), {"centre/x": 0.1}, settings=MATRIX)
 
 
+@pytest.mark.slow
 def test_doubt_about_a_centre_grows_with_the_mass() -> None:
     """As far as the estimate moves with it: seen by moving it. So far off there are constants."""
     tree = robot("ur5")

@@ -41,6 +41,7 @@ def test_both_together_are_no_worse_and_agree(name: str) -> None:
     assert max(chances) > 0.01
 
 
+@pytest.mark.slow
 def test_precise_torques_tell_more_than_a_noisy_plate() -> None:
     tree = robot("puma")
     recording = measured(tree)
@@ -52,6 +53,7 @@ def test_precise_torques_tell_more_than_a_noisy_plate() -> None:
     assert np.median(found.sigma[shared] / bodies.sigma[shared]) < 0.8
 
 
+@pytest.mark.slow
 def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
     """The plate does not feel it, the torques do: the two then differ in the bodies."""
     tree = robot("puma")

@@ -71,6 +71,7 @@ def cost(found: Array, estimate: Estimate, prior: Prior, error: float, metric: M
     return float(fit + away / error**2 / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_no_search_from_elsewhere_finds_anything_better(seed: int) -> None:
     """A witness without cones, barriers or Newton: triangular factors, by BFGS."""
@@ -96,6 +97,7 @@ def test_no_search_from_elsewhere_finds_anything_better(seed: int) -> None:
     assert ours == pytest.approx(best.fun, rel=1e-4, abs=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("metric", METRICS)
 @pytest.mark.parametrize("seed", range(4))
 def test_no_possible_bodies_nearby_are_better(metric: Metric, seed: int) -> None:
@@ -142,6 +144,7 @@ def test_every_body_can_exist(metric: Metric, seed: int) -> None:
     assert ((found.told >= 0) & (found.told <= 1)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_grams_and_tonnes_are_alike(scale: float) -> None:
     tree = robot("ur5")
@@ -159,6 +162,7 @@ def test_grams_and_tonnes_are_alike(scale: float) -> None:
     np.testing.assert_allclose(other.told, one.told, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_better_data_tell_more_of_every_parameter() -> None:
     tree = robot("gantry")
     estimate = estimates_of(tree)[0]
@@ -286,6 +290,7 @@ def test_wishes_that_no_bodies_obey_are_named() -> None:
         consistent(tree, [estimate], prior, Wishes(known={"mass/nobody": 1.0}))
 
 
+@pytest.mark.slow
 def test_data_that_no_bodies_have_are_said() -> None:
     tree = robot("ur5")
     estimate = estimates_of(tree)[0]
@@ -333,6 +338,7 @@ def test_torques_with_wrong_constants_do_not_spoil_what_the_plate_tells() -> Non
     assert np.abs(gap).max() < 2
 
 
+@pytest.mark.slow
 def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
     tree = robot("ur5")
     source = open_source(measured(tree, 5, duration=8.0))
@@ -357,6 +363,7 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
         consistent_by_held_out(tree, estimates, prior, wishes, short, identified)
 
 
+@pytest.mark.slow
 def test_bodies_of_a_robot_with_held_fingers() -> None:
     lock = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
     tree = tb.load_tree(REAL / "panda_description/urdf/panda.urdf", lock=lock, accept_inertia=True)

@@ -24,6 +24,7 @@ def recorded(name: str, **facts: object) -> Recording:
     return replace(made, facts={**made.facts, **facts})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_what_does_not_count_changes_nothing(name: str, tmp_path: Path) -> None:
     """A span in the settings, in the recording, or a recording that is that span: the same bits."""

@@ -22,6 +22,7 @@ def estimate_of(name: str, method: Method) -> Estimate:
     return tb.identify(tree, noisy(ideal(tree)), method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry", "random"])
 @pytest.mark.parametrize("method", METHODS)
 def test_every_parameter_is_a_line(name: str, method: Method) -> None:

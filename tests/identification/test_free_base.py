@@ -180,6 +180,7 @@ def test_one_command_identifies_a_humanoid_on_two_plates(tmp_path: Path) -> None
     assert np.sqrt(np.mean(z**2)) < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_predictions_are_the_grounds_wrench(seed: int) -> None:
     """Weight and all: of random trees, along a motion that the estimate has not seen."""

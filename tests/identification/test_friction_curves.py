@@ -53,6 +53,7 @@ def with_friction(name: str) -> tb.Tree:
     return tree.with_joints(more)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_exact_data_give_the_law_at_every_node(name: str) -> None:
     """Dry and viscous friction is straight between nodes: the curve is exact, at any scale."""
@@ -91,6 +92,7 @@ def test_curves_hold_within_their_sigmas() -> None:
     assert 0.6 < np.sqrt(np.mean(every**2)) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [QUADRATIC, SQUARE_ROOT, stribeck(0.28)], ids=lambda law: law.kind)
 def test_the_law_that_is_there_is_chosen(law: JointLaw) -> None:
     tree = with_friction("puma")

@@ -33,6 +33,7 @@ def test_without_noise_the_model_file_comes_back(seed: int, method: Method) -> N
     assert error <= 1e-11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_the_estimator_cannot_see_the_truth(
     method: Method, puma: tb.Tree, puma_recording: Recording
@@ -163,6 +164,7 @@ def test_an_unknown_method_is_refused(puma: tb.Tree) -> None:
         tb.identify(puma, ideal(puma), "plate")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_recording_without_a_tare_takes_the_pedestal_from_the_model(
     puma: tb.Tree, puma_recording: Recording
 ) -> None:

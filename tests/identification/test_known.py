@@ -42,6 +42,7 @@ def test_a_fact_that_follows_from_others_is_refused() -> None:
         free(replace(given, rows=rows))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_the_mass_of_all_moving_bodies(name: str) -> None:
     """Held at a wrong value, the estimate has it, and the bedplate's force at rest shows it."""
@@ -53,6 +54,7 @@ def test_the_mass_of_all_moving_bodies(name: str) -> None:
     assert theta[roots, 0].sum() == pytest.approx(12.5, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["external", "internal"])
 @pytest.mark.parametrize("name", ["puma", "random"])
 def test_knowing_what_was_found_changes_nothing_else(name: str, method: str) -> None:
@@ -80,6 +82,7 @@ def test_knowing_what_was_found_changes_nothing_else(name: str, method: str) -> 
     np.testing.assert_allclose(found.sigma[others], spread, rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_doubt_about_a_fact_comes_back_into_sigma(name: str) -> None:
     """As far as the estimate moves with the fact: seen by moving it."""

@@ -14,6 +14,7 @@ from tests.helpers.ideal import ideal
 from tests.helpers.runs import noisy, robot
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "ur5", "random"])
 def test_a_plate_that_is_not_level_is_named(name: str) -> None:
     tree = robot(name)

@@ -44,6 +44,7 @@ def sweeps(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], None]]:
     return hooks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [2, 3])
 def test_as_many_threads_as_asked_answer_at_once(
     threads: int, tree: tb.Tree, recording: Recording, sweeps: list[Callable[[], None]]

@@ -78,6 +78,7 @@ def test_payloads_are_within_their_sigmas(name: str) -> None:
     assert np.abs(scores).max() < 4.5
 
 
+@pytest.mark.slow
 def test_what_is_no_payload_is_noticed() -> None:
     """Two loads on two links are no load on one; a plate that shows too much is none either."""
     tree = robot("ur5")

@@ -36,6 +36,7 @@ def test_the_drawn_values_minimise_misfit_and_length(seed: int) -> None:
     assert eigenvalues.min() >= -1e-9 * eigenvalues.max()  # never less certain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_an_estimate_by_ridge_is_drawn_and_says_so(name: str) -> None:
     tree = robot(name)

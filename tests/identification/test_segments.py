@@ -25,6 +25,7 @@ def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0, memory: float = 
     return Joined([measured(tree, s, duration=duration, memory=memory) for s in seeds])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["puma", "gantry", "random"])
 def test_what_recordings_say_together_is_the_sum_of_what_each_says(
@@ -62,6 +63,7 @@ def test_sigma_is_honest_across_gaps(method: Method) -> None:
     assert 0.8 < size < 1.25, size
 
 
+@pytest.mark.slow
 def test_a_second_recording_makes_sigma_smaller() -> None:
     tree = robot("puma")
     one = tb.identify(tree, measured(tree, 1, duration=12.0))
@@ -69,6 +71,7 @@ def test_a_second_recording_makes_sigma_smaller() -> None:
     assert np.median(both.sigma / one.sigma) < 0.85
 
 
+@pytest.mark.slow
 def test_no_row_reaches_across_a_gap() -> None:
     """Whatever lies between: another order gives other gaps and the same rows."""
     tree = robot("puma")
@@ -89,6 +92,7 @@ def test_a_stretch_of_joined_recordings_has_their_gaps() -> None:
         both.part(end - 1, begin + 1)
 
 
+@pytest.mark.slow
 def test_tares_may_differ() -> None:
     tree = robot("puma")
     one, two = (measured(tree, seed, duration=12.0) for seed in (1, 2))
@@ -115,6 +119,7 @@ def test_recordings_that_do_not_belong_together_are_refused() -> None:
         tb.identify(tree, Joined([one, measured(tree, 2, duration=0.2)]))
 
 
+@pytest.mark.slow
 def test_one_command_takes_several_recordings(tmp_path: Path) -> None:
     tree = robot("puma")
     for name, seed in (("a", 1), ("b", 2)):
@@ -127,6 +132,7 @@ def test_one_command_takes_several_recordings(tmp_path: Path) -> None:
     np.testing.assert_allclose(found["values"], direct.values, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", ["puma", "ur5", "gantry"])
 def test_thirty_samples_a_second_are_enough(name: str, method: Method) -> None:
@@ -140,6 +146,7 @@ def test_thirty_samples_a_second_are_enough(name: str, method: Method) -> None:
     assert np.median(found.sigma / fast.sigma) < 8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "ur5", "gantry", "random"])
 def test_a_plate_whose_zero_nobody_knows_tells_the_tared_set(name: str) -> None:
     tree = robot(name)

@@ -76,6 +76,7 @@ def test_constants_friction_and_rotors_within_their_sigmas(name: str) -> None:
     assert 0.6 < np.sqrt(np.mean(np.square(scores))) < 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_exact_data_give_exact_constants(name: str) -> None:
     tree = driven(name)
@@ -87,6 +88,7 @@ def test_exact_data_give_exact_constants(name: str) -> None:
         np.testing.assert_allclose(values, truths(tree, joint), rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_doubt_about_the_bodies_counts() -> None:
     """Ten times the covariance of the plate's estimate: where it leads, so does sigma."""
     tree = driven("puma")
@@ -101,6 +103,7 @@ def test_doubt_about_the_bodies_counts() -> None:
         assert b.sigma > 5 * a.sigma
 
 
+@pytest.mark.slow
 def test_another_recording_may_tell_the_bodies() -> None:
     tree = driven("ur5")
     bodies = tb.identify(tree, without(measured(tree, 1), "torque"), settings=SETTINGS)
@@ -122,6 +125,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
         drive_estimates(tree, without(recording, "torque"), bodies)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["puma", "gantry"])
 def test_too_few_rows_of_a_joint_are_refused_by_its_name(name: str) -> None:
     tree = driven(name)
@@ -130,6 +134,7 @@ def test_too_few_rows_of_a_joint_are_refused_by_its_name(name: str) -> None:
         drive_estimates(tree, measured(tree, 3, duration=0.85), bodies)
 
 
+@pytest.mark.slow
 def test_all_laws_can_be_asked_for() -> None:
     tree = driven("puma")
     recording = measured(tree)
@@ -139,6 +144,7 @@ def test_all_laws_can_be_asked_for() -> None:
     assert all(len(each.terms) == len(LAWS) for each in found)
 
 
+@pytest.mark.slow
 def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     """A plate of thirty times the usual noise: errors of the bodies take part of a constant.
 

@@ -53,6 +53,7 @@ def witness(
     return rows, np.sqrt((used**2).sum(axis=0) / rows), used.sum(axis=0) / rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("name", cases(["puma", 1, 2, 3], fast=2))
 def test_residuals_are_those_of_dense_inverse_dynamics(name: str | int, method: Method) -> None:
@@ -70,6 +71,7 @@ def test_residuals_are_those_of_dense_inverse_dynamics(name: str | int, method: 
     assert found.units == estimate.channel_units
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_what_sigma_adds_is_the_spread_of_predictions(puma: tb.Tree, method: Method) -> None:
     estimate = tb.identify(puma, measured(puma, 1, duration=12), method)

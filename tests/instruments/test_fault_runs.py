@@ -49,6 +49,7 @@ def test_all_faults_at_once_make_a_run_that_can_be_repeated(robot: str, tmp_path
     assert "plate_crosstalk" in (tmp_path / "run.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model",
     [ROOT / "models/puma562.xml", GOLDEN / "robots/gantry_ppp_rrr.urdf"],

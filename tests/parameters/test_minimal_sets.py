@@ -69,6 +69,7 @@ def test_three_witnesses_agree_on_the_catalogue(robot: str) -> None:
             agree(tree, model, entry["g"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
     cases(sorted(REAL.rglob("*.urdf")), fast=4),

@@ -31,6 +31,7 @@ def run(request: pytest.FixtureRequest) -> Run:
     return assemble_run(tree, measured(tree), name="driven", settings=settings)
 
 
+@pytest.mark.slow
 def test_the_report_shows_constants_and_curves(run: Run) -> None:
     assert run.drives is not None
     figures = {each["id"]: each for each in contents(run)["figures"]}
@@ -42,6 +43,7 @@ def test_the_report_shows_constants_and_curves(run: Run) -> None:
         assert row[1] == f"{drive.constant:.6g}"
 
 
+@pytest.mark.slow
 def test_a_run_that_was_not_asked_has_no_drives(run: Run) -> None:
     plain = replace(run, drives=None)
     assert "drives" not in {each["id"] for each in contents(plain)["figures"]}

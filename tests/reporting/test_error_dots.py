@@ -72,6 +72,7 @@ def test_of_very_many_parameters_the_worst_are_drawn(puma_run: Run) -> None:
     assert worst.errors["external"][1] == dots.errors["external"][0]
 
 
+@pytest.mark.slow
 def test_python_has_what_the_commands_have(puma_run: Run, tmp_path: Path) -> None:
     figure = tb.plot(puma_run)
     figure.savefig(tmp_path / "errors.png")
@@ -85,6 +86,7 @@ def test_python_has_what_the_commands_have(puma_run: Run, tmp_path: Path) -> Non
     assert tb.predict(puma_run).run is puma_run
 
 
+@pytest.mark.slow
 def test_a_folder_does_for_its_run(puma_run: Run, tmp_path: Path) -> None:
     assert puma_run.experiment is not None
     folder = tmp_path / "run"

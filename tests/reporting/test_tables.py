@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 import testbed as tb
 from testbed.identification.estimate import METHODS
 from testbed.reporting.tables import quality_lines
 from tests.helpers.measured import measured
 
 
+@pytest.mark.slow
 def test_a_line_says_what_the_noise_is_like(puma: tb.Tree) -> None:
     recording = measured(puma)
     estimates = [tb.identify(puma, recording, method) for method in METHODS]

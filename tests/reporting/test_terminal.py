@@ -11,6 +11,7 @@ from testbed.reporting.terminal import print_estimates, print_run
 from tests.helpers import runs
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
 @pytest.mark.parametrize("robot", runs.ROBOTS)
 def test_no_number_is_cut_off_at_any_width(

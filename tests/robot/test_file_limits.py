@@ -176,6 +176,7 @@ def test_endless_chains_are_refused(links: int, kind: str, tmp_path: Path) -> No
     assert "a chain of more than" in refusal(tmp_path / "r.urdf")
 
 
+@pytest.mark.slow
 def test_a_long_chain_of_fixed_links_is_read(tmp_path: Path) -> None:
     (tmp_path / "r.urdf").write_text(chain(1400, "fixed"))
     tree = tb.load_tree(tmp_path / "r.urdf")
@@ -206,6 +207,7 @@ def test_work_grows_no_faster_than_the_number_of_joints(
     assert calls.count < 4000 * joints
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["xml", "urdf"])
 def test_too_many_elements_are_refused(form: str, tmp_path: Path) -> None:
     path = tmp_path / f"r.{form}"

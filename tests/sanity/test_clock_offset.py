@@ -29,6 +29,7 @@ def shifted(signal: Array, time: Array, late: Array | float) -> Array:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", cases(["puma", "ur5", "gantry", "random"], 1))
 @pytest.mark.parametrize("late", [2e-3, -0.03])
 def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None:
@@ -125,6 +126,7 @@ def error(tree: tb.Tree, recording: tb.Recording) -> float:
     return float(np.sqrt(np.mean(((estimate.values - true) / size) ** 2)))
 
 
+@pytest.mark.slow
 def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     """500 Hz and 1 kHz, 2 ms and 100 ppm apart: said in the mapping, or found by --align."""
     tree = robot("puma")

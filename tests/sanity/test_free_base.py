@@ -69,6 +69,7 @@ WRONG: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", WRONG)
 def test_a_wrong_mapping_is_refused_with_its_cure(mistake: str) -> None:
     free, recording = right(11)
@@ -92,6 +93,7 @@ def test_a_right_one_is_not_refused_whatever_the_masses(seed: int) -> None:
     assert check_sanity(rough, with_base_joints(recording)).certain == ()
 
 
+@pytest.mark.slow
 def test_several_plates_are_named_in_the_cure() -> None:
     free, recording = right(11)
     plates = {name: {"sense": "on_robot", "units": ["N", "N m"]} for name in ("left", "right")}
@@ -102,6 +104,7 @@ def test_several_plates_are_named_in_the_cure() -> None:
     assert '[plates.left] sense = "on_plate"; [plates.right] sense = "on_plate"' in str(found.value)
 
 
+@pytest.mark.slow
 def test_a_moving_base_that_is_taken_as_welded_is_refused() -> None:
     """Unless it is to be only warned of; a pose that stays where it is says nothing."""
     free, recording = right(11)

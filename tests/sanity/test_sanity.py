@@ -94,6 +94,7 @@ MISTAKES = [(name, mistake) for mistake in WRONG for name in ROBOTS]
 MISTAKES.sort(key=lambda pair: pair[0] != "puma" or pair[1] in SLOW)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", cases(MISTAKES, len(WRONG) - len(SLOW)), ids=", ".join)
 def test_a_wrong_mapping_is_refused_with_its_cure(case: tuple[str, str]) -> None:
     name, mistake = case
@@ -148,6 +149,7 @@ PLATES: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mistake", PLATES)
 @pytest.mark.parametrize("name", ["puma", "ur5", "gantry"])
 def test_a_plate_in_other_units_or_order_is_refused(name: str, mistake: str) -> None:
@@ -189,6 +191,7 @@ def test_other_robots_are_not_refused(name: str) -> None:
     np.testing.assert_allclose(found.sizes[np.isfinite(found.sizes)], 1, atol=0.2)
 
 
+@pytest.mark.slow
 def test_a_humanoid_is_not_refused() -> None:
     """More joints than pairs are tried of; a torque of opposite sign is found all the same."""
     tree = tb.load_tree(REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf", weld_root=True)

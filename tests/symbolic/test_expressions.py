@@ -76,6 +76,7 @@ def somewhere(seed: int) -> dict[str, float]:
     return {name: math.sin(7.3 * k + seed) for k, name in enumerate(sorted(NAMES), start=1)}
 
 
+@pytest.mark.slow
 @given(anything, anything, anything)
 def test_the_laws_of_a_ring(a: Expression, b: Expression, c: Expression) -> None:
     assert a + b - a == b
@@ -253,6 +254,7 @@ def test_names_that_stand_for_nothing_are_refused(text: str) -> None:
         read_listing(text, NAMES)
 
 
+@pytest.mark.slow
 def test_factors_are_forgotten_when_nobody_needs_them() -> None:
     factor = Factor(Nature.CONSTANT, "only_here")
     assert factor is Factor(Nature.CONSTANT, "only_here")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from testbed.experiment.growth import growth
 from testbed.experiment.run import Run
@@ -16,6 +17,7 @@ from testbed.viewer.scene import scene_of
 from tests.helpers.viewer import columns, entities
 
 
+@pytest.mark.slow
 def test_what_both_tell_and_differ_in_is_shown(puma_run: Run) -> None:
     shown = learned(scene_of(puma_run, growth(puma_run)))
     assert len(shown) == MOST
@@ -39,6 +41,7 @@ def test_what_both_tell_and_differ_in_is_shown(puma_run: Run) -> None:
             assert low < each.values[method][-1] < high
 
 
+@pytest.mark.slow
 def test_one_method_and_no_truth_are_enough(puma_run: Run, tmp_path: Path) -> None:
     for method in METHODS:
         alone = replace(puma_run, estimates={method: puma_run.estimates[method]}, score=None)

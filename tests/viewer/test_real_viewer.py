@@ -39,6 +39,7 @@ def test_a_run_is_shown_while_it_happens(scene: Scene, tmp_path: Path) -> None:
         assert [view.reports for view in settled(viewer) if view.reports] == []
 
 
+@pytest.mark.slow
 def test_a_live_view_needs_a_viewer(scene: Scene) -> None:
     port = free_port()
     with pytest.raises(ViewerError, match=f"no viewer listens at 127.0.0.1:{port}; open one"):

@@ -12,6 +12,7 @@ from testbed.experiment.run import Run
 from testbed.viewer import show
 
 
+@pytest.mark.slow
 def test_a_file_is_written_and_nothing_opened(
     puma_run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -20,6 +21,7 @@ def test_a_file_is_written_and_nothing_opened(
     assert path.read_bytes()[:4] == b"RRF2"
 
 
+@pytest.mark.slow
 def test_without_a_place_the_viewer_is_started(
     puma_run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -33,6 +33,7 @@ def some_noise(seed: int) -> Autoregression:
     return Autoregression(np.array(found), rng.uniform(0.1, 10.0, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_what_is_made_is_found_again(seed: int) -> None:
     noise = some_noise(seed)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
@@ -49,6 +50,7 @@ def test_a_clear_constant_is_taken_and_an_absent_one_hardly() -> None:
     assert np.median(weights) < 0.5
 
 
+@pytest.mark.slow
 def test_sigma_holds_where_a_choice_would_not() -> None:
     """Slow noise looks like a constant now and then, and a test takes it for one."""
     slow = Autoregression(np.full((2, 1), 0.97), np.ones(2))

@@ -40,6 +40,7 @@ def surveyed(plan: Plan) -> Survey:
     return surveyor.survey()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_whole_counts_are_told_from_noise(name: str) -> None:
     """With a tenth of a count of noise; not with a whole one, nor without counts."""
@@ -110,6 +111,7 @@ def scores(tree: tb.Tree, estimate: tb.Estimate) -> Array:
     return np.asarray((estimate.values - truth) / estimate.sigma)
 
 
+@pytest.mark.slow
 def test_sigma_counts_what_coarse_encoders_do(
     puma: tb.Tree, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -134,6 +136,7 @@ def test_sigma_counts_what_coarse_encoders_do(
     assert np.sqrt(np.mean(np.square(before))) > 1.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_nothing_is_said_of_finer_encoders(name: str) -> None:
     tree = robot(name)

@@ -48,6 +48,7 @@ def scores(found: NoiseFit) -> Array:
     )
 
 
+@pytest.mark.slow
 def test_the_unknowns_are_right_on_average_and_sigma_is_their_spread() -> None:
     """Without taking noise back, their mean is off by several sigma."""
     before, after = [], []

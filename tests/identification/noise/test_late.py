@@ -66,6 +66,7 @@ def test_it_is_seen_beside_rows_that_were_dropped() -> None:
     assert 0 < late.delay < 0.025
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gaps", [False, True])
 def test_chance_makes_no_delays(gaps: bool) -> None:
     """Of variance one: 200 recordings."""

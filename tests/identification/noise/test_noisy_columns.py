@@ -42,6 +42,7 @@ def all_rows(plan: Plan, combined: Array) -> Array:
     return np.concatenate([columns for columns, _ in passes.rows(combined)], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROBOTS)
 def test_columns_change_as_with_real_noise(name: str) -> None:
     """As large, column by column, and as much alike from row to row."""

@@ -150,6 +150,7 @@ def filtered(signal: Array, rate: float) -> Array:
     return np.stack([np.convolve(c, weights, "valid")[::step] for c in signal.T], axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WITNESSES)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_columns_are_what_the_fault_does(name: str, kind: str) -> None:

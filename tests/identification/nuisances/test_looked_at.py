@@ -23,6 +23,7 @@ def short_windows(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(windows, "WINDOW", 1000)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("most", "seen"), [(1, 1), (3, 3), (4, 4), (10_000, None)])
 def test_windows_that_are_looked_at_are_spread_evenly(
     short_windows: None, monkeypatch: pytest.MonkeyPatch, most: int, seen: int | None
@@ -51,6 +52,7 @@ FAULTS: dict[str, Fault | None] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kind"), [*(("puma", kind) for kind in FAULTS), ("gantry", ""), ("gantry", "skew")]
 )

@@ -81,6 +81,7 @@ def test_a_bridged_gap_is_none(tmp_path: Path) -> None:
     assert lines == []
 
 
+@pytest.mark.slow
 def test_the_pieces_make_one_estimate(tmp_path: Path) -> None:
     """By the mapping itself, and by the recordings that `import` writes: the same numbers."""
     tree, recording = interrupted(tmp_path)
