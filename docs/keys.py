@@ -138,7 +138,8 @@ def takes(annotation: Any) -> str:
     """What may stand under a key, in words."""
     origin, inner = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return f"{takes(inner[0])}{bounds(inner[1:])}"
+        unit = "characters" if inner[0] is str else "items"
+        return f"{takes(inner[0])}{bounds(inner[1:], unit)}"
     if origin in (Union, types.UnionType):
         kept = [each for each in inner if each is not type(None) and not in_python(each)]
         return " or ".join(dict.fromkeys(takes(each) for each in kept))
@@ -153,14 +154,28 @@ def takes(annotation: Any) -> str:
     return names.get(annotation) or f"table with {KINDS[annotation.__name__]} keys"
 
 
-def bounds(metadata: Sequence[Any]) -> str:
-    """Bounds of a number, or the length of a list."""
-    words = []
+def bounds(metadata: Sequence[Any], unit: str) -> str:
+    """Bounds of a number, or of the length of a text or a list, of so many units."""
+    words = length(metadata, unit)
     for each in flat(metadata):
         for side, sign in (("gt", "> "), ("ge", "at least "), ("lt", "< "), ("le", "at most ")):
             if abs(getattr(each, side, None) or 0) < LARGEST and hasattr(each, side):
                 words.append(f"{sign}{float(getattr(each, side)):g}")
     return f", {', '.join(words)}" if words else ""
+
+
+def length(metadata: Sequence[Any], unit: str) -> list[str]:
+    """How long a text or a list may be, in words; nothing where any length will do."""
+    found = {
+        side: getattr(each, side)
+        for each in flat(metadata)
+        for side in ("min_length", "max_length")
+        if getattr(each, side, None) is not None
+    }
+    least, most = found.get("min_length", 0), found.get("max_length")
+    if most is None:
+        return [f"at least {least} {unit}"] if least else []
+    return [f"{most} {unit}" if least == most else f"{least} to {most} {unit}"]
 
 
 def flat(metadata: Sequence[Any]) -> Iterator[Any]:
