@@ -174,8 +174,10 @@ def length(metadata: Sequence[Any], unit: str) -> list[str]:
     }
     least, most = found.get("min_length", 0), found.get("max_length")
     if most is None:
-        return [f"at least {least} {unit}"] if least else []
-    return [f"{most} {unit}" if least == most else f"{least} to {most} {unit}"]
+        return [f"{least} or more {unit}"] if least else []
+    if least == most:
+        return [f"{most} {unit}"]
+    return [f"{least} to {most} {unit}" if least else f"at most {most} {unit}"]
 
 
 def flat(metadata: Sequence[Any]) -> Iterator[Any]:
