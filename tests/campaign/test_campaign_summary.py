@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
-from scipy.stats import binomtest
+from scipy.stats import binomtest, norm
 
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
@@ -24,6 +24,7 @@ from testbed.campaign.campaign_summary import (
 from testbed.campaign.conduct import conduct
 from testbed.campaign.summary_files import changes, write_summary
 from testbed.reporting.campaign_page import campaign_contents, write_campaign_page
+from testbed.reporting.campaign_figures import marginal_figure, score_figure
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.command import command_line
 from tests.helpers.viewer import entities, words
@@ -177,3 +178,25 @@ def test_the_viewers_file_counts_every_run(folder: Path, tmp_path: Path) -> None
     assert {"/scores/external/a", "/sigma/external"} <= entities(tmp_path / "r.rrd")
     (notes,) = words(tmp_path / "r.rrd", "/notes", "TextDocument:text")
     assert notes.count("external_rms_relative_error | 25 |") == 4
+
+
+def test_the_pages_curves_are_means_over_levels_and_densities(
+    folder: Path, summary: Summary
+) -> None:
+    """Of runs that all have a result: a level's mean is that of its runs, whatever their cell."""
+    name, rows = "external_rms_relative_error", pq.read_table(folder / "results.parquet")
+    marginal = marginal_figure(summary, [name])
+    assert marginal is not None
+    found = np.array(rows[f"metric/{name}"])
+    for k, panel in enumerate(marginal["panels"]):
+        of_run = np.array([summary.cells[cell][k] for cell in rows["cell"].to_pylist()])
+        levels, means = panel.curves["external"]
+        wanted = [100 * found[of_run == level].mean() for level in levels]
+        np.testing.assert_allclose(means, wanted, rtol=1e-9)
+    scores = score_figure(summary.z)
+    assert scores is not None
+    for panel in scores["panels"]:
+        at, normal = panel.curves["measured"]
+        np.testing.assert_allclose(normal, norm.pdf(at), rtol=1e-12)
+        edges, share = panel.curves["external"]
+        assert np.sum(share[::2] * (edges[1::2] - edges[::2])) == pytest.approx(1.0)

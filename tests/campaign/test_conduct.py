@@ -15,7 +15,7 @@ from testbed.campaign import campaign_folder
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder
-from testbed.campaign.conduct import conduct, places_of
+from testbed.campaign.conduct import Standing, conduct, places_of
 from testbed.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 
@@ -237,3 +237,19 @@ def test_real_runs_give_the_same_bits_in_any_bundles_and_recordings_are_kept(
     for run in done:
         kept = [tmp_path / name / f"recordings/{run}.parquet" for name in ("r1", "rNone")]
         assert kept[0].read_bytes() == kept[1].read_bytes()
+
+
+def test_progress_counts_runs_that_are_there_and_those_without_a_result(
+    tmp_path: Path, campaign: Campaign
+) -> None:
+    bad = list(places_of(campaign))[3]
+
+    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
+        found, seconds = made_up(bundle)
+        return [Outcome(o.run, "failed", "no") if o.run == bad else o for o in found], seconds
+
+    seen: list[Standing] = []
+    conduct(campaign, tmp_path / "r", Odd(work), progress=seen.append)
+    assert (seen[-1].done, seen[-1].total, seen[-1].failed) == (40, 40, 1)
+    assert [each.done for each in seen] == sorted({each.done for each in seen})
+    assert all(each.rate > 0 for each in seen)

@@ -14,7 +14,7 @@ from testbed.errors import TestbedError
 from testbed.excitation.limits import limits_of
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.motions import motion_of
-from testbed.experiment.new_experiment import new_experiment
+from testbed.experiment.new_experiment import DRY, new_experiment
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.runs import MODELS
 
@@ -110,3 +110,25 @@ def test_grippers_are_held_with_their_fingers_and_arms_are_not(tmp_path: Path) -
     arm = written(tmp_path / "arm.urdf", tmp_path)
     assert arm.robot.lock == {}  # the shoulder is followed, and carries the elbow
     assert robot_of(arm).names == ("waist", "shoulder", "elbow")
+
+
+def test_friction_is_assumed_from_the_load_of_postures_within_the_whole_range(
+    tmp_path: Path,
+) -> None:
+    """Of a light pendulum between 0 and 1 rad the rms of m g l sin q is 0.522 m g l."""
+    mass, arm = 100.0, 0.01
+    (tmp_path / "pendulum.urdf").write_text(f"""<robot name="pendulum"><link name="base"/>
+      <link name="bob"><inertial><origin xyz="0 0 {-arm}"/><mass value="{mass}"/>
+      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial></link>
+      <joint name="swing" type="revolute"><parent link="base"/><child link="bob"/>
+      <axis xyz="0 1 0"/><limit lower="0" upper="1" effort="1000" velocity="1"/></joint></robot>""")
+    experiment = written(tmp_path / "pendulum.urdf", tmp_path)
+    load = mass * 9.81 * arm * np.sqrt(0.5 - np.sin(2.0) / 4)
+    assert robot_of(experiment).joints[0].coulomb == pytest.approx(DRY * load, rel=0.1)
+
+
+def test_assumed_errors_of_torque_constants_alternate(tmp_path: Path) -> None:
+    for name in MODELS:
+        said = written(MODELS[name], tmp_path).measurement.torque_constant_error
+        gains = np.array(list(said.values()))
+        np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])

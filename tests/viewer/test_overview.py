@@ -12,7 +12,7 @@ from testbed.experiment.growth import growth
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS
 from testbed.viewer.log import write_rrd
-from testbed.viewer.overview import MOST, learned
+from testbed.viewer.overview import MOST, Learned, learned
 from testbed.viewer.scene import scene_of
 from tests.helpers.viewer import columns, entities
 
@@ -56,3 +56,14 @@ def test_one_method_and_no_truth_are_enough(puma_run: Run, tmp_path: Path) -> No
         drawn = columns(tmp_path / "run.rrd", "/overview/0", "Scalars:scalars")
         np.testing.assert_allclose(drawn.ravel()[-1], shown[0].values[method][-1])
     assert learned(scene_of(puma_run, {})) == ()
+
+
+def test_the_plots_scale_does_not_depend_on_when_the_clock_was_set() -> None:
+    """The first third of a recording, of which little is known, sets no scale."""
+    time, values = np.linspace(0.0, 10.0, 21), np.append(np.full(6, 1e6), np.linspace(1.2, 1.0, 15))
+    scales = [
+        Learned("m", "kg", 1.0, time + shift, {"external": values}).scale for shift in (0, -3, 1e4)
+    ]
+    assert len(set(scales)) == 1
+    low, high = scales[0]
+    assert low < 1.0 < high < 2.0

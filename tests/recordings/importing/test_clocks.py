@@ -177,6 +177,14 @@ def test_a_rest_is_no_slow_device() -> None:
     assert slow_device(values).all()
 
 
+def test_of_a_run_of_equal_samples_the_first_is_news_and_then_every_so_many() -> None:
+    """Whatever lengths the runs before had: a device that now and then misses a turn."""
+    lengths = [3, 3, 2, 3, 7, 3, 1, 3, 3, 3]
+    values = np.repeat(np.arange(len(lengths), dtype=float), lengths)[:, None]
+    wanted = np.concatenate([np.arange(length) % 3 == 0 for length in lengths])
+    np.testing.assert_array_equal(slow_device(values), wanted)
+
+
 def test_sources_without_common_time_are_told_apart(tmp_path: Path) -> None:
     time = np.arange(0, 4, 2e-3)
     made(tmp_path, time, time + 100)
