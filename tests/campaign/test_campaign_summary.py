@@ -23,8 +23,8 @@ from testbed.campaign.campaign_summary import (
 )
 from testbed.campaign.conduct import conduct
 from testbed.campaign.summary_files import changes, write_summary
-from testbed.reporting.campaign_page import campaign_contents, write_campaign_page
 from testbed.reporting.campaign_figures import marginal_figure, score_figure
+from testbed.reporting.campaign_page import campaign_contents, write_campaign_page
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.command import command_line
 from tests.helpers.viewer import entities, words

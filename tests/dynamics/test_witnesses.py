@@ -10,8 +10,9 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import parameter_regressor
-from testbed.dynamics.witnesses import Agreement, sampled_regressor, verify
+from testbed.dynamics.witnesses import Agreement, sampled_regressor, verify, verify_drives
 from testbed.parameters.rules import Model
 from tests.helpers.robots import random_robot
 
@@ -90,6 +91,21 @@ def test_the_change_is_relative_to_the_largest_entry() -> None:
     rows = sampled_regressor(tree, "dynamic")
     lost = 1e-6 * np.outer(rows @ right[:, 0], minimal.matrix[0])
     assert found.change == pytest.approx(np.abs(lost).max() / np.abs(rows).max(), rel=1e-6)
+
+
+def test_the_change_of_bodies_and_drives_is_relative_too() -> None:
+    tree = some_tree(1)
+    minimal = tb.minimal_set(tree, "dynamic")
+    right = drive_set(tree, minimal, ("coulomb", "viscous"))
+    assert verify_drives(tree, right).change < 1e-9
+    off = right.matrix.copy()
+    off[0] *= 1 + 1e-6
+    rows = sampled_regressor(tree, "dynamic")
+    wrong = replace(right, columns=right.columns.copy())
+    vars(wrong)["matrix"] = off
+    lost = 1e-6 * np.outer(rows @ minimal.lift[:, 0], right.matrix[0])
+    wanted = np.abs(lost).max() / np.abs(rows).max()
+    assert verify_drives(tree, wrong).change == pytest.approx(wanted, rel=0.5)
 
 
 def rest(tree: tb.Tree) -> tb.Motion:

@@ -9,6 +9,7 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.errors import InfeasibleMotion
 from testbed.excitation.collision_model import collision_model
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.jets import force_bounds
@@ -190,3 +191,13 @@ def test_from_rest_to_rest_the_path_is_the_motion_s_own(puma: tb.Tree) -> None:
     still = (times < -1.5) | (times > 16.5)
     assert np.abs(samples.qd[still]).max() < 1e-9
     assert np.abs(samples.qdd[still]).max() < 1e-9
+
+
+def test_a_robot_that_cannot_rest_where_the_motion_begins_is_told_so(puma: tb.Tree) -> None:
+    """However slowly it starts: its motors do not hold the weight there."""
+    tree, limits = puma.without_friction(), limits_of(puma)
+    motion = random_motion(tree, limits, 0.1, 5, np.random.default_rng(3))
+    weak = replace(limits, effort=0.01 * limits.effort)
+    held = rules(tree, weak, terms=(EffortTerm(tree, weak, 1.0),))
+    with pytest.raises(InfeasibleMotion, match=r"cannot begin from rest: .* of the start"):
+        start_of(motion, held)

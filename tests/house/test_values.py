@@ -130,12 +130,10 @@ def test_every_checked_value_has_an_example() -> None:
     assert {each.__name__ for each in CHECKED} == set(EXAMPLES)
 
 
-@pytest.mark.parametrize("kind", NOUNS, ids=lambda kind: kind.__name__)
-def test_values_are_frozen_and_those_with_arrays_are_themselves_alone(kind: type[Any]) -> None:
+def test_values_are_frozen_and_those_with_arrays_are_themselves_alone() -> None:
     """Arrays have no one answer to `==`: what holds them is compared by identity."""
-    parameters = kind.__dataclass_params__
-    assert parameters.frozen
-    assert not (parameters.eq and arrays_of(kind))
+    assert [kind for kind in NOUNS if not kind.__dataclass_params__.frozen] == []
+    assert [kind for kind in NOUNS if kind.__dataclass_params__.eq and arrays_of(kind)] == []
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

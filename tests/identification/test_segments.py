@@ -172,3 +172,12 @@ def test_a_drift_beside_an_unknown_zero() -> None:
     for name, true in zip(("Fx", "Fy", "Fz"), (0.1, -0.2, 0.5), strict=True):
         each = slopes[f"slope/{name}"]
         assert abs(each.value - true) < 4.5 * each.sigma
+
+
+def test_what_is_said_of_any_recording_is_said_of_all_together_once() -> None:
+    tree = robot("puma")
+    parts = [
+        replace(measured(tree, seed, duration=3.0), facts={"warnings": lines})
+        for seed, lines in enumerate((["a gap", "both"], [], ["both", "late"]))
+    ]
+    assert Joined(parts).facts["warnings"] == ["a gap", "both", "late"]

@@ -166,3 +166,13 @@ def test_columns_are_mapped_by_name_never_by_position(puma: tb.Tree) -> None:
     shuffled = Recording(names, np.arange(50.0), position, position, np.zeros((50, 6)))
     np.testing.assert_array_equal(shuffled.ordered(puma).position[0], [1, 2, 3])
     np.testing.assert_array_equal(shuffled.ordered(puma).measured("torque")[0], [1, 2, 3])
+
+
+@pytest.mark.parametrize("content", [b"time,position\n0,1\n", b"", b"PAR"])
+def test_what_is_no_recording_is_not_written_over(content: bytes, tmp_path: Path) -> None:
+    """An older recording is; another file was somebody's."""
+    path = tmp_path / "notes.csv"
+    path.write_bytes(content)
+    with pytest.raises(RecordingError, match="is there and is no recording"):
+        recording().save(path)
+    assert path.read_bytes() == content

@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.experiment.predictions import predict
 from testbed.experiment.results import result
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.reporting.contents import contents
 from testbed.reporting.drive_sections import curve_lines
 from testbed.reporting.matrix_map import matrix_maps
+from testbed.reporting.sections import sections
 from testbed.viewer.drive_notes import log_curve, notes_of_drives, notes_of_plate
 from testbed.viewer.scene import scene_of
 from tests.helpers.cases import cases
@@ -131,3 +133,11 @@ def test_metrics_of_drives_are_judged(tmp_path: Path) -> None:
     assert "rotor_max_relative_error" not in run.metrics
     kept = json.loads(json.dumps(result(run)))["drives"]["joints"]["waist"]["torque_constant"]
     assert kept["value"] == run.drives.estimates[0].constant
+
+
+def test_every_line_of_a_legend_is_drawn_and_every_curve_is_in_one(run: Run) -> None:
+    found = sections(predict(run, None), unseen=False)
+    assert "drives" in {each["id"] for each in found}
+    for section in found:
+        drawn = set().union(*(panel.curves for panel in section["panels"]))
+        assert drawn == set(section["legend"]), section["id"]
