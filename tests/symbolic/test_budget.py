@@ -20,7 +20,7 @@ from testbed.symbolic.kinds import KINDS
 from testbed.symbolic.languages import write_equations
 from testbed.symbolic.languages.paper import line
 from testbed.symbolic.parse import read_listing
-from testbed.symbolic.polynomial import Ring
+from testbed.symbolic.polynomial import LARGEST, Ring
 
 SECONDS = 60
 """Of processor time, after which the system ends a command that would never end."""
@@ -242,3 +242,11 @@ def test_two_hundred_arms_on_one_bedplate(tmp_path: Path) -> None:
     tree = tb.load_tree(tmp_path / "star.urdf")
     count = equations(tree, "base-wrench", "recursive").equations[0].program.count
     assert count.multiplications < 30 * tree.n
+
+
+def test_a_product_has_as_many_factors_as_a_polynomial_has_degrees() -> None:
+    known = {"q1": symbol(Nature.POSITION, "q1")}
+    longest = "*".join(["q1", *["1"] * (LARGEST - 1)])
+    assert read_listing(f"Q1 = {longest}", known)["Q1"] == known["q1"]
+    with pytest.raises(ExpressionError, match=f"a product of more than {LARGEST} factors"):
+        read_listing(f"Q1 = {longest}*q1", known)

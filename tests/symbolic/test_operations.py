@@ -6,9 +6,11 @@ import ast
 import json
 import re
 
+import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.symbolic.angles import almost_right, right_angles
 from testbed.symbolic.equations import FORMS, Form, equations
 from testbed.symbolic.languages import write_equations
 from tests.helpers.cases import cases
@@ -72,3 +74,18 @@ def test_operations_are_as_few_as_they_were(name: str) -> None:
     assert {
         kind: [c.multiplications, c.additions, c.trigonometric, c.once] for kind, c in found.items()
     } == COUNTS[name]
+
+
+@pytest.mark.parametrize(("off", "meant"), [(0.0, True), (0.9e-4, True), (1.1e-4, False)])
+def test_turns_close_to_quarter_turns_are_meant_to_be_some(off: float, meant: bool) -> None:
+    """And are said; others stay as they are."""
+    axis = np.array([0, np.sin(off), np.cos(off)])
+    joint = tb.Joint("a", "b", "revolute", -1, axis, np.zeros(3), np.eye(3))
+    tree = tb.Tree("one", (joint,), (tb.Inertia(1.0, np.ones(3), np.eye(3)),))
+    squared = right_angles(tree).joints[0].axis
+    if meant:
+        np.testing.assert_array_equal(squared, [0, 0, 1])
+        assert set(almost_right(tree)) == ({"a"} if off else set())
+    else:
+        np.testing.assert_array_equal(squared, joint.axis)
+        assert almost_right(tree) == {}
