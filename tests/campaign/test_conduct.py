@@ -123,6 +123,7 @@ def test_failures_are_rows_and_are_not_tried_again_but_killed_runs_are(
 
     folder = conduct(campaign, tmp_path / "r", Odd(work))
     assert [error for _, error in folder.failures()] == ["because", "because"]
+    assert all(isinstance(row["warnings"], list) for row in rows(tmp_path / "r"))
     assert folder.failures()[0][0].startswith("testbed run ")
     assert len(rows(tmp_path / "r")) == 40
     again = Odd()

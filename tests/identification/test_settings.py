@@ -39,6 +39,8 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "weights not square": ({"weights": [[1.0, 0.5]]}, "not a square matrix"),
     "weights of words": ({"weights": [["a"]]}, "not a square matrix"),
     "weights without end": ({"weights": [[np.inf]]}, "not a square matrix"),
+    "noise of another colour": ({"noise": "brown"}, "noise 'brown'.*known: ar, white"),
+    "a tare that is guessed": ({"tare": "guessed"}, "tare 'guessed'.*known: "),
     "zeros in numbers": ({"zeros": 1}, "zeros is true, false or a list"),
     "zeros by number": ({"zeros": [1, 2]}, "zeros is true, false or a list"),
 }

@@ -141,3 +141,4 @@ def test_every_line_of_a_legend_is_drawn_and_every_curve_is_in_one(run: Run) -> 
     for section in found:
         drawn = set().union(*(panel.curves for panel in section["panels"]))
         assert drawn == set(section["legend"]), section["id"]
+        assert {len(row) for row in section["rows"]} == {len(section["heads"])}, section["id"]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import testbed as tb
 from testbed.errors import RecordingError, UnknownName
@@ -133,3 +134,16 @@ def test_a_missing_library_says_which_extra_has_it(
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(RecordingError, match=rf"{package}.*pip install '.\[import\]'"):
         tb.Recording.from_mapping(tmp_path / "map.toml")
+
+
+def test_what_is_no_column_is_left_out_of_a_matlab_file(tmp_path: Path) -> None:
+    """Words, volumes and tables of logicals beside columns of numbers."""
+    content = {
+        "q": np.arange(6.0).reshape(3, 2), "note": "by hand", "volume": np.zeros((2, 2, 2)),
+        "log": {"t": np.arange(3.0), "who": "me"},
+    }  # fmt: skip
+    savemat(tmp_path / "log.mat", content)
+    table = open_foreign(tmp_path / "log.mat")
+    assert not {"note", "volume", "log/who"} & {name.split("[")[0] for name in table.columns}
+    assert any(name.startswith("log/t") for name in table.columns)
+    assert any(name.startswith("q") for name in table.columns)
