@@ -254,3 +254,35 @@ def test_progress_counts_runs_that_are_there_and_those_without_a_result(
     assert (seen[-1].done, seen[-1].total, seen[-1].failed) == (40, 40, 1)
     assert [each.done for each in seen] == sorted({each.done for each in seen})
     assert all(each.rate > 0 for each in seen)
+
+
+def test_files_of_few_rows_do_not_pile_up(
+    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They go into the table when there are as many rows in them as in it: half of all at most."""
+    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
+    seen: list[tuple[int, int]] = []
+
+    def look(standing: Standing) -> None:
+        seen.append((standing.done, len(list((tmp_path / "r/new").glob("*.parquet")))))
+
+    conduct(campaign, tmp_path / "r", Odd(size=1), progress=look)
+    assert len(seen) == 40
+    assert all(files <= max(4, done / 2) for done, files in seen)
+
+
+def test_a_command_that_is_refused_a_folder_leaves_no_file_open(
+    tmp_path: Path, campaign: Campaign
+) -> None:
+    own = Path("/dev/fd")
+    if not own.is_dir():
+        pytest.skip("this system does not list open files")
+    with campaign_folder.own_folder(tmp_path / "r", campaign.tables):
+        before = len(list(own.iterdir()))
+        for _ in range(5):
+            with (
+                pytest.raises(ExperimentError, match="another command is writing"),
+                campaign_folder.own_folder(tmp_path / "r", campaign.tables),
+            ):
+                pass
+        assert len(list(own.iterdir())) == before
