@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.cli.reading import opened
 from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log
 from tests.helpers.paths import ROOT
@@ -123,3 +124,13 @@ def test_json_for_programs(tmp_path: Path) -> None:
     done = command_line("import", "map.toml", "--out", "x.parquet", "--json", cwd=tmp_path)
     assert json.loads(done.stdout)["import"]["samples"] == 60
     assert tb.Recording.load(tmp_path / "x.parquet").samples == 60
+
+
+def test_commands_take_a_mapping_for_its_recording(tmp_path: Path) -> None:
+    (tmp_path / "map.toml").write_text(csv(tmp_path, some_log()))
+    source = opened(tmp_path / "map.toml")
+    whole = tb.Recording.from_mapping(tmp_path / "map.toml")
+    assert source.names == whole.names
+    assert source.samples == whole.samples
+    part = source.part(10, 20)
+    np.testing.assert_array_equal(part.measured("wrench"), whole.part(10, 20).measured("wrench"))

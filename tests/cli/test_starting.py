@@ -68,6 +68,8 @@ def test_the_doctor_finds_this_installation_well(tmp_path: Path) -> None:
     assert all(each["fine"] for each in checks.values() if each["needed"])
     told = command_line("doctor", cwd=tmp_path)
     assert told.stdout.count("\n") == len(checks)
+    marks = {line.split()[0] for line in told.stdout.splitlines()}
+    assert {"ok"} <= marks <= {"ok", "-"}  # "-": of what only some users need
 
 
 def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,9 @@ from testbed.errors import ExperimentError
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.motions import CheckedMotion, checked_motion, obstacles_of
 from testbed.robot.visuals.appearance import load_appearance
+from testbed.viewer import show
 from testbed.viewer.motion_log import write_motion_rrd
+from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS
 from tests.helpers.viewer import columns, entities, headless_viewer, settled, words
@@ -84,3 +86,16 @@ def test_a_robot_with_more_joints_is_told_how_to_hold_them(tmp_path: Path) -> No
     (tmp_path / "other.toml").write_text(text[:first] + text[text.index("[limits]") :])
     with pytest.raises(ExperimentError, match="which the motion leaves out, by --set robot.lock"):
         checked_motion(tmp_path / "other.toml")
+
+
+def test_without_a_place_it_is_written_beside_the_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = MOTION.read_text().replace("../../models", str(ROOT / "models"))
+    (tmp_path / "swing.toml").write_text(text)
+    monkeypatch.setattr(show, "has_screen", lambda: False)
+    done = command_line("view", "swing.toml", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "no screen" in done.stderr
+    assert "'swing.rrd'" in done.stderr
+    assert (tmp_path / "swing.rrd").read_bytes()[:4] == b"RRF2"
