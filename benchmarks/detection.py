@@ -66,7 +66,7 @@ def trials() -> Iterator[Trial]:
     """Clean ones, then faulty ones."""
     for robot in SHOWN:
         for motion in ("default", "slow"):
-            for noise in ("white", "ar .3 s", "pink"):
+            for noise in ("white", "ar .3 s", "ar 3 s", "pink"):
                 yield Trial(robot, motion, noise)
     for robot in SHOWN:
         second = tb.load_tree(ROBOTS[robot]).names[1]
