@@ -52,6 +52,17 @@ def test_a_column_that_is_a_sum_of_others_is_never_added() -> None:
     assert np.isinf(parts_of(x, y, 0).left_with([0, 2], [5])).all()
 
 
+def test_where_all_that_is_offered_are_sums_nothing_comes_next() -> None:
+    """The same where such columns are left over in the end."""
+    x, y = some_rows()
+    x[:, 5], x[:, 6] = x[:, 0] - 2 * x[:, 2], 3 * x[:, 0]
+    chosen, how = grown(parts_of(x, y, 0), [0, 2], {5: 5, 6: 6}, str)
+    assert (chosen, len(how.steps), how.next_best) == ([], 1, None)
+    chosen, how = grown(parts_of(x, y, 0), [0], {2: 2, 5: 5, 6: 6}, str)
+    assert len(chosen) == 1
+    assert how.next_best is None
+
+
 def test_true_columns_are_added_and_no_others() -> None:
     for seed in range(10):
         x, y = some_rows(seed)
