@@ -23,7 +23,9 @@ from testbed.campaign.campaign_summary import (
 )
 from testbed.campaign.conduct import conduct
 from testbed.campaign.summary_files import changes, write_summary
+from testbed.experiment.experiment_tables import METRICS
 from testbed.reporting.campaign_figures import marginal_figure, score_figure
+from testbed.reporting.campaign_lines import SHOWN_METRICS
 from testbed.reporting.campaign_page import campaign_contents, write_campaign_page
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.command import command_line
@@ -200,3 +202,7 @@ def test_the_pages_curves_are_means_over_levels_and_densities(
         np.testing.assert_allclose(normal, norm.pdf(at), rtol=1e-12)
         edges, share = panel.curves["external"]
         assert np.sum(share[::2] * (edges[1::2] - edges[::2])) == pytest.approx(1.0)
+
+
+def test_what_is_shown_of_cells_are_metrics_that_runs_have() -> None:
+    assert {name for _, name in SHOWN_METRICS} <= set(METRICS)

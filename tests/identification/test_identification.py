@@ -15,8 +15,10 @@ from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps, slope_weights
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
+from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
+from tests.helpers.runs import robot
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -258,3 +260,14 @@ def test_the_filter_has_no_phase_half_gain_at_its_cutoff_and_stops_beyond() -> N
 
 def test_a_filter_of_one_sample_makes_no_slope() -> None:
     np.testing.assert_array_equal(slope_weights(np.ones(1), np.zeros(1), 100.0), [0.0])
+
+
+@pytest.mark.parametrize(("noise", "a_second"), [("white", 4.0), ("ar", 2.0)])
+def test_rows_are_as_many_as_the_filter_leaves(noise: str, a_second: float) -> None:
+    """For an autoregression as many as are independent, else twice that: for each Hz of it."""
+    tree = robot("ur5")
+    for cutoff in (2.5, 5.0):
+        settings = tb.Settings(noise=noise, cutoff=cutoff, position_cutoff="off")
+        estimate = tb.identify(tree, measured(tree, duration=20.0), settings=settings)
+        rows = float(estimate.normal_equations.used[0])
+        assert rows == pytest.approx(a_second * cutoff * 20.0, rel=0.15)

@@ -138,6 +138,8 @@ def test_a_robot_that_moves_is_not_weighed() -> None:
     tree = robot("puma")
     with pytest.raises(RecordingError, match="0 poses at rest"):
         poses_at_rest(tree, ideal(tree))
+    with pytest.raises(RecordingError, match="is of another robot"):
+        poses_at_rest(robot("ur5"), resting(tree, 1))
     with pytest.raises(RecordingError, match="no wrench"):
         poses_at_rest(
             tree, replace(resting(tree, 1), wrench=None, torque=resting(tree, 1).position)

@@ -9,6 +9,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ModelError
+from testbed.robot.formats.mjcf_xml import check_files
 from tests.helpers.robots import random_robot
 from tests.helpers.work import counted_calls
 
@@ -319,3 +320,22 @@ def test_names_of_all_languages_are_kept(name: str, tmp_path: Path) -> None:
         text = PLACES[place].replace("{}", "").replace("@", name)
         (tmp_path / place).write_text(text, encoding="utf-8")
         assert tb.load_tree(tmp_path / place).names == (name,)
+
+
+@pytest.mark.parametrize(("times", "refused"), [(40, False), (60, True)])
+def test_a_model_that_is_attached_often_counts_as_often(
+    times: int, refused: bool, tmp_path: Path
+) -> None:
+    """A hundred bodies each time: five thousand are the limit."""
+    inside = f'<body name="b"><joint/>{MASS}' + BODY * 99 + "</body>"
+    (tmp_path / "part.xml").write_text(WORLD.format("", inside))
+    attached = "".join(
+        f'<frame><attach model="m" body="b" prefix="p{i}"/></frame>' for i in range(times)
+    )
+    asset = '<asset><model name="m" file="part.xml"/></asset>'
+    (tmp_path / "all.xml").write_text(WORLD.format(asset, f'<body name="a">{attached}</body>'))
+    if refused:
+        with pytest.raises(ModelError, match="would become"):
+            check_files(tmp_path / "all.xml")
+    else:
+        check_files(tmp_path / "all.xml")

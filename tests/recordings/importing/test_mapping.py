@@ -231,3 +231,15 @@ def test_times_of_text_need_a_unit(tmp_path: Path, log: Log) -> None:
     text = csv(tmp_path, log).replace('time_unit = "s"', 'time_unit = "ms"')
     found = imported(tmp_path, text.replace("rate = 100", "rate = 100000"))
     assert found.rate == pytest.approx(1e5)
+
+
+def test_a_guess_of_a_moving_base_names_its_source_and_leaves_the_choice(tmp_path: Path) -> None:
+    head = "t,q1,base_x,base_y,base_z,quat_w,quat_x,quat_y,quat_z"
+    lines = [f"{0.01 * k:.2f},{k},0,0,1,1,0,0,0" for k in range(5)]
+    (tmp_path / "walk.csv").write_text("\n".join([head, *lines]) + "\n")
+    table = guessed(tmp_path / "walk.csv", tmp_path).partition("[base]")[2]
+    assert table.splitlines()[1] == 'source = "log"'
+    assert "# of these: " in table
+    assert 'position = ["", "", ""]' in table
+    assert 'quaternion = ["", "", "", ""]' in table
+    assert "columns = " not in table

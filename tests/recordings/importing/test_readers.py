@@ -7,6 +7,7 @@ import gzip
 from pathlib import Path
 from typing import Any
 
+import ezc3d
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -147,3 +148,23 @@ def test_what_is_no_column_is_left_out_of_a_matlab_file(tmp_path: Path) -> None:
     assert not {"note", "volume", "log/who"} & {name.split("[")[0] for name in table.columns}
     assert any(name.startswith("log/t") for name in table.columns)
     assert any(name.startswith("q") for name in table.columns)
+
+
+@pytest.mark.parametrize("points", [1, 3])
+def test_analog_channels_stand_beside_points(points: int, tmp_path: Path) -> None:
+    """A frame of C3D has four numbers a point, then its analog channels."""
+    made, rng = ezc3d.c3d(), np.random.default_rng(0)
+    place, force = rng.normal(size=(3, points, 5)), rng.normal(size=(2, 5))
+    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
+    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    made["parameters"]["ANALOG"]["LABELS"]["value"] = ("Fx", "Fy")
+    made["parameters"]["POINT"]["LABELS"]["value"] = tuple(f"m{k}" for k in range(points))
+    made["data"]["points"] = np.concatenate([place, np.ones((1, points, 5))])
+    made["data"]["analogs"] = force[None]
+    made.write(str(tmp_path / "log.c3d"))
+    table = open_foreign(tmp_path / "log.c3d")
+    wanted = {"analog/Fx": force[0], "analog/Fy": force[1]} | {
+        f"point/m{k}/{axis}": place["xyz".index(axis), k] for k in range(points) for axis in "xyz"
+    }
+    for name, values in table.read(wanted).items():
+        np.testing.assert_allclose(values, wanted[name], rtol=1e-6)
