@@ -180,6 +180,10 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
     """
     if source.samples < 2:
         raise RecordingError(f"the recording: {source.samples} samples are no recording")
+    if not source.rate > 0:
+        raise RecordingError(
+            "the recording: time does not increase from its first sample to its last"
+        )
     check_robot(source, tree)
     if SIGNAL_OF[method] in source.signals:
         return

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -137,6 +138,20 @@ def test_a_joint_that_does_not_move_leaves_its_parameters_unseen(puma: tb.Tree) 
         tb.identify(puma, still, "external", zeros=True, settings=EXACT)
     assert "K3yy" in caught.value.names
     assert "mbar1" not in caught.value.names
+
+
+@pytest.mark.parametrize("cutoff", [5.0, "off"])
+@pytest.mark.parametrize("way", ["backwards", "still"])
+def test_time_that_does_not_increase_is_said(
+    cutoff: float | str, way: str, puma: tb.Tree, tmp_path: Path
+) -> None:
+    """Whatever the filters: a file's sampling rate is that of its first and last time."""
+    recording = ideal(puma, duration=3.0)
+    time = recording.time[::-1] if way == "backwards" else np.zeros_like(recording.time)
+    replace(recording, time=time.copy()).save(tmp_path / "r.parquet")
+    settings = tb.Settings(cutoff=cutoff, position_cutoff="off")
+    with pytest.raises(RecordingError, match="time does not increase"):
+        tb.identify(puma, str(tmp_path / "r.parquet"), settings=settings)
 
 
 def test_too_short_a_recording_is_said_to_be_too_short(puma: tb.Tree) -> None:
