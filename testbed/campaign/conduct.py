@@ -75,6 +75,7 @@ class Supply:
         each = max(float(np.median(self.seconds[-20:])), 1e-6)
         share = math.ceil(len(self.runs) / (2 * max(workers, 1)))
         size = min(math.ceil(WHOLE / each), max(share, math.ceil(LEAST / each)), MOST)
+        size = max(size, 1)  # a run may be expected to take forever: it fails in no time
         taken, self.runs[:size] = self.runs[:size], []
         campaign = self.campaign
         return Bundle(

@@ -172,18 +172,19 @@ def _sampling(experiment: Experiment) -> Sampling:
     """
     simulation, table, motion = experiment.simulation, experiment.measurement, experiment.motion
     _check_rates(experiment)
-    steps = round(1 / (table.rate * simulation.step))
+    wanted = 1 / table.rate / simulation.step  # may be without end
+    if wanted > MOST_STEPS:
+        raise ExperimentError(
+            f"simulation.step = {simulation.step:g} s makes {wanted:.6g} steps a sample, more than "
+            f"{MOST_STEPS}; choose a larger step"
+        )
+    steps = round(wanted)
     if steps < 1 or abs(steps * table.rate * simulation.step - 1) > 1e-9:
         raise ExperimentError(
             f"simulation.step = {simulation.step:g} s does not divide the sampling time "
             f"1 / measurement.rate = {1 / table.rate:g} s"
         )
     samples = table.rate * (motion.duration + simulation.warm_up)
-    if steps > MOST_STEPS:
-        raise ExperimentError(
-            f"simulation.step = {simulation.step:g} s makes {steps} steps a sample, more than "
-            f"{MOST_STEPS}; choose a larger step"
-        )
     if table.rate * motion.duration < 2:
         raise ExperimentError(f"motion.duration = {motion.duration:g} s holds no two samples")
     if samples > MOST_SAMPLES:

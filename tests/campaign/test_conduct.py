@@ -15,7 +15,7 @@ from testbed.campaign import campaign_folder
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder
-from testbed.campaign.conduct import Standing, conduct, places_of
+from testbed.campaign.conduct import Standing, Supply, conduct, places_of
 from testbed.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 
@@ -286,3 +286,14 @@ def test_a_command_that_is_refused_a_folder_leaves_no_file_open(
             ):
                 pass
         assert len(list(own.iterdir())) == before
+
+
+@pytest.mark.parametrize("seconds", [1e-9, 0.1, 1e9, math.inf])
+def test_bundles_are_never_empty_and_hold_all_runs_once(seconds: float, campaign: Campaign) -> None:
+    """Whatever a run is expected to take."""
+    order = [(run, place.cell, place.replicate) for run, place in places_of(campaign).items()]
+    supply, seen = Supply(campaign, list(order), [seconds]), []
+    while (bundle := supply.take(2)) is not None:
+        assert bundle.runs
+        seen += [run for run, _ in bundle.runs]
+    assert seen == [run for run, _, _ in order]

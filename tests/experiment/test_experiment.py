@@ -101,6 +101,7 @@ def test_a_table_for_a_joint_that_is_not_there_is_refused(table: str) -> None:
         (["motion.fundamental=1e-12"], "hardly move"),
         (["motion.duration=1e-3", "motion.fundamental=20.0"], "no two samples"),
         (["simulation.step=1e-9"], "more than 10000"),
+        (["simulation.step=1e-320"], "makes inf steps a sample, more than 10000"),
     ],
 )
 def test_rates_that_do_not_fit_are_refused(settings: list[str], said: str) -> None:
