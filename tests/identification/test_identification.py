@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -143,7 +144,7 @@ def test_a_joint_that_does_not_move_leaves_its_parameters_unseen(puma: tb.Tree) 
 @pytest.mark.parametrize("cutoff", [5.0, "off"])
 @pytest.mark.parametrize("way", ["backwards", "still"])
 def test_time_that_does_not_increase_is_said(
-    cutoff: float | str, way: str, puma: tb.Tree, tmp_path: Path
+    cutoff: float | Literal["off"], way: str, puma: tb.Tree, tmp_path: Path
 ) -> None:
     """Whatever the filters: a file's sampling rate is that of its first and last time."""
     recording = ideal(puma, duration=3.0)
@@ -278,7 +279,9 @@ def test_a_filter_of_one_sample_makes_no_slope() -> None:
 
 
 @pytest.mark.parametrize(("noise", "a_second"), [("white", 4.0), ("ar", 2.0)])
-def test_rows_are_as_many_as_the_filter_leaves(noise: str, a_second: float) -> None:
+def test_rows_are_as_many_as_the_filter_leaves(
+    noise: Literal["white", "ar"], a_second: float
+) -> None:
     """For an autoregression as many as are independent, else twice that: for each Hz of it."""
     tree = robot("ur5")
     for cutoff in (2.5, 5.0):
