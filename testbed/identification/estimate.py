@@ -150,7 +150,8 @@ class Estimate:
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         channels: The measured channels.
         channel_units: One each, N or N m.
-        residual: Rms of their residuals, (channels,) [N, N m].
+        residual: Rms of their residuals, (channels,) [N, N m]; about their mean where the
+            channel has a constant of its own.
         relative_residual: ||y - phi delta|| / ||y|| of each, (channels,).
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.

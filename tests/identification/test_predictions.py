@@ -84,8 +84,9 @@ def unexplained(
                     for k in range(half, len(motion.t) - half, step)
                 ]
             )
-        noise = estimate.noise
-        rows = rows - (0.0 if noise is None else noise.bias)
+        if estimate.noise is not None:  # about the mean where a channel has a constant
+            mean = (rows * counts).sum(axis=0) / counts.sum(axis=0)
+            rows = rows - np.where(estimate.noise.bias_sigma > 0, mean, 0.0)
         found[method] = np.sqrt((rows**2 * counts).sum(axis=0) / counts.sum(axis=0))
     return found
 
