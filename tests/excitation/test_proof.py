@@ -193,6 +193,7 @@ def test_from_rest_to_rest_the_path_is_the_motion_s_own(puma: tb.Tree) -> None:
     assert np.abs(samples.qdd[still]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_robot_that_cannot_rest_where_the_motion_begins_is_told_so(puma: tb.Tree) -> None:
     """However slowly it starts: its motors do not hold the weight there."""
     tree, limits = puma.without_friction(), limits_of(puma)

@@ -51,6 +51,7 @@ def test_a_motion_comes_back_from_its_file_as_it_was(found: Excitation, tmp_path
     assert back.motion.fundamental == found.design.motion.fundamental
 
 
+@pytest.mark.slow
 def test_an_experiment_runs_a_file_s_motion(found: Excitation, tmp_path: Path) -> None:
     file = tmp_path / "motion.toml"
     write_motion(file, found)

@@ -108,6 +108,7 @@ class Loads(HTMLParser):
             self.words.append(data)
 
 
+@pytest.mark.slow
 def test_no_page_loads_anything_from_a_network(site: Path) -> None:
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30

@@ -61,6 +61,7 @@ def test_the_estimator_cannot_see_the_truth(
         np.testing.assert_array_equal(other.covariance, honest.covariance)
 
 
+@pytest.mark.slow
 def test_ten_seconds_of_table6_are_within_their_sigma(
     puma: tb.Tree, puma_recording: Recording
 ) -> None:
@@ -278,6 +279,7 @@ def test_a_filter_of_one_sample_makes_no_slope() -> None:
     np.testing.assert_array_equal(slope_weights(np.ones(1), np.zeros(1), 100.0), [0.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "a_second"), [("white", 4.0), ("ar", 2.0)])
 def test_rows_are_as_many_as_the_filter_leaves(
     noise: Literal["white", "ar"], a_second: float

@@ -65,6 +65,7 @@ def test_sigma_is_the_spread(noise: Autoregression) -> None:
         assert spread > 0.9
 
 
+@pytest.mark.slow
 def test_whitening_makes_better_estimates_under_slow_noise() -> None:
     """Columns of many frequencies, some of which the noise has little of."""
 
@@ -111,6 +112,7 @@ def test_constants_are_found_apart_from_the_parameters() -> None:
     assert square_of_last(found, 0) == 0.0
 
 
+@pytest.mark.slow
 def test_no_constants_are_significant_where_there_are_none() -> None:
     squares = []
     for seed in range(100):

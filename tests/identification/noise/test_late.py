@@ -75,6 +75,7 @@ def test_chance_makes_no_delays(gaps: bool) -> None:
     assert abs(np.mean(z)) < 0.25
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slow", [0.3, 0.6])
 def test_nor_does_chance_that_goes_on(slow: float) -> None:
     z = [found(products(0.0, seed, slow=slow), TRUE).z for seed in range(300, 500)]

@@ -29,6 +29,7 @@ def found(noise: Autoregression, period: int, left: Array, cut: int = 10**9) -> 
     return result
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", NOISES)
 def test_chances_in_noise_are_no_smaller_than_they_say(noise: str) -> None:
     chances = [found(NOISES[noise], 100, made(NOISES[noise], 200, s)).chance for s in range(400)]
