@@ -48,6 +48,7 @@ def test_an_own_file_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert own_or_shipped("table6") == Path("table6")
 
 
+@pytest.mark.slow
 def test_commands_take_the_names(tmp_path: Path) -> None:
     done = command_line("minimal", "puma562.xml", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

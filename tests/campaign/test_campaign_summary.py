@@ -155,6 +155,7 @@ def test_a_folder_without_a_table_is_said(tmp_path: Path) -> None:
     assert "not a readable table of a campaign" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_command_carries_out_a_campaign_and_says_what_failed(tmp_path: Path) -> None:
     factor = (
         '[[factor]]\nname = "lock"\n[[factor.level]]\nname = "none"\n[[factor.level]]\n'
@@ -173,6 +174,7 @@ def test_the_command_carries_out_a_campaign_and_says_what_failed(tmp_path: Path)
     assert "--set robot.lock.nobody=0.0" in command
 
 
+@pytest.mark.slow
 def test_the_viewers_file_counts_every_run(folder: Path, tmp_path: Path) -> None:
     asked = ("campaign", "--summary", str(folder), "--rrd", str(tmp_path / "r.rrd"))
     done = command_line(*asked, cwd=tmp_path)

@@ -47,6 +47,7 @@ def test_bundles_and_their_order_do_not_show(tmp_path: Path, campaign: Campaign)
     assert [row["factor/noise"] for row in found[:2]] == [0.5, 2.0]
 
 
+@pytest.mark.slow
 def test_what_is_there_is_not_done_again(tmp_path: Path, campaign: Campaign) -> None:
     whole, parts = Odd(), [Odd(), Odd(), Odd()]
     conduct(campaign, tmp_path / "whole", whole)
@@ -256,6 +257,7 @@ def test_progress_counts_runs_that_are_there_and_those_without_a_result(
     assert all(each.rate > 0 for each in seen)
 
 
+@pytest.mark.slow
 def test_files_of_few_rows_do_not_pile_up(
     tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,6 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", ["urdf", "xml"])
 def test_a_file_is_written_with_what_is_printed(folder: Path, ending: str) -> None:
     call = ("identify", "r.parquet", "--model", f"puma562.{ending}", "--write", f"new.{ending}")
@@ -37,6 +38,7 @@ def test_a_file_is_written_with_what_is_printed(folder: Path, ending: str) -> No
     assert "external and internal" in text
 
 
+@pytest.mark.slow
 def test_the_table_says_what_the_data_told(folder: Path) -> None:
     call = ("identify", "r.parquet", "--model", "puma562.urdf", "--consistent")
     done = command_line(*call, cwd=folder)

@@ -199,6 +199,7 @@ def _motion(recording: tb.Recording) -> tb.Motion:
     return tb.Motion(recording.time, recording.position, recording.velocity, recording.acceleration)
 
 
+@pytest.mark.slow
 def test_knowledge_from_before_steers_a_design() -> None:
     """What is known already need not be told again: the rest becomes more certain."""
     asked = wish("puma", starts=1)

@@ -103,6 +103,7 @@ def test_efforts_are_proven_as_tightly_as_they_are(seed: int, haste: float, puma
     assert (found <= used + 0.003).all()
 
 
+@pytest.mark.slow
 def test_a_plate_is_held_to_its_range_and_the_pressure_to_its_area(puma: tb.Tree) -> None:
     limits = limits_of(puma)
     motion = random_motion(puma, limits, 0.1, 5, np.random.default_rng(1))

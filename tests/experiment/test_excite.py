@@ -131,6 +131,7 @@ def test_sigma_is_as_promised(
     assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
 
 
+@pytest.mark.slow
 def test_random_motions_of_experiments_are_proven() -> None:
     for name in ("puma", "gantry"):
         experiment = asked(name, "motion.candidates=3")

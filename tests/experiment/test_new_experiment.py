@@ -25,6 +25,7 @@ def written(model: Path, folder: Path) -> tb.Experiment:
     return tb.Experiment.load(file)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(MODELS))
 def test_what_it_says_is_the_model_s(name: str, tmp_path: Path) -> None:
     experiment = written(MODELS[name], tmp_path)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 import testbed as tb
 from testbed.experiment.results import estimate_as_json
 from tests.helpers.measured import measured
 
 
+@pytest.mark.slow
 def test_noise_is_written_where_it_has_a_memory(puma: tb.Tree) -> None:
     recording = measured(puma, memory=0.9)
     estimate = tb.identify(puma, recording)

@@ -174,6 +174,7 @@ def test_better_data_tell_more_of_every_parameter() -> None:
     assert (precise.sigma <= 1.05 * vague.sigma + 1e-12).all()
 
 
+@pytest.mark.slow
 def test_what_no_force_shows_stays_the_model_files() -> None:
     """Of a first link that turns about an upright axis, joint torques tell one inertia."""
     tree, prior = robot("puma"), prior_of(robot("puma"))
@@ -184,6 +185,7 @@ def test_what_no_force_shows_stays_the_model_files() -> None:
     assert kept == pytest.approx(given, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_the_trees_own_bodies_are_not_looked_at(method: Method) -> None:
     tree = robot("puma")
@@ -324,6 +326,7 @@ def test_an_estimate_without_a_covariance_is_left_out() -> None:
         consistent(tree, [hollow], prior_of(tree))
 
 
+@pytest.mark.slow
 def test_torques_with_wrong_constants_do_not_spoil_what_the_plate_tells() -> None:
     tree = robot("puma")
     recording = measured(tree, 4, duration=20.0)
@@ -373,6 +376,7 @@ def test_bodies_of_a_robot_with_held_fingers() -> None:
     assert found.standard[:, 0].sum() == pytest.approx(truth, rel=0.01)
 
 
+@pytest.mark.slow
 def test_what_consistent_bodies_say_can_be_validated() -> None:
     tree = robot("puma")
     estimates = estimates_of(tree)
@@ -400,6 +404,7 @@ def test_a_prior_is_of_bodies_that_can_be() -> None:
     np.testing.assert_allclose(fine.standard, tb.standard(tree), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_links_without_matter_get_none() -> None:
     tree = robot("random")
     bodies = (*tree.inertias[:1], NOTHING, *tree.inertias[2:])
@@ -424,6 +429,7 @@ def test_conditions_count_friction_and_rotors() -> None:
     assert any("no place for offset/" in line for line in found.warnings)
 
 
+@pytest.mark.slow
 def test_rotors_that_would_count_twice_are_said() -> None:
     tree = robot("puma").with_joints({"elbow": {"rotor_inertia": 0.5}})
     estimates = estimates_of(tree)
@@ -455,6 +461,7 @@ def test_pseudo_inertias_there_and_back() -> None:
         np.testing.assert_allclose(inertia.pseudo, body, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_the_same_bits_again() -> None:
     tree = robot("puma")
     estimates, prior = estimates_of(tree), prior_for(tree)

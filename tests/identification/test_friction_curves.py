@@ -69,6 +69,7 @@ def test_exact_data_give_the_law_at_every_node(name: str) -> None:
         assert (np.diff(curve.speed) >= 0).all()
 
 
+@pytest.mark.slow
 def test_too_few_rows_at_every_speed_make_no_curve() -> None:
     tree = with_friction("puma")
     bodies = tb.identify(tree, measured(tree))

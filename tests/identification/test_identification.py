@@ -203,6 +203,7 @@ def test_the_gravity_of_the_recording_counts(puma: tb.Tree) -> None:
     assert mass == pytest.approx(20.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_term_of_the_model_file_that_the_settings_leave_out_is_a_warning(
     puma: tb.Tree, puma_recording: Recording
 ) -> None:

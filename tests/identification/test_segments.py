@@ -160,6 +160,7 @@ def test_a_plate_whose_zero_nobody_knows_tells_the_tared_set(name: str) -> None:
     assert np.abs(z).max() < 4.5
 
 
+@pytest.mark.slow
 def test_a_drift_beside_an_unknown_zero() -> None:
     tree = robot("puma")
     plain = measured(tree, 3, duration=30.0)

@@ -112,6 +112,7 @@ def test_another_recording_may_tell_the_bodies() -> None:
         assert abs(found.constant - constants(tree)[joint]) < 4.5 * found.sigma
 
 
+@pytest.mark.slow
 def test_what_does_not_belong_together_is_refused() -> None:
     tree = driven("puma")
     recording = measured(tree)

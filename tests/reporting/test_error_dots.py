@@ -47,6 +47,7 @@ def test_without_the_truth_there_are_sigmas(puma_run: Run) -> None:
     assert dots_section(replace(blind, estimates={})) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 7, 8, 41, MOST])
 def test_any_number_of_parameters_is_drawn_on_one_scale(count: int) -> None:
     rng = np.random.default_rng(count)

@@ -26,6 +26,7 @@ def test_a_line_says_what_the_noise_is_like(puma: tb.Tree) -> None:
         assert f"noise of {max(estimate.noise.memory):.2g} s" in line
 
 
+@pytest.mark.slow
 def test_constants_that_were_estimated_are_said_and_white_noise_is_not(puma: tb.Tree) -> None:
     clean = measured(puma)
     off = replace(clean, wrench=clean.measured("wrench") + 1.0)

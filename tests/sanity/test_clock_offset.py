@@ -62,6 +62,7 @@ def test_sigma_of_a_delay_is_honest() -> None:
     assert not any(late for _, late in found)
 
 
+@pytest.mark.slow
 def test_a_drift_no_clock_has_is_not_taken_for_one() -> None:
     tree = robot("puma")
     recording = without(measured(tree, rate=500.0, noise=0.1), "torque")

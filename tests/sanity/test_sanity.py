@@ -199,6 +199,7 @@ def test_a_humanoid_is_not_refused() -> None:
     assert check_sanity(tree, recording).certain == ()
 
 
+@pytest.mark.slow
 def test_unchecked_recordings_are_warned_of() -> None:
     tree, recording = right("puma")
     wrong = replace(recording, torque=-recording.measured("torque"))

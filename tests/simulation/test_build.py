@@ -30,6 +30,7 @@ def states(rng: np.random.Generator, count: int) -> Array:
     return drawn
 
 
+@pytest.mark.slow
 def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_plant: Plant) -> None:
     """1000 states with friction and damping on; the pedestal's weight is on the sensor."""
     drawn = states(np.random.default_rng(0), 1000)
@@ -43,6 +44,7 @@ def test_the_bedplate_sensor_reads_the_base_wrench(puma: tb.Tree, puma_plant: Pl
     assert np.abs(friction).max() > 5.0
 
 
+@pytest.mark.slow
 def test_friction_does_not_leak_into_the_reaction(puma: tb.Tree, puma_plant: Plant) -> None:
     """At the same (q, qd, qdd), with and without friction, the wrench is the same."""
     smooth = build_plant(ModelFile(PUMA), puma, 1e-4, friction=False)

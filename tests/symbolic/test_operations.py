@@ -38,6 +38,7 @@ def counted(text: str, name: str) -> tuple[int, int]:
     return products, sums
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("name", cases(["random_tree_00", "gantry_ppp_rrr", "puma560_6"], fast=1))
 def test_operations_are_those_of_the_code(name: str, form: Form) -> None:
