@@ -234,7 +234,8 @@ class _Left:
     def squares(self) -> Array:
         """The sums, (C,)."""
         used, first, second = self._sums
-        return np.asarray(second - self._free * first**2 / np.maximum(used, 1.0))
+        about = second - self._free * first**2 / np.maximum(used, 1.0)
+        return np.maximum(about, 0.0)  # rounding, where nothing is left but a constant
 
 
 def _in_channels(units: Units, directions: Array) -> Array:
