@@ -13,6 +13,10 @@ from testbed.experiment.comparison import Compared, Comparison
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, verdict
 from testbed.identification.estimate import METHODS, Method
+from testbed.reporting.widths import first_that_fits
+
+_NAME = 10
+"""Columns that names and words have at least, when they give way."""
 
 _NAMED: Mapping[bool | None, str] = {True: "right", False: "WRONG", None: "-"}
 
@@ -25,7 +29,8 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
         comparison: What was compared.
         rows: What came of it.
     """
-    out.print(comparison_table(comparison, rows))
+    for table in comparison_tables(out, comparison, rows):
+        out.print(table)
     for row in rows:
         for line in _failures(row):
             out.print(f"{printable(row.variant.name)}: {printable(line)}", soft_wrap=True)
@@ -36,30 +41,48 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
     out.print(f"verdict: {verdict} ({held} of {len(rows)} lines are as expected)")
 
 
-def comparison_table(comparison: Comparison, rows: Sequence[Compared]) -> Table:
+def comparison_tables(
+    out: Console, comparison: Comparison, rows: Sequence[Compared]
+) -> list[Table]:
     """Of every variant: errors, what is said first, whether that is right; the remedy's errors.
 
+    One table where it fits; else one a method, and one of what is said.
+
     Args:
+        out: Where they are to be printed.
         comparison: What was compared.
         rows: What came of it.
     """
-    table = Table(title=printable(comparison.name), title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("variant", overflow="fold")
     methods = [m for m in METHODS if m in comparison.methods]
+
+    def layouts() -> Iterator[list[Table]]:
+        yield [_table(rows, methods, said=True)]
+        yield [*(_table(rows, [m], said=False) for m in methods), _table(rows, [], said=True)]
+
+    tables = first_that_fits(out, layouts())
+    tables[0].title, tables[0].title_justify = printable(comparison.name), "left"
+    return tables
+
+
+def _table(rows: Sequence[Compared], methods: Sequence[Method], *, said: bool) -> Table:
+    """Errors by some methods, and, if it is wanted, what is said."""
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("variant", overflow="fold", min_width=_NAME)
     for method in methods:
         table.add_column(f"{method}: error", justify="right", no_wrap=True)
         table.add_column("max z", justify="right", no_wrap=True)
-    table.add_column("said first", overflow="fold")
-    table.add_column("named", no_wrap=True)
+    if said:
+        table.add_column("said first", overflow="fold", min_width=_NAME)
+        table.add_column("named", no_wrap=True)
     for _ in methods:
         table.add_column("remedied", justify="right", no_wrap=True)
         table.add_column("max z", justify="right", no_wrap=True)
     for row in rows:
+        first = printable(row.said[0]) if row.said else "nothing"
         table.add_row(
             printable(row.variant.name),
             *_numbers(row.run, methods),
-            printable(row.said[0]) if row.said else "nothing",
-            _NAMED[row.named],
+            *([first, _NAMED[row.named]] if said else []),
             *_numbers(row.remedied, methods),
         )
     return table

@@ -31,9 +31,10 @@ def print_excitation(console: Console, found: Excitation, out: Path) -> None:
     """
     console.print(_sigma_table(found))
     motion, design = found.design.motion, found.design
+    count = len(design.searches)
+    searched = "one search" if count == 1 else f"the best of {count} searches"
     console.print(
-        f"{motion.harmonics} harmonics of {motion.fundamental:g} Hz, the best of "
-        f"{len(design.searches)} searches"
+        f"{motion.harmonics} harmonics of {motion.fundamental:g} Hz, {searched}"
         + ("" if design.complete else " (stopped before they ended)")
     )
     console.print(_promise(found))

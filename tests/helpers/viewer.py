@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 import sys
 import time
@@ -96,3 +97,58 @@ def settled(viewer: Any) -> list[Any]:
         if len(views) > 3:
             return views
     raise AssertionError("the viewer shows no views")
+
+
+def content(path: Path) -> str:
+    """What a file holds, recording and blueprint: of every column of every entity a line.
+
+    Texts whole; of numbers how many, the first few, the last, and their size. Parts of a
+    blueprint, whose names are drawn by chance, are called as the viewer shows them.
+    """
+    reader = RrdReader(str(path))
+    found: dict[str, list[Any]] = {}
+    for entry in (*reader.recordings(), *reader.blueprints()):
+        for chunk in reader.store(store=entry).stream():
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if name not in ("rerun.controls.RowId", "log_time", "log_tick", _ROOT):
+                    place = f"{chunk.entity_path} {'static ' * chunk.is_static}{name}"
+                    found.setdefault(place, []).extend(_leaves(_plain(batch.column(name))))
+    shown = {
+        drawn[0]: str(values[0])
+        for place, values in found.items()
+        if place.endswith(":display_name") and (drawn := _DRAWN.search(place))
+    }
+    lines = (f"{place}: {_brief(values)}" for place, values in found.items())
+    named = (_DRAWN.sub(lambda one: shown.get(one[0], "unnamed"), line) for line in lines)
+    return "\n".join(sorted(named)) + "\n"
+
+
+_ROOT = "ViewportBlueprint:root_container"
+"""A name that is drawn by chance, as bytes."""
+
+_DRAWN = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}")
+
+
+def _plain(column: Any) -> Any:
+    """Moments as whole nanoseconds: Python's have fewer digits."""
+    return (column.cast("int64") if "[ns]" in str(column.type) else column).to_pylist()
+
+
+def _leaves(values: Any) -> Iterator[Any]:
+    if isinstance(values, dict):
+        values = list(values.values())
+    if not isinstance(values, list):
+        yield values
+        return
+    for each in values:
+        yield from _leaves(each)
+
+
+def _brief(values: list[Any]) -> str:
+    if not values or not all(type(each) in (int, float) for each in values):
+        return f"{values}"[:2000]
+    numbers = np.array(values, dtype=float)
+    first = " ".join(f"{each:.5g}" for each in numbers[:8])
+    size = float(np.sqrt(np.nansum(numbers**2)))
+    return f"{len(numbers)} numbers {first} to {numbers[-1]:.5g}, size {size:.5g}"

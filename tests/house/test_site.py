@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from docs import api, commands, gallery, keys
+from docs import api, commands, constants, gallery, keys
 from docs.marks import written
 from tests.helpers.axe import axe, complaints
 from tests.helpers.browser import browser
@@ -68,7 +68,10 @@ def test_every_page_has_a_picture_an_example_or_a_formula() -> None:
             assert re.search(r"^!\[|^```|\$", path.read_text(), re.MULTILINE), path.name
 
 
-@pytest.mark.parametrize("module", [api, commands, gallery, keys], ids=lambda m: m.__name__)
+WRITTEN = (api, commands, constants, gallery, keys)
+
+
+@pytest.mark.parametrize("module", WRITTEN, ids=lambda module: module.__name__)
 def test_what_is_written_from_the_code_is_up_to_date(module: Any) -> None:
     text = module.DOCUMENT.read_text()
     assert written(text, module.MODULE, module.as_markdown) == text, f"python -m {module.MODULE}"
