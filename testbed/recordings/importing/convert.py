@@ -270,7 +270,10 @@ def _grid(mapping: Mapping, samples: Iterable[_Samples], window: tuple[float, fl
             f"rate = {mapping.rate:g} Hz makes {count:.2g} samples, too many for memory"
         )
     if count < 2:
-        raise RecordingError(f"at {mapping.rate:g} Hz {max(0, int(count))} samples are left")
+        raise RecordingError(
+            f"{max(0.0, last - first):.3g} s are left of what the sources have in common, too "
+            f"little for {mapping.rate:g} Hz; is `time_unit` right, and every source's `offset`?"
+        )
     found: Array = first + np.arange(int(count + SAME * mapping.rate) + 1) / mapping.rate
     return found
 

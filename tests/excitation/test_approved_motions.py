@@ -1,0 +1,46 @@
+"""Designed and random motions of three kinds of robots, with what they leave of every limit."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.test_approved_output import timeless
+from tests.helpers.approved import hold
+from tests.helpers.command import command_line
+from tests.helpers.runs import MODELS
+
+pytestmark = pytest.mark.slow
+
+QUICK = ("excitation.starts=1", "excitation.harmonics=3", "motion.duration=8")
+ASKED: dict[str, tuple[str, ...]] = {
+    "puma_d": ("excitation.criterion=d", "motion.fundamental=0.25"),
+    "puma_e": ("excitation.criterion=e", "motion.max_velocity={elbow=2}"),
+    "puma_plate": (
+        "excitation.instrument=both",
+        "motion.max_acceleration={waist=3}",
+        "excitation.plate_range=[80,80,600,90,90,50]",
+    ),
+    "puma_free": ("excitation.clearance=off", "motion.harmonics=3"),
+    "puma_floor": ("excitation.clearance=0.05",),
+    "gantry": (),
+    "ur5": ("excitation.clearance=off",),
+}
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_a_design_is_as_approved(name: str, tmp_path: Path) -> None:
+    words = [word for each in (*QUICK, *ASKED[name]) for word in ("--set", each)]
+    model = MODELS[name.partition("_")[0]].name
+    shutil.copy(MODELS[name.partition("_")[0]], tmp_path / model)
+    trajectory = ("--trajectory", "t.csv", "--rate", "20")
+    done = command_line("excite", model, *words, *trajectory, cwd=tmp_path)
+    text = (
+        f"$ testbed excite {model} {' '.join(words)}\n{done.stdout}{done.stderr}{done.returncode}\n"
+    )
+    for file in ("motion.toml", "t.csv"):
+        if (tmp_path / file).exists():
+            text += f"{file}\n{(tmp_path / file).read_text()}"
+    hold(f"design_{name}.txt", timeless(text.replace(str(tmp_path), "")))
