@@ -49,8 +49,8 @@ _SWAPPED = (ast.MatMult, ast.BitOr)
 _KEYED = ("get", "pop", "startswith", "endswith", "removeprefix", "removesuffix", "getattr")
 """Functions whose strings are looked up, not read by people."""
 
-_SPOKEN = ("help", "metavar", "strict")
-"""Arguments that are texts, and zip's `strict`, which is an assertion."""
+_SPOKEN = ("help", "metavar", "strict", "maxsize")
+"""Arguments that are texts, zip's `strict`, which is an assertion, and how much a cache keeps."""
 
 
 @dataclass(frozen=True)
@@ -355,6 +355,8 @@ def _others(value: object, parent: ast.AST) -> tuple[Value, ...]:
     """What a constant may be mistaken for."""
     if isinstance(value, bool):
         return (not value,)
+    if isinstance(value, int) and value and _is_size(parent):
+        return value + 1, value - 1
     if isinstance(value, int):
         return tuple(dict.fromkeys((value + 1, value - 1, -value) if value else (1,)))
     if isinstance(value, float):
@@ -362,6 +364,11 @@ def _others(value: object, parent: ast.AST) -> tuple[Value, ...]:
     if isinstance(value, str) and _is_looked_up(value, parent):
         return (value + "_",) if value else ("_",)
     return ()
+
+
+def _is_size(parent: ast.AST) -> bool:
+    """Whether it is a size of `reshape`, which takes any number below zero for "what is left"."""
+    return isinstance(parent, ast.Call) and ast.unparse(parent.func).endswith(".reshape")
 
 
 def _is_looked_up(text: str, parent: ast.AST) -> bool:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.options import Json, Set, app, note
+from testbed.cli.options import Json, Set, app, ending, note
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ def excite(
             help="Model file, experiment, or with --check a motion.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="Motion to write.")] = Path("motion.toml"),
+    out: Annotated[Path, typer.Option(callback=ending(".toml"), help="Motion to write.")] = Path(
+        "motion.toml"
+    ),
     settings: Set = None,
     prior: Annotated[
         Path | None,
@@ -43,7 +45,10 @@ def excite(
     ] = None,
     rate: Annotated[float, typer.Option(min=1e-3, help="Of those [Hz].")] = 1000.0,
     page: Annotated[
-        Path | None, typer.Option(help="Picture of motion, limits and sigma (HTML).")
+        Path | None,
+        typer.Option(
+            callback=ending(".html", ".htm"), help="Picture of motion, limits and sigma (HTML)."
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -65,6 +70,7 @@ def excite(
     if trajectory is not None:
         check_ending(trajectory)
     if check:
+        _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings or [], as_json=as_json)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
@@ -108,6 +114,13 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
     return Experiment.of_model(file, settings)
+
+
+def _require_nothing(options: Mapping[str, Path | None]) -> None:
+    """Of a design, where there is none."""
+    said = [name for name, value in options.items() if value is not None]
+    if said:
+        raise typer.BadParameter(f"--check designs nothing: leave out {', '.join(said)}")
 
 
 def _check(file: Path, settings: list[str], *, as_json: bool) -> None:

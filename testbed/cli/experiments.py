@@ -12,6 +12,7 @@ from testbed.cli.options import (
     Json,
     Set,
     app,
+    ending,
     note,
 )
 
@@ -48,7 +49,7 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.errors import RecordingError
+    from testbed.errors import RecordingError, TestbedError
     from testbed.experiment.carry_out import checked_elsewhere
     from testbed.experiment.evaluate import evaluate
     from testbed.experiment.experiment import Experiment
@@ -69,8 +70,11 @@ def run(
     with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress, watch)
     write_recorded(experiment, recording, folder)
-    with output.Progress("identifying") as progress:
-        done = evaluate(experiment, recording, progress)
+    try:
+        with output.Progress("identifying") as progress:
+            done = evaluate(experiment, recording, progress)
+    except TestbedError as error:
+        raise RecordingError(f"{error}; the recording is kept in '{folder}'") from None
     with output.Progress("validating on an unseen motion") as progress:
         done, _ = checked_elsewhere(done, progress)
     write_result(done, folder)
@@ -112,7 +116,9 @@ def compare(
 @app.command()
 def simulate(
     file: ExperimentFile,
-    out: Annotated[Path, typer.Option(help="Recording to write (Parquet).")],
+    out: Annotated[
+        Path, typer.Option(callback=ending(".parquet"), help="Recording to write (Parquet).")
+    ],
     settings: Set = None,
 ) -> None:
     """Simulate an experiment and write only its recording.

@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from testbed.cli.options import Accept, Json, Lock, LockMimic, RecordingSet, Unchecked, Weld, app
+from testbed.cli.options import (
+    Accept,
+    Json,
+    Lock,
+    LockMimic,
+    RecordingSet,
+    Unchecked,
+    Weld,
+    app,
+    ending,
+)
 from testbed.cli.reading import Reading
 
 
@@ -19,7 +29,10 @@ def import_(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(help="Recording to write (Parquet); with --guess a mapping file."),
+        typer.Option(
+            callback=ending(".parquet", ".toml"),
+            help="Recording to write (Parquet); with --guess a mapping file.",
+        ),
     ] = None,
     guess: Annotated[
         bool, typer.Option("--guess", help="Write a mapping with what the file holds.")

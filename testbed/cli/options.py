@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import typer
 
 from testbed.installation import own_or_shipped
+
+
+def ending(*endings: str) -> Callable[[Path | None], Path | None]:
+    """A check of the name of a file to write: it says what will be in it.
+
+    Args:
+        endings: That the file may have, as ".html".
+    """
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None and path.suffix.lower() not in endings:
+            raise typer.BadParameter(f"'{path}': it is written as {' or '.join(endings)}")
+        return path
+
+    return checked
 
 
 class Vector(NamedTuple):

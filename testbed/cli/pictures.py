@@ -21,6 +21,7 @@ from testbed.cli.options import (
     Weld,
     Zeros,
     app,
+    ending,
 )
 from testbed.cli.reading import Reading, corrected_source
 
@@ -42,7 +43,10 @@ def view(
         Path | None, typer.Option(help="MJCF or URDF file of the robot, for recordings.")
     ] = None,
     save: Annotated[
-        Path | None, typer.Option(help="Only write this .rrd file; default RUN.rrd, and open it.")
+        Path | None,
+        typer.Option(
+            callback=ending(".rrd"), help="Only write this .rrd file; default RUN.rrd, and open it."
+        ),
     ] = None,
     serve: Annotated[
         bool, typer.Option("--serve", help="Show it in a browser on this machine.")
@@ -130,7 +134,10 @@ def report(
     model: Annotated[
         Path | None, typer.Option(help="MJCF or URDF file of the robot, for a recording.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="HTML file; default RUN.html.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(callback=ending(".html", ".htm"), help="HTML file; default RUN.html."),
+    ] = None,
     settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
@@ -161,10 +168,6 @@ def report(
     path = out or _beside(run, ".html")
     if path.is_dir():
         raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
-    if path.suffix == ".json":
-        raise typer.BadParameter(
-            f"--out {path}: the numbers go into that file; name the page .html"
-        )
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     done = _run_at(run, model, reading, unchecked=unchecked)

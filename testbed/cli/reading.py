@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from testbed.errors import RecordingError
+
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
     from testbed.identification.plate_doubt import PlateDoubt
@@ -88,6 +90,7 @@ class Reading:
         from testbed.recordings.joined import joined
         from testbed.recordings.measured_base import on_its_base
 
+        require_different(paths)
         several, sources, warnings = len(paths) > 1, [], []
         for path in paths:
             pieces, said = opened_pieces(path)
@@ -119,6 +122,21 @@ class Reading:
         """The robot of a model file, with what --set says of its joints and shafts."""
         tree = self.model_file(path).tree()
         return self.tables().robot.on(tree) if self.settings else tree
+
+
+def require_different(paths: Sequence[Path]) -> None:
+    """See to it that no recording is given twice: its noise would count as another's.
+
+    Args:
+        paths: Of recordings.
+
+    Raises:
+        RecordingError: One is.
+    """
+    places = [path.resolve() for path in paths]
+    for path, place in zip(paths, places, strict=True):
+        if places.count(place) > 1:
+            raise RecordingError(f"'{path}' is given more than once: its data would count as new")
 
 
 def opened(path: Path) -> Source:

@@ -116,3 +116,14 @@ def test_ctrl_c_leaves_a_motion_that_may_be_run(tmp_path: Path) -> None:
     assert b"stopped before they ended" in out
     done = command_process("excite", "motion.toml", "--check", cwd=tmp_path)
     assert done.returncode == 0
+
+
+@pytest.mark.slow
+def test_too_many_samples_are_counted_before_they_are_made(folder: Path) -> None:
+    rows = (folder / "t.csv").read_text().splitlines()
+    first, last = (float(rows[k].partition(",")[0]) for k in (1, -1))
+    many = (*QUICK, "--out", "many.toml", "--trajectory", "many.csv", "--rate", "1e8")
+    done = command_line("excite", str(MODELS["puma"]), *many, cwd=folder)
+    assert done.returncode == 2
+    assert f"{last - first:g} s at 1e+08 Hz are {1e8 * (last - first):.1e} samples" in done.stderr
+    assert list(folder.glob("many*")) == []

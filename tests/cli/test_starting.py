@@ -9,6 +9,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from testbed.cli import checkup
+from testbed.viewer import show
 from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
 
@@ -83,3 +84,17 @@ def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.Monkey
     assert "'.[import]'" in found["extra [import]"].line
     assert "MISSING" not in found["extra [import]"].line
     assert Requirement(asked[0]).name == "numpy"
+
+
+def test_the_doctor_says_how_to_get_a_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    for program, screen, good, says in (
+        (None, True, False, "no command 'rerun'"),
+        ("there/rerun", False, True, "no screen here"),
+        ("there/rerun", True, True, "there/rerun"),
+    ):
+        monkeypatch.setattr(show, "viewer_program", lambda found=program: found)
+        monkeypatch.setattr(show, "has_screen", lambda found=screen: found)
+        (viewer,) = (each for each in checkup.checkup() if each.name == "viewer")
+        assert viewer.fine is good
+        assert says in viewer.found
+        assert ("pip install" in viewer.cure) is not good

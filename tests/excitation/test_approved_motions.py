@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_approved_output import timeless
 from tests.helpers.approved import hold
 from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
+from tests.house.test_approved_output import timeless
 
 pytestmark = pytest.mark.slow
 

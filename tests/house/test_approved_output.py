@@ -107,7 +107,7 @@ COMMANDS = {
     "campaign": ("campaign", "noises.toml", "--workers", "0", "--out", "many"),
     "excite": (
         *("excite", PUMA, *QUICKLY, "--page", "motion.html", "--trajectory", "t.csv"),
-        *("--rate", "100"),
+        *("--rate", "20"),
     ),
     "new": ("new", PUMA, "--out", "made.toml"),
     "faults": ("faults", "plate_pose"),
@@ -125,7 +125,8 @@ WRITTEN = {
             *("--out", "recording.html"),
         ),
     ),
-    "motion.html": ("excite", ("excite", "motion.toml", "--check", "--page", "motion.html")),
+    "motion.html": ("excite", ()),
+    "t.csv": ("excite", ()),
     "many/summary.html": ("campaign", ("campaign", "--summary", "many", "--rrd", "many.rrd")),
     "many/figures.csv": ("campaign", ("campaign", "--summary", "many")),
     "many/parameters.csv": ("campaign", ("campaign", "--summary", "many")),
@@ -139,7 +140,7 @@ WRITTEN = {
     "made.toml": ("new", ("new", PUMA, "--out", "again.toml")),
     "result.json": ("identify", ("identify", "one.parquet", *ROBOT, "--zeros", "--json")),
 }
-"""By file: what must have run, and what writes it."""
+"""By file: what must have run, and what writes it, if that has not."""
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -151,8 +152,9 @@ def test_what_a_command_prints(place: Path, name: str) -> None:
 def test_what_a_command_writes(place: Path, file: str) -> None:
     before, words = WRITTEN[file]
     printed(place, before)
-    done = command_line(*words, cwd=place)
-    assert done.returncode == 0, done.stderr
+    if words:
+        done = command_line(*words, cwd=place)
+        assert done.returncode == 0, done.stderr
     read = {".html": lambda at: tags(at.read_text()), ".rrd": content, ".json": indented}
     text = read.get(Path(file).suffix, Path.read_text)(place / file)
     hold(f"{file.replace('/', '_')}.txt", timeless(text.replace(str(place), "")))
