@@ -22,7 +22,7 @@ from testbed.cli.options import (
     Zeros,
     app,
 )
-from testbed.cli.reading import Reading, require_different
+from testbed.cli.reading import Reading
 
 
 @app.command()
@@ -190,7 +190,6 @@ def payload(
 
     reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
-    require_different([without, loaded])
     sources = [reading.source(path, tree) for path in (without, loaded)]
     if at_rest:
         tree = in_its_gravity(tree, sources[0], gravity)

@@ -77,6 +77,8 @@ class Writing:
 
         if not self.wanted and reading.tables().consistent != Wishes():
             raise SettingsError("--set consistent... is about consistent bodies: say --consistent")
+        if self.in_place and self.write is None:
+            raise SettingsError("--in-place is about the file that --write names: say which")
         if self.write is not None:
             check_place(model, self.write, over_source=self.in_place)
 

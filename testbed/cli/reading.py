@@ -90,7 +90,7 @@ class Reading:
         from testbed.recordings.joined import joined
         from testbed.recordings.measured_base import on_its_base
 
-        require_different(paths)
+        _require_different(paths)
         several, sources, warnings = len(paths) > 1, [], []
         for path in paths:
             pieces, said = opened_pieces(path)
@@ -124,15 +124,8 @@ class Reading:
         return self.tables().robot.on(tree) if self.settings else tree
 
 
-def require_different(paths: Sequence[Path]) -> None:
-    """See to it that no recording is given twice: its noise would count as another's.
-
-    Args:
-        paths: Of recordings.
-
-    Raises:
-        RecordingError: One is.
-    """
+def _require_different(paths: Sequence[Path]) -> None:
+    """See to it that no recording is given twice: its noise would count as another's."""
     places = [path.resolve() for path in paths]
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:

@@ -8,6 +8,9 @@ from html import escape
 EXACT, EXACT_SHORT = 1e-7, 1e-10
 """Relative sigma below which decimals would hide how small it is; the same in brackets."""
 
+ROUNDING = 1e-15
+"""Relative sigma of what is known: numbers of the computer have no more digits."""
+
 
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     """Value and sigma, with as many decimals as sigma has to say.
@@ -17,7 +20,7 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
         sigma: Its standard deviation.
         short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
     """
-    if sigma == 0:
+    if sigma <= ROUNDING * abs(value):
         return f"{value:.9g}"  # known
     if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
         return f"{value:.9g} +- {sigma:.0e}"

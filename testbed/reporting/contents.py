@@ -166,6 +166,6 @@ def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
         for name, codes in zip(shown, seen.standard[first:], strict=True):
             cells = [{"glyph": GLYPHS[k], "kind": KINDS[k], "says": SAYS[k]} for k in codes]
             rows.append((name, cells))
-        title = f"{seen.instrument}: {seen.count} combinations"
+        title = f"{seen.instrument}: {seen.count} combination{'s' * (seen.count != 1)}"
         tables.append({"title": title, "names": STANDARD, "rows": rows})
     return tables

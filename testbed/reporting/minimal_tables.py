@@ -264,7 +264,8 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 
 def _summary(found: Findings) -> str:
     bedplate = f"{'tared ' if found.reaction.tared else ''}bedplate {found.reaction.count}"
-    told = f"joint torques tell {found.dynamic.count} combinations and the {bedplate}"
+    count = found.dynamic.count
+    told = f"joint torques tell {count} combination{'s' * (count != 1)} and the {bedplate}"
     drives = found.drives
     terms = f"; with terms of the joints, {drives.count} unknowns" if drives is not None else ""
     return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {told}{terms}"

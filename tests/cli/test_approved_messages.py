@@ -126,7 +126,6 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("identify", "one.parquet", "one.parquet", *ROBOT), ("identify", "one.parquet"),
         ("payload", "one.parquet", "no_torque.parquet", *ROBOT, "--joint", "hip"),
         ("payload", "one.parquet", "no_torque.parquet", *ROBOT, "--at-rest"),
-        ("payload", "one.parquet", "one.parquet", *ROBOT),
         ("identify", "one.parquet", *ROBOT, "--set", "identification.span=[50,60]"),
         ("calibrate", "one.parquet", *ROBOT, "--known", "mass"),
         ("calibrate", "one.parquet", *ROBOT, "--known", "mass=x"),

@@ -24,6 +24,7 @@ ASKED: dict[str, tuple[str, ...]] = {
         "excitation.plate_range=[80,80,600,90,90,50]",
     ),
     "puma_free": ("excitation.clearance=off", "motion.harmonics=3"),
+    "puma_unbolted": ("excitation.pressure_area=[0.6,0.5]", "excitation.obstacle=[]"),
     "puma_floor": ("excitation.clearance=0.05",),
     "gantry": (),
     "ur5": ("excitation.clearance=off",),

@@ -53,6 +53,8 @@ values = [0.5, 2.0]
 QUICK = ("excitation.starts=1", "excitation.harmonics=4", "motion.duration=10")
 QUICKLY = tuple(word for each in QUICK for word in ("--set", each))
 ROBOT = ("--model", PUMA)
+DRIVES = ("--zeros", "--set", "identification.drives=given")
+PLATE = ("--set", 'identification.nuisances=["matrix"]', "--set", "identification.known={mass=20}")
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +107,15 @@ COMMANDS = {
     "compare": ("compare", "variants.toml", *SEEN[1:]),
     "campaign_plan": ("campaign", "noises.toml", "--dry-run"),
     "campaign": ("campaign", "noises.toml", "--workers", "0", "--out", "many"),
+    "campaign_summary": ("campaign", "--summary", "many"),
+    "campaign_against": ("campaign", "--summary", "many", "--against", "many"),
+    "compare_json": ("compare", "variants.toml", *SEEN[1:], "--json"),
+    "payload_json": ("payload", "one.parquet", "loaded.parquet", *ROBOT, "--json"),
+    "drives_json": ("drives", "one.parquet", *ROBOT, "--zeros", "--json"),
+    "minimal_json": ("minimal", PUMA, "--zeros", "--json", "--no-matrices"),
+    "excite_json": ("excite", "motion.toml", "--check", "--json"),
+    "simulate": ("simulate", *SEEN, "--out", "simulated.parquet"),
+    "validate_json": ("validate", "other.parquet", "result.json", "--json"),
     "excite": (
         *("excite", PUMA, *QUICKLY, "--page", "motion.html", "--trajectory", "t.csv"),
         *("--rate", "20"),
@@ -131,6 +142,18 @@ WRITTEN = {
     "many/figures.csv": ("campaign", ("campaign", "--summary", "many")),
     "many/parameters.csv": ("campaign", ("campaign", "--summary", "many")),
     "many.rrd": ("campaign", ("campaign", "--summary", "many", "--rrd", "many.rrd")),
+    "drives.html": (
+        "identify",
+        ("report", "one.parquet", *ROBOT, *DRIVES, "--out", "drives.html", "--terms", "auto"),
+    ),
+    "drives.rrd": (
+        "identify",
+        ("view", "one.parquet", *ROBOT, *DRIVES, "--save", "drives.rrd"),
+    ),
+    "plate.html": (
+        "identify",
+        ("report", "one.parquet", *ROBOT, *PLATE, "--out", "plate.html"),
+    ),
     "run.rrd": ("run", ("view", "seen", "--save", "run.rrd")),
     "recording.rrd": (
         "identify",
@@ -143,8 +166,14 @@ WRITTEN = {
 """By file: what must have run, and what writes it, if that has not."""
 
 
+AFTER = {"campaign_summary": "campaign", "campaign_against": "campaign", "excite_json": "excite"}
+"""By name: what must have run."""
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_what_a_command_prints(place: Path, name: str) -> None:
+    if name in AFTER:
+        printed(place, AFTER[name])
     hold(f"{name}.txt", printed(place, name))
 
 
