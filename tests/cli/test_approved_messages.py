@@ -37,6 +37,7 @@ def urdf(*parts: str) -> str:
 
 
 GOOD = LINK.format("c", 1, 1)
+HINGE = TURN.format("j", "continuous", "b", "c", "0 0 1")
 BROKEN = {
     "empty.urdf": "",
     "cut.urdf": urdf(GOOD)[:90],
@@ -47,14 +48,24 @@ BROKEN = {
     "floating.urdf": urdf(GOOD, TURN.format("j", "floating", "b", "c", "0 0 1")),
     "no_axis.urdf": urdf(GOOD, TURN.format("j", "continuous", "b", "c", "0 0 0")),
     "two_axes.urdf": urdf(GOOD, TURN.format("j", "continuous", "b", "c", "0 0")),
-    "twice.urdf": urdf(GOOD, GOOD, TURN.format("j", "continuous", "b", "c", "0 0 1")),
+    "twice.urdf": urdf(GOOD, GOOD, HINGE),
     "negative.urdf": urdf(
-        LINK.format("c", -1, 1), TURN.format("j", "continuous", "b", "c", "0 0 1")
+        LINK.format("c", -1, 1), HINGE
     ),
-    "thin.urdf": urdf(LINK.format("c", 1, 9), TURN.format("j", "continuous", "b", "c", "0 0 1")),
-    "word.urdf": urdf(LINK.format("c", "x", 1), TURN.format("j", "continuous", "b", "c", "0 0 1")),
+    "thin.urdf": urdf(LINK.format("c", 1, 9), HINGE),
+    "word.urdf": urdf(LINK.format("c", "x", 1), HINGE),
+    "typo.urdf": urdf(GOOD.replace("mass value", "mass valeu"), HINGE),
+    "other.urdf": urdf(GOOD.replace("mass value", "mass q"), HINGE),
+    "no_child.urdf": urdf(GOOD, '<joint name="j" type="fixed"><parent link="b"/></joint>'),
+    "no_name.urdf": urdf(GOOD, "<joint/>"),
+    "low.urdf": urdf(
+        GOOD,
+        TURN.format("j", "prismatic", "b", "c", "1 0 0").replace(
+            "</joint>", '<limit lower="1" upper="-1" effort="1" velocity="1"/></joint>'
+        ),
+    ),
     "circle.urdf": urdf(
-        GOOD, TURN.format("j", "continuous", "b", "c", "0 0 1"),
+        GOOD, HINGE,
         TURN.format("k", "continuous", "c", "b", "0 0 1"),
     ),
     "empty.xml": "<mujoco/>",
@@ -112,7 +123,10 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("equations", PUMA, "--max-terms", "5"), ("equations", PUMA, "--language", "fortran"),
         ("equations", PUMA, "--what", "power"), ("equations", PUMA, "--form", "short"),
         ("equations", PUMA, "--against", "table.toml"),
-        ("equations", PUMA, "--against", "x", "--out", "y"),
+        ("equations", PUMA, "--against", "map.toml", "--out", "y"),
+        ("equations", PUMA, "--against", "map.toml", "--what", "mass-matrix"),
+        ("equations", PUMA, "--against", "map.toml", "--json"),
+        ("identify", "one.parquet", *ROBOT, "--in-place"),
         ("equations", PUMA, "--max-terms", "0"),
         ("identify", "one.parquet", *ROBOT, "--terms", "slip"),
         ("identify", "one.parquet", *ROBOT, "--method", "magic"),
