@@ -188,7 +188,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("about", WRONG)
-def test_wrong_command_lines_are_answered_as_approved(place: Path, about: str) -> None:
+def test_wrong_command_lines_are_answered_as_approved(
+    place: Path, about: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     lines = []
     for words in WRONG[about]:
         before = sorted(path.name for path in place.rglob("*"))

@@ -20,7 +20,10 @@ ROBOTS = dict(MODELS) | {
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_new_experiment_is_as_approved(name: str, tmp_path: Path) -> None:
+def test_a_new_experiment_is_as_approved(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
     model = ROBOTS[name]
     if not model.is_relative_to(REAL):  # these need the meshes beside them
         model = Path(shutil.copy(model, tmp_path))

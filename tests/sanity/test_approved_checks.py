@@ -52,6 +52,7 @@ def test_a_check_says_what_was_approved(name: str, mistake: str) -> None:
     for kind, findings in (("certain", found.certain), ("likely", found.likely)):
         lines += [f"{kind}: {each.number:.4g} {each.text}" for each in findings]
     for clock in clock_offsets(tree, recording):
-        lines += [f"{clock}", f"{clock.text}: late {clock.late}, drifts {clock.drifts}"]
+        delay = f" {clock.delay:.1g} s" if clock.late else ""  # it is uncertain by some percent
+        lines.append(f"{clock.signal}: late {clock.late}{delay}, drifts {clock.drifts}")
     place = f"check_{name}_{mistake}".replace(" ", "_").replace("'", "")
     hold(f"{place}.txt", "\n".join(lines) + "\n")

@@ -15,6 +15,12 @@ from tests.helpers.command import command_line
 from tests.helpers.foreign_files import FORMATS, some_log
 
 
+@pytest.fixture(autouse=True)
+def width(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines are broken alike wherever it runs."""
+    monkeypatch.setenv("COLUMNS", "100")
+
+
 @pytest.mark.parametrize("name", FORMATS)
 def test_a_guess_is_as_approved(name: str, tmp_path: Path) -> None:
     FORMATS[name](tmp_path, some_log())
