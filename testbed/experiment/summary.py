@@ -44,7 +44,8 @@ def headline(run: Run) -> str:
     if not shares:
         return f"From {_data(run)} no estimate could be made."
     if not known:
-        return f"{'; '.join(_own_words(run.estimates[method]) for method in shares)}."
+        told = "; ".join(_own_words(run.estimates[method]) for method in shares)
+        return f"{told.replace('; The', '; the')}."
     if len(known) == 1:
         ((method, share),) = known.items()
         count = len(run.estimates[method].base.names)

@@ -17,6 +17,7 @@ from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
 from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.estimate_text import ROUNDING
 from testbed.reporting.figures import (
     COLOURS,
     FAINT,
@@ -118,9 +119,10 @@ def dots_of_run(run: Run) -> ErrorDots:
 
 
 def _own_sigmas(estimate: Estimate) -> Array:
-    """Relative sigmas; not a number where a value is zero."""
+    """Relative sigmas; not a number where a value is zero, or known."""
     size = np.abs(estimate.values)
-    shares: Array = estimate.sigma / np.where(size > 0, size, np.nan)
+    told = (size > 0) & (estimate.sigma > ROUNDING * size)
+    shares: Array = estimate.sigma / np.where(told, size, np.nan)
     return shares
 
 
