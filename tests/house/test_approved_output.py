@@ -88,6 +88,14 @@ COMMANDS = {
         *("identify", "one.parquet", *ROBOT, "--consistent", "--write", "made.xml"),
         *("--set", "identification.cutoff=8"),
     ),
+    "consistent_known": (
+        *("identify", "one.parquet", *ROBOT, "--consistent", "--set", "consistent.known={mass=20}"),
+        *("--set", 'consistent.symmetric={link3="xz"}', "--set", "consistent.prior_error=0.2"),
+    ),
+    "consistent_near": (
+        *("identify", "one.parquet", *ROBOT, "--consistent", "--method", "external"),
+        *("--set", "consistent.metric=frobenius", "--set", "consistent.centres_in_shapes=true"),
+    ),
     "identify_terms": (
         *("identify", "one.parquet", *ROBOT, "--terms", "auto"),
         *("--method", "internal"),
