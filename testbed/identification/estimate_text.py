@@ -11,6 +11,9 @@ EXACT, EXACT_SHORT = 1e-7, 1e-10
 ROUNDING = 1e-15
 """Relative sigma of what is known: numbers of the computer have no more digits."""
 
+NOTHING = 1e-15
+"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
+
 
 def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
     """Value and sigma, with as many decimals as sigma has to say.
@@ -20,6 +23,8 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
         sigma: Its standard deviation.
         short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
     """
+    if max(abs(value), sigma) < NOTHING:
+        return "0"
     if sigma <= ROUNDING * abs(value):
         return f"{value:.9g}"  # known
     if sigma < (EXACT_SHORT if short else EXACT) * abs(value):

@@ -90,7 +90,7 @@ COMMANDS = {
     ),
     "consistent_known": (
         *("identify", "one.parquet", *ROBOT, "--consistent", "--set", "consistent.known={mass=20}"),
-        *("--set", 'consistent.symmetric={link3="xz"}', "--set", "consistent.prior_error=0.2"),
+        *("--set", 'consistent.symmetric={link3="yz"}', "--set", "consistent.prior_error=0.2"),
     ),
     "consistent_near": (
         *("identify", "one.parquet", *ROBOT, "--consistent", "--method", "external"),
