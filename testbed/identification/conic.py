@@ -56,20 +56,17 @@ class Solution:
     prices: tuple[Array, ...]
 
 
-def minimise(costs: Array, cones: Sequence[Cone], quadratic: Array | None = None) -> Solution:
-    """The least x' Q x / 2 + costs' x with all rows in their cones.
+def minimise(costs: Array, cones: Sequence[Cone]) -> Solution:
+    """The least costs' x with all rows in their cones.
 
     Args:
         costs: (m,).
         cones: At least one.
-        quadratic: Q, (m, m), symmetric and positive semidefinite; none by default.
     """
-    shape = (len(costs), len(costs))
-    square = sparse.csc_matrix(shape if quadratic is None else np.triu(quadratic))
     settings = clarabel.DefaultSettings()
     settings.verbose, settings.max_threads = False, 1
     found = clarabel.DefaultSolver(
-        square,
+        sparse.csc_matrix((len(costs), len(costs))),  # no quadratic part
         costs,
         sparse.csc_matrix(sparse.vstack([sparse.csc_matrix(cone.rows) for cone in cones])),
         np.concatenate([cone.right for cone in cones]),
