@@ -96,6 +96,8 @@ def _command() -> int:
     from testbed.cli.options import joined_vectors
 
     warnings.simplefilter("ignore")  # numerical doubt is a field of the result
+    # no command renders: else MuJoCo would start another Python to try a library of windows
+    os.environ.setdefault("MUJOCO_GL", "disable")
     try:
         code = app(joined_vectors(sys.argv[1:]), standalone_mode=False)
     except SystemExit:  # the option parser's answer to a broken pipe

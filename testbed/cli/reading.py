@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,7 @@ class Reading:
 
 def _require_different(paths: Sequence[Path]) -> None:
     """See to it that no recording is given twice: its noise would count as another's."""
-    places = [path.resolve() for path in paths]
+    places = [os.path.realpath(path) for path in paths]  # of a link to itself, too
     for path, place in zip(paths, places, strict=True):
         if places.count(place) > 1:
             raise RecordingError(f"'{path}' is given more than once: its data would count as new")

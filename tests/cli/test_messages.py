@@ -315,3 +315,17 @@ def test_an_ignored_ctrl_c_stays_ignored() -> None:
         cwd=ROOT,
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_command_looks_for_no_library_of_windows() -> None:
+    """It takes another process to try one; Ctrl-C would be lost in it, or shown by it."""
+    code = "import sys\nfrom testbed.cli import main\nsys.argv[1:] = ['minimal', sys.argv[1]]\n"
+    code += "try: main.main()\nfinally: print('glfw' in sys.modules, 'mujoco' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, PUMA],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={name: value for name, value in os.environ.items() if name != "MUJOCO_GL"},
+    )
+    assert done.stdout.splitlines()[-1] == "False True"
