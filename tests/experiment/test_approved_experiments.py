@@ -12,6 +12,8 @@ from tests.helpers.command import command_line
 from tests.helpers.paths import REAL
 from tests.helpers.runs import MODELS
 
+pytestmark = pytest.mark.slow
+
 ROBOTS = dict(MODELS) | {
     "panda": REAL / "panda_description/urdf/panda.urdf",
     "g1": REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf",
