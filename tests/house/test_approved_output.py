@@ -145,7 +145,6 @@ WRITTEN = {
         ),
     ),
     "motion.html": ("excite", ()),
-    "t.csv": ("excite", ()),
     "many/summary.html": ("campaign", ("campaign", "--summary", "many", "--rrd", "many.rrd")),
     "many/figures.csv": ("campaign", ("campaign", "--summary", "many")),
     "many/parameters.csv": ("campaign", ("campaign", "--summary", "many")),
