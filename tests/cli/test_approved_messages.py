@@ -131,10 +131,8 @@ WRONG: dict[str, list[tuple[str, ...]]] = {
         ("identify", "one.parquet", *ROBOT, "--terms", "slip"),
         ("identify", "one.parquet", *ROBOT, "--method", "magic"),
         ("identify", "one.parquet", *ROBOT, "--threads", "0"),
-
         ("identify", "one.parquet", *ROBOT, "--consistent", "--write", "x.urdf"),
         ("identify", "one.parquet", *ROBOT, "--consistent", "--write", PUMA),
-
         ("identify", "one.parquet", *ROBOT, "--plate", "table.toml"),
         ("identify", "one.parquet", *ROBOT, "--set", "motion.duration=3"),
         ("identify", "one.parquet", "one.parquet", *ROBOT), ("identify", "one.parquet"),

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.approved import hold
+from tests.helpers.approved import hold, timeless
 from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
-from tests.house.test_approved_output import timeless
 
 pytestmark = pytest.mark.slow
 

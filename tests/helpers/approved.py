@@ -71,6 +71,19 @@ def _near(was: str, now: str) -> bool:
     return abs(a - b) <= rounding + SAME * abs(a)
 
 
+def timeless(text: str) -> str:
+    """Without what each machine, moment or release of a library has its own of.
+
+    When a clearance is least is one of them: a body that only turns is as near all the time.
+    """
+    text = re.sub(r"about \S+ (seconds|minutes|hours)", "about TIME", text)
+    text = re.sub(r"\b(python|testbed|mujoco|numpy|scipy|pin) \d[\w.+]*", r"\1 VERSION", text)
+    row = r"(clearance of [^\n]*\n(?:[^\n]*\n){0,4}?[^\n]*at t \[s\]\">)[\d.]+"
+    text = re.sub(row, r"\1TIME", text)
+    text = re.sub(r"(clearance of [^\n]*?mm (?:left at t = )?\s*)\d+\\*\.\d+", r"\1TIME", text)
+    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
+
+
 def tags(html: str) -> str:
     """A page, one tag or text a line; of matplotlib's drawings what they say and where.
 

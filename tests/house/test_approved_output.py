@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
-from tests.helpers.approved import hold, tags
+from tests.experiment.test_comparison import LATE
+from tests.helpers.approved import hold, tags, timeless
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 from tests.helpers.viewer import content
@@ -21,15 +22,10 @@ PUMA = "puma562.xml"
 SETS = ("motion.duration=8", "simulation.step=5e-4", "motion.candidates=4")
 SEEN = ("table.toml", *(word for each in SETS for word in ("--set", each)))
 
-COMPARISON = """
+COMPARISON = f"""
 name = "late"
 experiment = "table.toml"
-[[variant]]
-name = "late"
-set = ['measurement.fault=[{kind="plate_delay",delay=4e-3}]']
-remedy = ['identification.nuisances=["skew"]']
-says = "a plate that is late"
-remedied.external_max_z = { at_most = 6.0 }
+{LATE}
 [[variant]]
 name = "quiet"
 set = ["measurement.force_noise=0.4"]
@@ -212,16 +208,3 @@ def printed(place: Path, name: str) -> str:
         text = f"$ testbed {words}\n{done.stdout}\n{done.stderr}\n{done.returncode}\n"
         kept.write_text(timeless(text.replace(str(place), "")))
     return kept.read_text()
-
-
-def timeless(text: str) -> str:
-    """Without what each machine, moment or release of a library has its own of.
-
-    When a clearance is least is one of them: a body that only turns is as near all the time.
-    """
-    text = re.sub(r"about \S+ (seconds|minutes|hours)", "about TIME", text)
-    text = re.sub(r"\b(python|testbed|mujoco|numpy|scipy|pin) \d[\w.+]*", r"\1 VERSION", text)
-    row = r"(clearance of [^\n]*\n(?:[^\n]*\n){0,4}?[^\n]*at t \[s\]\">)[\d.]+"
-    text = re.sub(row, r"\1TIME", text)
-    text = re.sub(r"(clearance of [^\n]*?mm (?:left at t = )?\s*)\d+\\*\.\d+", r"\1TIME", text)
-    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"

@@ -18,7 +18,6 @@ from tests.sanity.test_sanity import PLATES, WRONG
 
 pytestmark = pytest.mark.slow
 
-ROBOTS = ("puma", "gantry")
 QUICK = [name for name in WRONG if name not in ("two zeros", "order", "motor side", "currents")]
 
 

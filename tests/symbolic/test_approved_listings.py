@@ -5,8 +5,6 @@ Short kinds whole; of all kinds together the operations and lines, which common 
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
@@ -14,17 +12,12 @@ import testbed as tb
 from testbed.symbolic.equations import FORMS, Form, equations
 from testbed.symbolic.kinds import KINDS
 from testbed.symbolic.languages import Language, write_equations
-from tests.helpers.approved import hold
+from tests.helpers.approved import hold, timeless
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot
 
 LANGUAGES: tuple[Language, ...] = ("paper", "latex", "python", "c")
 SHORT = ("mass-matrix", "gravity-forces")
-
-
-def timeless(text: str) -> str:
-    """Without the program's version."""
-    return re.sub(r"testbed \d[\w.+]*", "testbed VERSION", text)
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
