@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -207,6 +208,8 @@ def test_a_tare_shows_as_a_bias_does() -> None:
     recording = recorded(tree)
     tare, bias = (columns_of(tree, recording, ALL[kind]) for kind in ("tare", "bias"))
     np.testing.assert_array_equal(tare, bias)
+    other: dict[str, Any] = {"kind": "", "said": "", "parts": (), "passing": False}
+    assert replace(ALL["tare"], **other) == replace(ALL["bias"], **other)
 
 
 def test_eccentric_encoders_err_with_the_sine_of_their_angle() -> None:
