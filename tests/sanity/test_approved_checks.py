@@ -38,8 +38,13 @@ MISTAKES |= {
     "a late plate": lambda r: late(r, "wrench", 0.013),
     "a slow clock": lambda r: late(r, "wrench", 1e-3 * r.time),
 }
+LONG = ("degrees", "radians as degrees", "a zero")
+"""Searches of a gantry's zeros take long."""
+
 CASES = [("puma", each) for each in MISTAKES]
-CASES += [("gantry", each) for each in ("nothing", "a torque's sign", "late torques")]
+CASES += [("gantry", each) for each in MISTAKES if each not in LONG]
+CASES += [("ur5", each) for each in ("nothing", "degrees", "a late plate", "a position's sign")]
+CASES += [("random", each) for each in ("nothing", "a torque's sign")]
 
 
 @pytest.mark.parametrize(("name", "mistake"), CASES)
