@@ -172,10 +172,17 @@ def _keys(model: Any, tables: list[str]) -> tuple[str, ...]:
     """The keys that a table knows."""
     for table in tables:
         known = getattr(model, "model_fields", {})
-        model = known[table].annotation if table in known else _member(model)
+        model = _if_given(known[table].annotation) if table in known else _member(model)
     if isinstance(model, type) and issubclass(model, BaseModel):
         return tuple(model.model_fields)
     return tuple(f.name for f in fields(model)) if is_dataclass(model) else ()
+
+
+def _if_given(annotation: Any) -> Any:
+    """Of a table that may be left out, what it is: WrenchTable | None -> WrenchTable."""
+    arguments = getattr(annotation, "__args__", ())
+    given = [each for each in arguments if each is not type(None)]
+    return given[0] if len(given) < len(arguments) else annotation
 
 
 def _member(annotation: Any) -> Any:
