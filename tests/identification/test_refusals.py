@@ -85,18 +85,9 @@ def test_wishes_are_of_links_with_matter() -> None:
 
 def test_terms_are_chosen_from_enough_rows() -> None:
     tree = robot("gantry")
-    short = measured(tree, duration=0.6)
+    short = measured(tree, duration=0.8)
     with pytest.raises(RecordingError, match=r"gives \d+ rows, too few to foretell \d+ parts"):
         choose_terms(tree, short, tb.Settings())
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_numbers_too_large_to_compute_with_are_refused() -> None:
-    tree = robot("gantry")
-    recording = noisy(ideal(tree))
-    huge = replace(recording, wrench=1e200 * recording.measured("wrench"))
-    with pytest.raises(RecordingError, match="too large"):
-        tb.identify(tree, huge)
 
 
 def test_a_base_is_measured_or_missing() -> None:
