@@ -208,3 +208,7 @@ def test_the_pages_curves_are_means_over_levels_and_densities(
 
 def test_what_is_shown_of_cells_are_metrics_that_runs_have() -> None:
     assert {name for _, name in SHOWN_METRICS} <= set(METRICS)
+
+
+def test_what_is_pooled_is_of_no_cell(summary: Summary) -> None:
+    assert {each.cell for each in pooled(summary.parameters)} == {-1}

@@ -16,7 +16,7 @@ import pytest
 from benchmarks.campaign import Scene, campaign_of, cluster, kills
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.cluster import Tls, local_workers, workers_at
+from testbed.campaign.cluster import Tls, Work, local_workers, workers_at
 from testbed.campaign.conduct import InThisProcess, conduct
 from testbed.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, campaign_file, made_up
@@ -148,3 +148,30 @@ def test_the_scene_of_a_kill_ends_well_undisturbed(tmp_path: Path) -> None:
     assert scene.start().wait(120) == 0
     assert len(table(tmp_path / "r")) > 1000
     assert ROOT.is_dir()
+
+
+def mistaken(bundle: Bundle) -> tuple[list[Outcome], float]:
+    raise ValueError(f"{len(bundle.runs)} runs are no number")
+
+
+def refused(bundle: Bundle) -> tuple[list[Outcome], float]:
+    raise ExperimentError("the worker has other files")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("work", "said"),
+    [
+        (mistaken, "^the workers cannot do it: ValueError: . runs are no number$"),
+        (refused, "^the worker has other files$"),
+    ],
+)
+def test_workers_that_cannot_do_it_at_all_end_a_campaign(
+    work: Work, said: str, tmp_path: Path
+) -> None:
+    campaign = Campaign.load(campaign_file(tmp_path, 3))
+    with (
+        local_workers(1, work) as engine,
+        pytest.raises(ExperimentError, match=said),
+    ):
+        conduct(campaign, tmp_path / "r", engine)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 import testbed as tb
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.design import Design
+from testbed.excitation.limit_terms import PlateTerm
 from testbed.excitation.proof import prove
 from testbed.excitation.rest_to_rest import RestToRest, Start
 from testbed.experiment.earlier_estimate import prior_covariance
@@ -294,3 +296,24 @@ def test_what_a_motion_hardly_tells_is_said(found: Excitation) -> None:
     poor = replace(found, predicted=replace(found.predicted, relative=relative * 1e4))
     (line,) = poor.warnings
     assert f"hardly tells {', '.join(found.predicted.names[:3])} and " in line
+
+
+@pytest.mark.slow
+def test_a_file_keeps_the_limits_that_were_kept_to(found: Excitation, tmp_path: Path) -> None:
+    file = tmp_path / "motion.toml"
+    write_motion(file, found)
+    limits = tomllib.loads(file.read_text())["limits"]
+    assert list(limits) == list(found.tree.names)
+    for j, table in enumerate(limits.values()):
+        kept = found.rules.limits
+        assert table["position"] == [kept.low[j], kept.high[j]]
+        assert table["velocity"] == kept.velocity[j]
+        assert table["acceleration"] == kept.acceleration[j]
+        assert table.get("effort", np.inf) == kept.effort[j]
+
+
+def test_an_area_of_the_pressure_is_kept_without_ranges_of_the_plate() -> None:
+    experiment = asked("puma", "excitation.pressure_area=[0.3, 0.2]", "excitation.clearance=off")
+    terms = rules_of(experiment, robot_of(experiment), designed=False).terms
+    (plate,) = (term for term in terms if isinstance(term, PlateTerm))
+    assert {label[:-1] for label in plate.labels} == {"centre of pressure along "}

@@ -80,3 +80,30 @@ def test_the_other_motion_is_measured_by_the_same_instrument(tmp_path: Path) -> 
     assert abs(other.position - run.recording.position).max() > 0.1
     another = tb.simulate(tb.Experiment.load(path, ["seed=1"]))
     assert abs(gains(another) - gains(run.recording)).max() > 0.005
+
+
+@pytest.mark.parametrize(
+    ("fundamental", "asked", "taken"), [(0.1, 60.0, 12.0), (0.05, 60.0, 20.0), (0.1, 5.0, 5.0)]
+)
+def test_the_other_motion_lasts_a_period_and_no_longer_than_the_first(
+    fundamental: float, asked: float, taken: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[tb.Experiment] = []
+
+    def kept(experiment: tb.Experiment, progress: object, installed: int) -> None:
+        assert installed == experiment.seed - 1
+        seen.append(experiment)
+
+    monkeypatch.setattr(module, "simulate", kept)
+    words = [f"motion.duration={asked}", f"motion.fundamental={fundamental}", "seed=7"]
+    run = replace(run_of(robot("puma")), experiment=tb.Experiment.of_model(MODELS["puma"], words))
+    unseen(run)
+    (other,) = seen
+    assert other.motion.duration == taken
+    assert other.motion.fundamental == fundamental
+    assert other.motion.candidates == 1
+    assert other.seed == 8
+
+
+def test_a_run_of_no_experiment_has_no_other_motion() -> None:
+    assert unseen(replace(run_of(robot("puma")), experiment=None)) is None

@@ -11,42 +11,85 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from testbed.arrays import Array
 from testbed.excitation.proof import Margin, Proof
 from testbed.parameters.minimal_set import minimal_set
 from testbed.reporting.motion_tables import print_excitation
 from tests.helpers.runs import ROBOTS, robot
 
 
-@pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
-@pytest.mark.parametrize("name", ROBOTS)
-def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None:
-    tree, rng = robot(name), np.random.default_rng(0)
-    names = minimal_set(tree, "reaction").names
-    sigma, relative, other = 10 ** rng.uniform(-6, 2, (3, len(names)))
-    margins = [
-        Margin(f"{what} of '{joint}'", float(rng.normal()), float(rng.uniform(0, 100)))
-        for what in ("velocity", "acceleration", "effort")
-        for joint in tree.names
-    ]
+def numbers(count: int) -> Array:
+    """Sigma, its share of the value, and that of another motion, (3, count)."""
+    return 10 ** np.random.default_rng(0).uniform(-6, 2, (3, count))
+
+
+def printed(names: list[str], margins: list[Margin], columns: int, **changed: Any) -> str:
+    """What is said of a design that promises random numbers."""
+    sigma, relative, other = numbers(len(names))
+    design = {
+        "motion": SimpleNamespace(harmonics=5, fundamental=0.1),
+        "searches": (1, 2),
+        "complete": True,
+        "proof": Proof(tuple(margins), 1000, 0),
+    }
     found: Any = SimpleNamespace(
         predicted=SimpleNamespace(
             names=names, sigma=sigma, relative=relative, rms=1.0, condition=1.0
         ),
         random_predicted=SimpleNamespace(relative=other, rms=2.0),
         beside_random="2.00 times smaller than that of the best of 40 random motions (2)",
-        design=SimpleNamespace(
-            motion=SimpleNamespace(harmonics=5, fundamental=0.1),
-            searches=(1, 2),
-            complete=True,
-            proof=Proof(tuple(margins), 1000, 0),
-        ),
+        design=SimpleNamespace(**design | changed),
     )
     console = Console(markup=False, width=columns, record=True, file=StringIO())
     print_excitation(console, found, Path("motion.toml"))
-    said = console.export_text()
+    return console.export_text()
+
+
+@pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None:
+    tree, rng = robot(name), np.random.default_rng(1)
+    names = minimal_set(tree, "reaction").names
+    sigma, relative, other = numbers(len(names))
+    margins = [
+        Margin(f"{what} of '{joint}'", float(rng.normal()), float(rng.uniform(0, 100)))
+        for what in ("velocity", "acceleration", "effort")
+        for joint in tree.names
+    ]
+    said = printed(list(names), margins, columns)
     assert "…" not in said
     lines = [set(line.split()) for line in said.splitlines()]
     for k, parameter in enumerate(names):
         row = {parameter, f"{sigma[k]:.2g}", f"{relative[k]:.2%}", f"{other[k]:.2%}"}
         assert any(row <= line for line in lines), parameter
     assert {"limit", "on", "left", "at", "t", "[s]"} in lines
+
+
+ROOM = Margin("velocity of 'a'", 0.25, 1.5)
+NONE = Margin("velocity of 'b'", -0.125, 2.5)
+
+
+def test_searches_that_were_stopped_are_said() -> None:
+    assert "stopped before they ended" not in printed(["I1"], [ROOM], 100)
+    assert "the best of 2 searches (stopped before they ended)" in printed(
+        ["I1"], [ROOM], 100, complete=False
+    )
+    assert "one search" in printed(["I1"], [ROOM], 100, searches=(1,))
+
+
+def test_a_motion_is_proven_or_it_is_said_what_is_not() -> None:
+    assert "proven at every moment: 1 limits" in printed(["I1"], [ROOM], 100)
+    said = printed(["I1"], [ROOM, NONE], 100)
+    assert "proven at every moment" not in said
+    assert f"NOT proven: 1 of 2 limits; {NONE.words}" in " ".join(said.split())
+    table = [line.split() for line in said.splitlines() if "velocity of" in line]
+    assert table[0][-2:] == ["-12.50%", "2.500"]  # what fails comes first
+    assert table[1][-2:] == ["25.00%", "1.500"]
+
+
+def test_limits_beyond_the_dozen_are_counted() -> None:
+    margins = [Margin(f"effort of '{k}'", 0.1 * k, 0.0) for k in range(1, 16)]
+    said = printed(["I1"], margins, 100)
+    assert "and 3 more limits with more left" in said
+    assert "effort of '12'" in said
+    assert "effort of '13'" not in said

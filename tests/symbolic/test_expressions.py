@@ -262,3 +262,17 @@ def test_factors_are_forgotten_when_nobody_needs_them() -> None:
     del factor
     gc.collect()
     assert watched() is None
+
+
+@pytest.mark.parametrize("powers", [(32, 0), (32, 1), (31, 32), (1, 33), (0, 48)])
+def test_exponents_of_any_size_are_read_back(powers: tuple[int, int]) -> None:
+    a, b = symbol(Nature.CONSTANT, "a"), symbol(Nature.CONSTANT, "b")
+    ring = Ring()
+    ring.expand(a + b)
+    ((_, part),) = ring.expand(
+        math.prod([a] * powers[0] + [b] * powers[1], start=expression(1))
+    ).parts.items()
+    ((monomial, size),) = part.items()
+    assert size == 1
+    wanted = {n: p for n, p in zip("ab", powers, strict=True) if p}
+    assert {factor.name: power for factor, power in ring.exponents(monomial)} == wanted

@@ -96,3 +96,11 @@ def test_a_channel_whose_noise_is_foretold_wholly_counts_as_it_is() -> None:
 def test_too_few_lags_say_nothing() -> None:
     given = products(0.0, 3).at_once
     assert lateness(given, weighted_fit(products(0.0, 3)), np.zeros(3), 1.0, RATE) is None
+
+
+def test_two_lags_are_needed() -> None:
+    """Of one, no second difference can be had."""
+    given = products(0.0, 3)
+    one = replace(given, products=given.products[:2])
+    assert one.lags == 1
+    assert lateness(one, weighted_fit(given), np.zeros(3), 1.0, RATE) is None

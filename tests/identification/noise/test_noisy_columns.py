@@ -103,3 +103,9 @@ def test_any_sampling_rate_will_do(puma: tb.Tree, rate: float) -> None:
     made = maker_of(plan, np.ones(3)).coordinates(0, 5000)
     kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
     np.testing.assert_allclose((made**2).mean(axis=(1, 2)), (kernels**2).sum(axis=1), rtol=0.1)
+
+
+def test_least_counts_are_of_joints_whose_encoders_count() -> None:
+    none = np.zeros(3)
+    assert PositionNoise(np.full(3, SIZE), none).least_counts == ()
+    assert PositionNoise(none, np.array([0.0, SIZE, 0.0])).least_counts == (0.0, SIZE, 0.0)
