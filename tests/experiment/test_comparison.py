@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 import testbed as tb
 from testbed.errors import TestbedError
@@ -19,6 +21,8 @@ from testbed.experiment.comparison import (
     comparison_as_json,
 )
 from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.summary import obtained, verdict
+from testbed.reporting.comparison_table import print_comparison
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
@@ -176,3 +180,36 @@ def test_wrong_input_is_one_line(tmp_path: Path) -> None:
     found = command_line("compare", "made.toml", "--set", "motion.length=1", cwd=tmp_path)
     assert found.returncode == 2
     assert "'length'" in found.stderr
+
+
+@pytest.mark.slow
+def test_why_a_variant_is_not_as_expected_is_printed(
+    rows: tuple[Comparison, list[Compared]],
+) -> None:
+    comparison, (plain, late, *_) = rows
+    assert late.run.experiment is not None
+    assert late.remedied is not None
+    bound = {"external_max_z": Bound(at_most=0.0)}
+    harder = late.run.experiment.model_copy(update={"expect": bound})
+    wrong = replace(
+        late,
+        run=replace(late.run, experiment=harder),
+        remedied=replace(late.remedied, experiment=harder),
+        variant=replace(late.variant, says="crosstalk"),
+    )
+    out = Console(width=200, file=StringIO(), record=True)
+    print_comparison(out, replace(comparison, claim="a late plate is said"), [plain, wrong])
+    said = out.export_text()
+    z = obtained(late.run, "external_max_z")
+    assert f"late: {verdict(wrong.run)}" in said
+    assert wrong.remedied is not None
+    assert f"late: with its remedy: {verdict(wrong.remedied)}" in said
+    assert z in verdict(wrong.run)
+    assert f"late: what is said first is '{late.said[0]}', claimed 'crosstalk'" in said
+    assert "claim: a late plate is said" in said
+    assert "verdict: THE CLAIM FAILS (1 of 2 lines are as expected)" in said
+    fine = Console(width=200, file=StringIO(), record=True)
+    print_comparison(fine, comparison, [plain, late])
+    told = fine.export_text()
+    assert "verdict: the claim holds (2 of 2 lines are as expected)" in told
+    assert "late:" not in told

@@ -144,3 +144,13 @@ def test_a_robot_that_moves_is_not_weighed() -> None:
         poses_at_rest(
             tree, replace(resting(tree, 1), wrench=None, torque=resting(tree, 1).position)
         )
+
+
+def test_without_gravity_nothing_is_weighed() -> None:
+    tree = robot("puma")
+    alone = poses_at_rest(tree, resting(tree, 1))
+    afloat = tree.with_gravity(np.zeros(3))
+    with pytest.raises(RecordingError, match="the poses do not tell the mass of what moves"):
+        weigh(afloat, alone)
+    with pytest.raises(RecordingError, match="do not tell the payload's mass from the robot's"):
+        weigh_payload(afloat, alone, alone)

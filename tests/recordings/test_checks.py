@@ -109,3 +109,9 @@ def test_a_joints_geometry_that_is_none_is_named(joint: object, said: str) -> No
     with pytest.raises(ValueError, match=said) as caught:
         checked_metadata({"facts": {"geometry": {"fine": {"axis": [1, 0, 0]}, "elbow": joint}}})
     assert "joint 'elbow'" in str(caught.value)
+
+
+@pytest.mark.parametrize("found", [None, [], "facts", 3])
+def test_metadata_are_a_table(found: object) -> None:
+    with pytest.raises(ValueError, match="^its metadata are not a table$"):
+        checked_metadata(found)

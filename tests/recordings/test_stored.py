@@ -12,6 +12,7 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError
+from testbed.recordings.formats import parquet
 from testbed.recordings.formats.parquet import ParquetTable
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import gathered, open_source
@@ -167,3 +168,16 @@ def test_parts_of_two_recordings_are_refused(whole: Recording, tmp_path: Path) -
             write_parts([first, other], tmp_path / "r.parquet")
     with pytest.raises(RecordingError, match="has no parts"):
         gathered([])
+
+
+def test_metadata_of_any_length_are_not_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parquet, "MOST_METADATA", 20)
+    with pytest.raises(RecordingError, match=r"its metadata have .* bytes, more than 2e\+01"):
+        tb.StoredRecording(path)
+
+
+def test_numbers_are_kept_byte_by_byte_and_packed(path: Path) -> None:
+    """Which makes files of measurements a good deal smaller."""
+    column = pq.ParquetFile(path).metadata.row_group(0).column(1)
+    assert "BYTE_STREAM_SPLIT" in column.encodings
+    assert column.compression == "ZSTD"

@@ -339,3 +339,21 @@ def test_a_model_that_is_attached_often_counts_as_often(
             check_files(tmp_path / "all.xml")
     else:
         check_files(tmp_path / "all.xml")
+
+
+@pytest.mark.parametrize(("depth", "fine"), [(7, True), (9, False)])
+def test_files_hold_each_other_so_deep_and_no_deeper(
+    depth: int, fine: bool, tmp_path: Path
+) -> None:
+    body = (
+        '<body name="b"><inertial mass="1" pos="0 0 0.1" diaginertia="1 1 1"/>'
+        '<joint name="j" axis="0 1 0"/></body>'
+    )
+    for k in range(depth):
+        (tmp_path / f"f{k}.xml").write_text(f'<mujoco><include file="f{k + 1}.xml"/></mujoco>')
+    (tmp_path / f"f{depth}.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    if fine:
+        assert tb.load_tree(tmp_path / "f0.xml").names == ("j",)
+        return
+    with pytest.raises(ModelError, match="more than 8 files hold each other"):
+        tb.load_tree(tmp_path / "f0.xml")

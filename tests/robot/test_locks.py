@@ -360,3 +360,18 @@ def test_locks_are_typed_as_joints_and_positions() -> None:
             parse_lock([wrong])
     with pytest.raises(ModelError, match="two positions"):
         parse_lock(["a=1", "a=2"])
+
+
+@pytest.mark.parametrize(
+    "constraint",
+    [
+        '<weld name="w" body1="tip"/>',
+        '<joint name="a" joint1="f" joint2="e"/><joint name="w" joint1="f" joint2="e"/>',
+    ],
+)
+def test_a_closed_loop_is_refused(constraint: str, tmp_path: Path) -> None:
+    path = tmp_path / "r.xml"
+    equality = f"<equality>{constraint}</equality><actuator>"
+    path.write_text(STACKED.replace("<actuator>", equality))
+    with pytest.raises(ModelError, match="equality constraint 'w'.* closes a loop"):
+        tb.load_tree(path)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gc
 import math
+import operator
 import weakref
 from fractions import Fraction
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -276,3 +278,14 @@ def test_exponents_of_any_size_are_read_back(powers: tuple[int, int]) -> None:
     assert size == 1
     wanted = {n: p for n, p in zip("ab", powers, strict=True) if p}
     assert {factor.name: power for factor, power in ring.exponents(monomial)} == wanted
+
+
+def test_symbols_are_known_by_their_names_and_words_are_no_numbers() -> None:
+    a = symbol(Nature.CONSTANT, "a")
+    assert repr(a.terms[0][0][0]) == "a"
+    other: Any = "b"
+    for combined in (operator.add, operator.sub, operator.mul):
+        with pytest.raises(TypeError):
+            combined(a, other)
+    with pytest.raises(TypeError):
+        other + a

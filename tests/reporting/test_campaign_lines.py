@@ -1,0 +1,66 @@
+"""What a campaign says while it runs, and of lists that are too long for a terminal."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from io import StringIO
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from testbed.campaign.campaign_folder import RESULTS
+from testbed.campaign.conduct import Standing
+from testbed.reporting.campaign_lines import (
+    Throughput,
+    duration,
+    print_changes,
+    print_conducted,
+)
+
+
+def test_where_there_is_no_terminal_a_line_comes_now_and_then(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Every half a minute at most, beginning half a minute after the start."""
+    clock = itertools.chain([0.0, 10.0, 31.0, 31.0, 40.0, 62.0, 62.0])
+    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+    shown = Throughput()
+    for done, failed in ((1, 0), (2, 0), (3, 1), (4, 1)):
+        shown(Standing(done, 100, failed, 0.5))
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        f"2 of 100 runs, 0.5 a second, {duration(98 / 0.5)} left",
+        f"4 of 100 runs, 1 failed, 0.5 a second, {duration(96 / 0.5)} left",
+    ]
+
+
+def printed(print_it: Any, *words: Any) -> tuple[str, Any]:
+    out = Console(width=100, file=StringIO(), record=True)
+    found = print_it(out, *words)
+    return out.export_text(), found
+
+
+@pytest.mark.parametrize(("count", "more"), [(0, None), (20, None), (21, 1), (45, 25)])
+def test_twenty_failures_are_listed(count: int, more: int | None) -> None:
+    failures = [(f"testbed run {k}", f"reason {k}") for k in range(count)]
+    folder = SimpleNamespace(
+        failures=lambda: failures, status=dict.fromkeys(range(count + 3)), path=Path("r")
+    )
+    said, failed = printed(print_conducted, folder)
+    assert failed == count
+    lines = said.splitlines()
+    assert sum(line.startswith("failed: reason") for line in lines) == min(count, 20)
+    assert sum(line.startswith("  testbed run") for line in lines) == min(count, 20)
+    told = [line for line in lines if line.startswith("...")]
+    assert told == ([] if more is None else [f"... {more} more, in the table"])
+    assert f"3 runs with a result, {count} without" in lines
+    assert f"table: {Path('r') / RESULTS}" in lines
+
+
+def test_campaigns_of_no_common_cell_are_said_to_be() -> None:
+    said, _ = printed(print_changes, [])
+    assert "the two campaigns have no cell of the same levels" in said
