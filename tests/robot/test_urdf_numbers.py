@@ -273,3 +273,18 @@ def test_friction_that_drives_is_refused_by_the_joint_s_name(tmp_path: Path) -> 
     assert isinstance(found, str)
     assert f"'{root.findall('joint')[1].get('name')}'" in found
     assert "friction" in found
+
+
+@pytest.mark.parametrize("part", ["mass", "inertia"])
+def test_an_inertial_has_a_mass_and_an_inertia(part: str, tmp_path: Path) -> None:
+    root = urdf(3)
+    link = root.findall("link")[1]
+    inertial = link.find("inertial")
+    assert inertial is not None
+    lost = inertial.find(part)
+    assert lost is not None
+    inertial.remove(lost)
+    (tmp_path / "r.urdf").write_bytes(ET.tostring(root))
+    said = f"the inertial of link '{link.get('name')}' lacks a mass or an inertia"
+    with pytest.raises(ModelError, match=said):
+        tb.load_tree(tmp_path / "r.urdf")

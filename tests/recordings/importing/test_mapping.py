@@ -9,7 +9,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import ExperimentError, RecordingError
-from testbed.recordings.importing.foreign_units import UNITS
+from testbed.recordings.importing.foreign_units import UNITS, plain
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.mapping import read_mapping
 from testbed.robot.rotations import from_rpy
@@ -243,3 +243,15 @@ def test_a_guess_of_a_moving_base_names_its_source_and_leaves_the_choice(tmp_pat
     assert 'position = ["", "", ""]' in table
     assert 'quaternion = ["", "", "", ""]' in table
     assert "columns = " not in table
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("Nm", "N m"), ("N*m", "N m"), ("N.m", "N m"), ("Nmm", "N mm"), ("Ncm", "N cm"),
+        ("degree", "deg"), ("degrees", "deg"), ("radian", "rad"), ("radians", "rad"),
+        ("rev", "turn"), ("  N   mm ", "N mm"), ("kN", "kN"), ("furlong", "furlong"),
+    ],
+)  # fmt: skip
+def test_other_ways_to_write_a_unit_are_known(said: str, meant: str) -> None:
+    assert plain(said) == meant
