@@ -16,11 +16,12 @@ from testbed.excitation.clearance import watched
 from testbed.excitation.collision_model import collision_model
 from testbed.excitation.criteria import CRITERIA
 from testbed.excitation.design import Wish, _problem, _start, criterion, design
+from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Instrument, information_of, relative_scale
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
 from testbed.excitation.prediction import Pipeline, predict
-from testbed.excitation.proof import Rules, prove
+from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import random_motion
 from testbed.excitation.sampled_rows import SampledRows
 from testbed.parameters.rules import Model
@@ -254,3 +255,38 @@ def test_bodies_keep_clear_in_a_design() -> None:
     again = prove(found.motion, replace(asked.rules, clearance=asked.rules.clearance + 1))
     assert not again.holds
     assert _problem(asked, 0.2, 4).terms[-1].labels[0].startswith("clearance")
+
+
+def failing(motion: Fourier, rules: Rules) -> Proof:
+    """A proof that fails, whatever the motion."""
+    found = prove(motion, rules)
+    return replace(found, margins=tuple(replace(m, left=-0.5) for m in found.margins))
+
+
+@pytest.mark.slow
+def test_what_cannot_be_proven_is_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("testbed.excitation.design.prove", failing)
+    monkeypatch.setattr("testbed.excitation.design.FINER", ())
+    with pytest.raises(InfeasibleMotion, match="found, but not proven between its samples"):
+        design(wish("gantry", starts=1))
+
+
+@pytest.mark.slow
+def test_in_the_end_a_motion_that_swings_much_less_will_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked = wish("gantry", starts=1)
+    whole = design(asked).motion
+    size = float(np.abs(whole.sine).max())
+
+    def proven(motion: Fourier, rules: Rules) -> Proof:
+        small = np.abs(motion.sine).max() < 0.9 * size
+        return prove(motion, rules) if small else failing(motion, rules)
+
+    monkeypatch.setattr("testbed.excitation.design.prove", proven)
+    monkeypatch.setattr("testbed.excitation.design.FINER", ())
+    found = design(asked)
+    assert found.proof.holds
+    np.testing.assert_allclose(found.motion.sine, 0.88 * whole.sine, rtol=1e-9)
+    np.testing.assert_allclose(found.motion.cosine, 0.88 * whole.cosine, rtol=1e-9)
+    np.testing.assert_allclose(found.motion.offset, whole.offset, rtol=1e-9)

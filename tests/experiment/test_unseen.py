@@ -107,3 +107,12 @@ def test_the_other_motion_lasts_a_period_and_no_longer_than_the_first(
 
 def test_a_run_of_no_experiment_has_no_other_motion() -> None:
     assert unseen(replace(run_of(robot("puma")), experiment=None)) is None
+
+
+def test_another_robots_motion_validates_nothing_and_says_so() -> None:
+    run = run_of(robot("puma"))
+    done = validated(run, ideal(robot("gantry")))
+    assert done.validation == {}
+    (new,) = (line for line in done.warnings if line not in run.warnings)
+    assert new.startswith("not validated on another motion: ")
+    assert done.estimates == run.estimates

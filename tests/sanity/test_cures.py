@@ -52,3 +52,13 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
         changed |= tomllib.loads(line)
     wanted = mistake.undone(Signals(mapped(raw, table), None, None)).position
     np.testing.assert_allclose(mapped(raw, changed), wanted, atol=1e-4)  # as it is printed
+
+
+@pytest.mark.parametrize(
+    ("joints", "said"), [((0, 1, 2), 'unit = "deg"'), ((0,), 'unit = ["rad", "deg", "rad"]')]
+)
+def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: str) -> None:
+    reading: Any = SimpleNamespace(fit=SimpleNamespace(left=np.ones(3)))
+    mapping = {"joints": list(JOINTS), "position": {}}
+    found = mistake_finding(robot("puma"), Mistake("degrees", joints), reading, reading, mapping)
+    assert said in found.remedy

@@ -289,3 +289,8 @@ def test_symbols_are_known_by_their_names_and_words_are_no_numbers() -> None:
             combined(a, other)
     with pytest.raises(TypeError):
         other + a
+
+
+def test_angles_that_cancel_are_zero() -> None:
+    read = read_listing("Q1 = 3*S_1_m1 + 5*C_1_m1", NAMES)
+    assert same(read["Q1"], 5)
