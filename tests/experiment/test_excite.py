@@ -20,7 +20,7 @@ from testbed.experiment.earlier_estimate import prior_covariance
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.motion_file import read_motion
-from testbed.experiment.motions import motion_of, rules_of
+from testbed.experiment.motions import QUIET_PLATE, motion_of, plate_noise_of, rules_of
 from testbed.experiment.read_result import KeptResult
 from testbed.experiment.trajectory_file import samples_of, write_trajectory
 from testbed.experiment.write_motion import write_motion
@@ -317,3 +317,10 @@ def test_an_area_of_the_pressure_is_kept_without_ranges_of_the_plate() -> None:
     terms = rules_of(experiment, robot_of(experiment), designed=False).terms
     (plate,) = (term for term in terms if isinstance(term, PlateTerm))
     assert {label[:-1] for label in plate.labels} == {"centre of pressure along "}
+
+
+def test_a_motion_is_chosen_for_a_quiet_plate_where_it_has_no_noise() -> None:
+    words = ("measurement.force_noise=2.0", "measurement.moment_noise=0.3")
+    assert plate_noise_of(asked("puma", *words)).tolist() == [2.0] * 3 + [0.3] * 3
+    none = plate_noise_of(asked("puma", "measurement.force_noise=0.0"))
+    np.testing.assert_array_equal(none, QUIET_PLATE)
