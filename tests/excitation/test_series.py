@@ -54,3 +54,25 @@ def test_linear_values_are_shares_of_limits_less_what_is_allowed(seed: int) -> N
         above = values[:, 0, part].T
         below = values[:, 1, part].T
         np.testing.assert_allclose((above - below) / 2, share, atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_between_the_instants_limits_are_passed_by_no_more_than_is_allowed_for(seed: int) -> None:
+    """What is at most `linear_most` at the instants is at most the margin at every moment."""
+    one = series(seed)
+    x = np.random.default_rng(seed).normal(size=JOINTS * one.width)
+    motion, times = one.motion(x), np.linspace(0, 1 / one.fundamental, 20_001)
+    for order in range(3):
+        at_instants = np.abs(motion.derivative(one.times, order) - (motion.offset * (order == 0)))
+        ever = np.abs(motion.derivative(times, order) - (motion.offset * (order == 0)))
+        allowed = at_instants.max(axis=0) * one.margin / one.linear_most
+        assert (ever.max(axis=0) <= allowed * (1 + 1e-9)).all()
+    assert 0.9 * one.margin < one.linear_most < one.margin
+
+
+def test_unknowns_and_motions_are_one_to_one() -> None:
+    one = series(1)
+    x = np.random.default_rng(1).normal(size=JOINTS * one.width)
+    np.testing.assert_allclose(one.unknowns(one.motion(x)), x, rtol=1e-12)
+    there = one.motion(x).at(one.times)
+    np.testing.assert_allclose(one.at(x), [there.q, there.qd, there.qdd], rtol=1e-9, atol=1e-12)

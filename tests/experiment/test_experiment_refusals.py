@@ -115,3 +115,11 @@ def test_a_run_folder_holds_its_motion_and_its_model(tmp_path: Path) -> None:
     Path(again.model).unlink()
     with pytest.raises(ExperimentError, match="model file '.*' is not there any more"):
         read_run(tmp_path / "run")
+
+
+def test_a_key_without_its_table_is_told_with_it() -> None:
+    said = r"unknown key 'duration'; did you mean motion\.duration\?"
+    with pytest.raises(ExperimentError, match=said):
+        tb.Experiment.of_model(PUMA, ["duration=3"])
+    with pytest.raises(ExperimentError, match="'nothing'.*known"):
+        tb.Experiment.of_model(PUMA, ["nothing=3"])

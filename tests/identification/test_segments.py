@@ -182,3 +182,9 @@ def test_what_is_said_of_any_recording_is_said_of_all_together_once() -> None:
         for seed, lines in enumerate((["a gap", "both"], [], ["both", "late"]))
     ]
     assert Joined(parts).facts["warnings"] == ["a gap", "both", "late"]
+
+
+def test_one_recording_that_is_too_short_has_no_number(puma: tb.Tree) -> None:
+    short = ideal(puma).part(0, 30)
+    with pytest.raises(RecordingError, match=r"^the recording lasts 0\.\d+ s, too short"):
+        tb.identify(puma, short)

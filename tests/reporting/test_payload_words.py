@@ -28,3 +28,10 @@ def test_what_is_told_is_counted() -> None:
 def test_what_is_not_told_has_no_number() -> None:
     cells = list(payload_table(payload(3)).columns[1].cells)
     assert [cell == "not told alone" for cell in cells] == 3 * [False] + 7 * [True]
+
+
+def test_every_parameter_has_its_unit() -> None:
+    columns = payload_table(payload(10)).columns
+    assert [str(column.header) for column in columns] == ["", "value", "unit"]
+    assert list(columns[0].cells) == list(NAMES)
+    assert set(columns[2].cells) == {"kg"}
