@@ -14,6 +14,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import Appearance, bounds, load_appearance
+from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.load_shapes import load_shapes
 from testbed.robot.visuals.shapes import Kind, Shape, upright
 from testbed.robot.visuals.sticks import sticks
@@ -172,3 +173,28 @@ def test_a_broken_mesh_is_left_out_and_said(tmp_path: Path) -> None:
     assert [shape.kind for shape in robot.shapes if shape.body >= 0] == ["box"]
     assert len(robot.warnings) == 1
     assert "bad.stl" in robot.warnings[0]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ellipsoids_have_the_second_moments_of_their_bodies(seed: int) -> None:
+    tree = random_robot(np.random.default_rng(seed), 4).tree()
+    shapes = {shape.body: shape for shape in equivalent_ellipsoids(tree, (1, 0, 0, 1))}
+    for body, inertia in enumerate(tree.inertias):
+        central = inertia.pseudo[:3, :3] - inertia.mass * np.outer(inertia.com, inertia.com)
+        possible = inertia.mass > 0 and np.linalg.eigvalsh(central)[0] >= 0
+        assert (body in shapes) == possible
+        if possible:
+            turn, half = shapes[body].rotation, shapes[body].size
+            np.testing.assert_allclose(
+                inertia.mass / 5 * turn @ np.diag(half**2) @ turn.T, central, atol=1e-12
+            )
+            np.testing.assert_array_equal(shapes[body].position, inertia.com)
+            assert np.linalg.det(turn) == pytest.approx(1)
+
+
+def test_bodies_that_cannot_be_have_no_ellipsoid() -> None:
+    tree = random_robot(np.random.default_rng(0), 3).tree()
+    none = tb.Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
+    long = tb.Inertia(1.0, np.zeros(3), np.diag([3.0, 1.0, 1.0]))  # no triangle
+    tree = replace(tree, inertias=(none, long, tree.inertias[2]))
+    assert [shape.body for shape in equivalent_ellipsoids(tree, (1, 0, 0, 1))] == [2]

@@ -106,3 +106,13 @@ def test_other_motions_have_none(kind: str) -> None:
         "short": np.arange(3.0)[:, None],
     }[kind]
     assert period_of(position) is None
+
+
+def test_what_repeats_a_little_in_every_channel_is_found_by_all_together() -> None:
+    """No channel alone would tell."""
+    law, chances = NOISES["white"], []
+    for seed in range(9):
+        once = made(law, 100, 50 + seed)
+        again = found(law, 100, made(law, 200, seed) + 0.5 * np.tile(once, 2))
+        chances.append(again.chance)
+    assert np.median(chances) < 1e-4
