@@ -168,3 +168,30 @@ def test_analog_channels_stand_beside_points(points: int, tmp_path: Path) -> Non
     }
     for name, values in table.read(wanted).items():
         np.testing.assert_allclose(values, wanted[name], rtol=1e-6)
+
+
+def test_what_a_c3d_file_says_of_units_names_and_unseen_points(tmp_path: Path) -> None:
+    made, rng = ezc3d.c3d(), np.random.default_rng(0)
+    place, force = rng.normal(size=(3, 1, 6)), rng.normal(size=(4, 6))
+    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
+    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
+    made["parameters"]["ANALOG"]["LABELS"]["value"] = ("Fx", "Fx", "", "My")
+    made["parameters"]["ANALOG"]["UNITS"]["value"] = ("N", "N", "", "Nmm")
+    made["parameters"]["POINT"]["LABELS"]["value"] = ("m",)
+    made["parameters"]["POINT"]["UNITS"]["value"] = ("mm",)
+    place[:, 0, 2] = np.nan
+    made["data"]["points"] = np.concatenate([place, np.ones((1, 1, 6))])
+    made["data"]["analogs"] = force[None]
+    made.write(str(tmp_path / "log.c3d"))
+    table = open_foreign(tmp_path / "log.c3d")
+    assert set(table.columns) == {
+        *("analog/time", "point/time", "point/m/x", "point/m/y", "point/m/z"),
+        *("analog/Fx", "analog/Fx (1)", "analog/2", "analog/My"),
+    }
+    units = {"analog/time": "s", "point/time": "s", "analog/Fx": "N", "analog/My": "Nmm"}
+    assert table.units == units | {f"point/m/{axis}": "mm" for axis in "xyz"}
+    read = table.read(table.columns)
+    np.testing.assert_allclose(read["analog/time"], np.arange(6) / 100.0)
+    np.testing.assert_allclose(read["analog/Fx (1)"], force[1], rtol=1e-6)
+    np.testing.assert_allclose(read["analog/2"], force[2], rtol=1e-6)
+    assert np.flatnonzero(np.isnan(read["point/m/y"])).tolist() == [2]
