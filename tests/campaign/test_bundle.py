@@ -11,30 +11,23 @@ import pytest
 
 from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import Answers, Supply, conduct
+from testbed.campaign.conduct import conduct
 from testbed.errors import ExperimentError
 from testbed.experiment import evaluate
 from testbed.experiment import simulate as simulation
-from tests.helpers.campaigns import NOISES, campaign_file
-
-
-class Kept:
-    """Keeps the bundle and does nothing."""
-
-    bundle: Bundle
-
-    def answers(self, supply: Supply) -> Answers:
-        bundle = supply.take(1)
-        assert bundle is not None
-        self.bundle = bundle
-        yield [Outcome(run, "failed", "not done") for run, _ in bundle.runs], 1.0
+from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 
 
 @pytest.fixture
 def bundle(tmp_path: Path) -> Bundle:
-    kept = Kept()
-    conduct(Campaign.load(campaign_file(tmp_path, 1, NOISES)), tmp_path / "r", kept)
-    return kept.bundle
+    kept: list[Bundle] = []
+
+    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
+        kept.append(bundle)
+        return made_up(bundle)
+
+    conduct(Campaign.load(campaign_file(tmp_path, 1, NOISES)), tmp_path / "r", Odd(work))
+    return kept[0]
 
 
 def test_another_version_of_the_code_does_nothing(bundle: Bundle) -> None:

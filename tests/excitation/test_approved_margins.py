@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import usage
@@ -18,7 +17,7 @@ from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.rest_to_rest import start_of
 from testbed.excitation.slack import slack
 from testbed.experiment.excite import pipeline_of, wish_of
-from tests.helpers.approved import hold
+from tests.helpers.approved import hold, numbers
 from tests.helpers.measured import random_fourier
 from tests.helpers.runs import MODELS, robot
 
@@ -40,10 +39,6 @@ ASKED: dict[str, tuple[str, tuple[str, ...]]] = {
 }
 
 
-def words(values: Array) -> str:
-    return " ".join(f"{value:.5g}" for value in np.ravel(values))
-
-
 def of_proof(proof: Proof) -> list[str]:
     lines = []
     for each in proof.margins:
@@ -55,9 +50,9 @@ def of_proof(proof: Proof) -> list[str]:
 def of_limits(motion: Fourier, rules: Rules) -> list[str]:
     """Proof, a glance, and what is left as time goes on."""
     times = np.linspace(0.0, motion.period, 7)
-    lines = [f"{s.label} [{s.unit}]: {words(s.left)}" for s in slack(motion, rules, times)]
+    lines = [f"{s.label} [{s.unit}]: {numbers(s.left, 5)}" for s in slack(motion, rules, times)]
     used = usage(rules.tree, motion.at(times), rules.limits)
-    lines += [f"{kind} used: {words(share)}" for kind, share in used.items()]
+    lines += [f"{kind} used: {numbers(share, 5)}" for kind, share in used.items()]
     lines.append(f"seems to hold: {seems_to_hold(motion, rules)}")
     try:
         start, margins = start_of(motion, rules)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.jets import ForceBounds
@@ -20,10 +19,8 @@ from testbed.excitation.limit_terms import (
     SmoothTerm,
 )
 from testbed.excitation.limits import Limits, limits_of
-from testbed.excitation.sampled_rows import SampledRows
-from testbed.excitation.samples import Computed, Samples
-from testbed.excitation.stencil import stencil
-from testbed.parameters.rules import Model
+from testbed.excitation.samples import Computed
+from tests.helpers.differences import samples_of, slopes_by_differences
 from tests.helpers.robots import random_robot
 
 EFFORT = np.array([30.0, np.inf, 50.0, 70.0])
@@ -97,19 +94,10 @@ def test_slopes_are_those_of_differences_of_the_recursion(seed: int, which: int)
     tree, limits = driven(seed)
     motion = states(tree, seed)
     term = terms(tree, limits)[which]
-    models: tuple[Model, ...] = ("reaction", "dynamic")
-    rows = {model: SampledRows(tree, tb.minimal_set(tree, model)) for model in models}
-    here = Samples(motion.q, motion.qd, motion.qdd, rows, stencil(tree))
-    found, step = term.slopes(here), 0.02
+    found = term.slopes(samples_of(tree, motion))
+    slopes = slopes_by_differences(motion, lambda moved: term.values(Computed(tree, moved)))
     for place in range(3 * tree.n):
-        kind, joint = divmod(place, tree.n)
-        wanted: Array = np.zeros(())
-        for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
-            for sign in (1, -1):
-                parts = [motion.q.copy(), motion.qd.copy(), motion.qdd.copy()]
-                parts[kind][:, joint] += sign * k * step
-                moved = term.values(Computed(tree, Motion(motion.t, *parts)))
-                wanted = wanted + sign * weight * moved / (60 * step)
+        wanted = slopes[:, place]
         np.testing.assert_allclose(found[:, place], wanted, atol=1e-8 * np.abs(wanted).max() + 1e-9)
 
 

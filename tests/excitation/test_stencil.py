@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
-from testbed.excitation.sampled_rows import SampledRows
-from testbed.excitation.samples import Computed, Samples
-from testbed.excitation.stencil import stencil
+from testbed.excitation.samples import Computed
 from testbed.parameters.rules import Model
+from tests.helpers.differences import samples_of, slopes_by_differences
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot
 
@@ -22,27 +22,9 @@ def motion_of(tree: tb.Tree, seed: int, count: int = 4) -> tuple[tb.Motion, np.r
     return Motion(np.arange(float(count)), *rng.normal(size=(3, count, tree.n))), rng
 
 
-def samples_of(tree: tb.Tree, motion: tb.Motion) -> Samples:
-    models: tuple[Model, ...] = ("reaction", "dynamic")
-    rows = {model: SampledRows(tree, tb.minimal_set(tree, model)) for model in models}
-    return Samples(motion.q, motion.qd, motion.qdd, rows, stencil(tree))
-
-
-def slopes_by_differences(tree: tb.Tree, motion: tb.Motion, model: Model) -> np.ndarray:
-    """Sixth order differences of the recursion in `dynamics`, which shares no code with rows."""
-    n, step = tree.n, 0.02
-    columns = []
-    for kind in range(3):
-        for j in range(n):
-            total = np.zeros(1)
-            for k, weight in ((1, 45.0), (2, -9.0), (3, 1.0)):
-                for sign in (1, -1):
-                    parts = [motion.q.copy(), motion.qd.copy(), motion.qdd.copy()]
-                    parts[kind][:, j] += sign * k * step
-                    moved = Computed(tree, Motion(motion.t, *parts)).forces(model)
-                    total = total + sign * weight * moved / (60 * step)
-            columns.append(total)
-    return np.stack(columns, axis=1)
+def by_recursion(tree: tb.Tree, motion: tb.Motion, model: Model) -> Array:
+    """Slopes of the recursion in `dynamics`, which shares no code with rows."""
+    return slopes_by_differences(motion, lambda moved: Computed(tree, moved).forces(model))
 
 
 @pytest.mark.parametrize("model", ["reaction", "dynamic"])
@@ -51,7 +33,7 @@ def test_slopes_of_forces_are_those_of_differences(name: str, model: Model) -> N
     tree = robot(name)
     motion, _ = motion_of(tree, 1)
     found = samples_of(tree, motion).force_slopes(model)
-    wanted = slopes_by_differences(tree, motion, model)
+    wanted = by_recursion(tree, motion, model)
     np.testing.assert_allclose(found, wanted, atol=1e-9 * np.abs(wanted).max())
 
 

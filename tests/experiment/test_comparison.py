@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import testbed as tb
 from testbed.errors import TestbedError
@@ -21,9 +19,11 @@ from testbed.experiment.comparison import (
     comparison_as_json,
 )
 from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, verdict
 from testbed.reporting.comparison_table import print_comparison
 from tests.helpers.command import command_line
+from tests.helpers.console import printed
 from tests.helpers.paths import ROOT
 
 SHORT = ["motion.duration=10", "motion.candidates=1", "simulation.step=1e-3", "seed=3"]
@@ -96,6 +96,13 @@ def test_only_the_methods_that_are_asked_for(rows: tuple[Comparison, list[Compar
     assert {tuple(row.run.estimates) for row in rows[1]} == {("external",)}
 
 
+def claiming_too_much(run: Run) -> Run:
+    """With a claim that no estimate keeps."""
+    assert run.experiment is not None
+    bound = {"external_max_z": Bound(at_most=0.0)}
+    return replace(run, experiment=run.experiment.model_copy(update={"expect": bound}))
+
+
 @pytest.mark.slow
 def test_a_wrong_name_and_a_broken_bound_are_not_as_expected(
     rows: tuple[Comparison, list[Compared]],
@@ -105,10 +112,7 @@ def test_a_wrong_name_and_a_broken_bound_are_not_as_expected(
         wrong = replace(late, variant=replace(late.variant, says=says))
         assert wrong.named is False
         assert not wrong.as_expected
-    assert late.run.experiment is not None
-    bound = {"external_max_z": Bound(at_most=0.0)}
-    harder = late.run.experiment.model_copy(update={"expect": bound})
-    assert not replace(late, run=replace(late.run, experiment=harder)).as_expected
+    assert not replace(late, run=claiming_too_much(late.run)).as_expected
 
 
 @pytest.mark.slow
@@ -187,19 +191,15 @@ def test_why_a_variant_is_not_as_expected_is_printed(
     rows: tuple[Comparison, list[Compared]],
 ) -> None:
     comparison, (plain, late, *_) = rows
-    assert late.run.experiment is not None
     assert late.remedied is not None
-    bound = {"external_max_z": Bound(at_most=0.0)}
-    harder = late.run.experiment.model_copy(update={"expect": bound})
     wrong = replace(
         late,
-        run=replace(late.run, experiment=harder),
-        remedied=replace(late.remedied, experiment=harder),
+        run=claiming_too_much(late.run),
+        remedied=claiming_too_much(late.remedied),
         variant=replace(late.variant, says="crosstalk"),
     )
-    out = Console(width=200, file=StringIO(), record=True)
-    print_comparison(out, replace(comparison, claim="a late plate is said"), [plain, wrong])
-    said = out.export_text()
+    claimed = replace(comparison, claim="a late plate is said")
+    said = printed(200, print_comparison, claimed, [plain, wrong])
     z = obtained(late.run, "external_max_z")
     assert f"late: {verdict(wrong.run)}" in said
     assert wrong.remedied is not None
@@ -208,8 +208,6 @@ def test_why_a_variant_is_not_as_expected_is_printed(
     assert f"late: what is said first is '{late.said[0]}', claimed 'crosstalk'" in said
     assert "claim: a late plate is said" in said
     assert "verdict: THE CLAIM FAILS (1 of 2 lines are as expected)" in said
-    fine = Console(width=200, file=StringIO(), record=True)
-    print_comparison(fine, comparison, [plain, late])
-    told = fine.export_text()
+    told = printed(200, print_comparison, comparison, [plain, late])
     assert "verdict: the claim holds (2 of 2 lines are as expected)" in told
     assert "late:" not in told

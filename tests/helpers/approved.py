@@ -11,6 +11,9 @@ import re
 from collections import defaultdict
 from itertools import zip_longest
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from tests.helpers.paths import ROOT
 
 APPROVED = ROOT / "tests/approved"
@@ -44,6 +47,11 @@ def hold(name: str, text: str) -> None:
     wanted = place.read_text(encoding="utf-8").splitlines()
     for line, (was, now) in enumerate(zip_longest(wanted, text.splitlines()), 1):
         assert same(was, now), f"{place.name}, line {line}:\n  approved: {was}\n  now:      {now}"
+
+
+def numbers(values: ArrayLike, digits: int = 6) -> str:
+    """Numbers one after the other, no zero with a sign."""
+    return " ".join(f"{value + 0.0:.{digits}g}" for value in np.ravel(values))
 
 
 def same(was: str | None, now: str | None) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -148,17 +148,32 @@ def bag(folder: Path, log: Log) -> str:
 
 def c3d(folder: Path, log: Log) -> str:
     """C3D, whose numbers are of single precision."""
-    made = ezc3d.c3d()
     names = ("q1", "q2", "t1", "t2", *"abcdef")
-    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
-    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-    made["parameters"]["ANALOG"]["LABELS"]["value"] = names
-    made["data"]["points"] = np.zeros((4, 0, len(log.t)))
-    made["data"]["analogs"] = np.column_stack([log.q, log.tau, log.w]).T[None]
-    made.write(str(folder / "log.c3d"))
+    channels = np.column_stack([log.q, log.tau, log.w]).T
+    write_c3d(folder / "log.c3d", channels, np.zeros((3, 0, len(log.t))), ANALOG={"LABELS": names})
     columns = [f"analog/{name}" for name in names]
     source = '[sources.log]\nfile = "log.c3d"\ntime = "analog/time"'
     return mapping(source, columns[:2], columns[2:4], columns[4:])
+
+
+def write_c3d(
+    path: Path, channels: Array, points: Array, **words: Mapping[str, tuple[str, ...]]
+) -> None:
+    """A C3D file of 100 frames a second, one sample of each channel a frame.
+
+    Args:
+        path: The file.
+        channels: (C, M).
+        points: (3, P, M).
+        words: Labels, units ... of ANALOG and POINT.
+    """
+    made = ezc3d.c3d()
+    for group in ("ANALOG", "POINT"):
+        for name, value in {"RATE": [100.0], **words.get(group, {})}.items():
+            made["parameters"][group][name]["value"] = value
+    made["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
+    made["data"]["analogs"] = channels[None]
+    made.write(str(path))
 
 
 FORMATS: dict[str, Callable[[Path, Log], str]] = {

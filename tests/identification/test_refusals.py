@@ -15,7 +15,6 @@ from testbed.identification.term_choice import choose_terms
 from testbed.identification.wishes import Wishes
 from testbed.parameters.prior import prior_of
 from testbed.recordings.joined import joined
-from testbed.recordings.measured_base import MeasuredBase
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
 from tests.helpers.runs import noisy, robot
@@ -88,12 +87,6 @@ def test_terms_are_chosen_from_enough_rows() -> None:
     short = measured(tree, duration=0.8)
     with pytest.raises(RecordingError, match=r"gives \d+ rows, too few to foretell \d+ parts"):
         choose_terms(tree, short, tb.Settings())
-
-
-def test_a_base_is_measured_or_missing() -> None:
-    tree = robot("gantry")
-    with pytest.raises(RecordingError, match=r"has no base/x \.\.\. base/qz"):
-        MeasuredBase(ideal(tree))
 
 
 def test_four_samples_may_repeat_and_three_may_not() -> None:

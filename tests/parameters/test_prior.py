@@ -22,13 +22,17 @@ def tree_with(seed: int, **bodies: Inertia) -> tb.Tree:
     return replace(tree, inertias=own)
 
 
+def central(prior: Prior, body: int) -> Array:
+    """Second moments about the mass centre, (3, 3) [kg m^2]."""
+    found = matrices(prior.standard[body])
+    return np.asarray(found[:3, :3] - np.outer(found[:3, 3], found[:3, 3]) / found[3, 3])
+
+
 def possible(prior: Prior) -> bool:
     """Whether each body that has matter is as thick as the thinnest that is allowed."""
     for k in prior.massive:
-        found = matrices(prior.standard[k])
-        central = found[:3, :3] - np.outer(found[:3, 3], found[:3, 3]) / found[3, 3]
-        sizes = np.linalg.eigvalsh(central)
-        if not (found[3, 3] > 0 and sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0):
+        sizes = np.linalg.eigvalsh(central(prior, k))
+        if not (prior.standard[k, 0] > 0 and sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0):
             return False
     return True
 
@@ -62,9 +66,7 @@ def test_a_point_gets_a_small_size() -> None:
     assert possible(found)
     reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in tree.joints))
     for k, distance in ((0, 0.5), (1, reach)):
-        second = matrices(found.standard[k])
-        central = second[:3, :3] - np.outer(second[:3, 3], second[:3, 3]) / second[3, 3]
-        radius = np.sqrt(np.trace(central) / second[3, 3])
+        radius = np.sqrt(np.trace(central(found, k)) / found.standard[k, 0])
         assert radius == pytest.approx(SMALL * distance, rel=1e-6)
     np.testing.assert_allclose(found.standard[0, :4], [2.0, 0.0, 0.6, 0.8], atol=1e-9)
     (line,) = found.warnings

@@ -51,11 +51,12 @@ def test_only_what_stands_on_a_moving_base_gets_its_joints() -> None:
     assert on_its_base(found, free) is found
 
 
-def test_without_a_base_it_is_said_what_is_lacking() -> None:
-    recording = ideal(robot("puma"))
-    with pytest.raises(RecordingError, match=r"no base/x ... base/qz.*robot.base"):
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_without_a_base_it_is_said_what_is_lacking(name: str) -> None:
+    recording = ideal(robot(name))
+    with pytest.raises(RecordingError, match=r"has no base/x \.\.\. base/qz.*robot\.base"):
         MeasuredBase(recording)
     with pytest.raises(RecordingError):
-        on_its_base(recording, on_free_base(robot("puma")))
+        on_its_base(recording, on_free_base(robot(name)))
     with pytest.raises(tb.TestbedError):
         with_base_joints(recording)

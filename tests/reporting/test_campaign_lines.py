@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import time
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,6 +19,7 @@ from testbed.reporting.campaign_lines import (
     print_changes,
     print_conducted,
 )
+from tests.helpers.console import printed
 
 
 def test_where_there_is_no_terminal_a_line_comes_now_and_then(
@@ -38,21 +38,14 @@ def test_where_there_is_no_terminal_a_line_comes_now_and_then(
     ]
 
 
-def printed(print_it: Any, *words: Any) -> tuple[str, Any]:
-    out = Console(width=100, file=StringIO(), record=True)
-    found = print_it(out, *words)
-    return out.export_text(), found
-
-
 @pytest.mark.parametrize(("count", "more"), [(0, None), (20, None), (21, 1), (45, 25)])
 def test_twenty_failures_are_listed(count: int, more: int | None) -> None:
     failures = [(f"testbed run {k}", f"reason {k}") for k in range(count)]
-    folder = SimpleNamespace(
+    folder: Any = SimpleNamespace(
         failures=lambda: failures, status=dict.fromkeys(range(count + 3)), path=Path("r")
     )
-    said, failed = printed(print_conducted, folder)
-    assert failed == count
-    lines = said.splitlines()
+    lines = printed(100, print_conducted, folder).splitlines()
+    assert print_conducted(Console(quiet=True), folder) == count
     assert sum(line.startswith("failed: reason") for line in lines) == min(count, 20)
     assert sum(line.startswith("  testbed run") for line in lines) == min(count, 20)
     told = [line for line in lines if line.startswith("...")]
@@ -62,5 +55,5 @@ def test_twenty_failures_are_listed(count: int, more: int | None) -> None:
 
 
 def test_campaigns_of_no_common_cell_are_said_to_be() -> None:
-    said, _ = printed(print_changes, [])
+    said = printed(100, print_changes, [])
     assert "the two campaigns have no cell of the same levels" in said

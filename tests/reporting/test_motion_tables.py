@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from io import StringIO
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from testbed.arrays import Array
 from testbed.excitation.proof import Margin, Proof
 from testbed.parameters.minimal_set import minimal_set
 from testbed.reporting.motion_tables import print_excitation
+from tests.helpers.console import printed
 from tests.helpers.runs import ROBOTS, robot
 
 
@@ -23,7 +22,7 @@ def numbers(count: int) -> Array:
     return 10 ** np.random.default_rng(0).uniform(-6, 2, (3, count))
 
 
-def printed(names: list[str], margins: list[Margin], columns: int, **changed: Any) -> str:
+def told(names: list[str], margins: list[Margin], columns: int, **changed: Any) -> str:
     """What is said of a design that promises random numbers."""
     sigma, relative, other = numbers(len(names))
     design = {
@@ -40,9 +39,7 @@ def printed(names: list[str], margins: list[Margin], columns: int, **changed: An
         beside_random="2.00 times smaller than that of the best of 40 random motions (2)",
         design=SimpleNamespace(**design | changed),
     )
-    console = Console(markup=False, width=columns, record=True, file=StringIO())
-    print_excitation(console, found, Path("motion.toml"))
-    return console.export_text()
+    return printed(columns, print_excitation, found, Path("motion.toml"))
 
 
 @pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
@@ -56,7 +53,7 @@ def test_no_number_of_a_design_is_cut_or_broken(name: str, columns: int) -> None
         for what in ("velocity", "acceleration", "effort")
         for joint in tree.names
     ]
-    said = printed(list(names), margins, columns)
+    said = told(list(names), margins, columns)
     assert "…" not in said
     lines = [set(line.split()) for line in said.splitlines()]
     for k, parameter in enumerate(names):
@@ -70,16 +67,16 @@ NONE = Margin("velocity of 'b'", -0.125, 2.5)
 
 
 def test_searches_that_were_stopped_are_said() -> None:
-    assert "stopped before they ended" not in printed(["I1"], [ROOM], 100)
-    assert "the best of 2 searches (stopped before they ended)" in printed(
+    assert "stopped before they ended" not in told(["I1"], [ROOM], 100)
+    assert "the best of 2 searches (stopped before they ended)" in told(
         ["I1"], [ROOM], 100, complete=False
     )
-    assert "one search" in printed(["I1"], [ROOM], 100, searches=(1,))
+    assert "one search" in told(["I1"], [ROOM], 100, searches=(1,))
 
 
 def test_a_motion_is_proven_or_it_is_said_what_is_not() -> None:
-    assert "proven at every moment: 1 limits" in printed(["I1"], [ROOM], 100)
-    said = printed(["I1"], [ROOM, NONE], 100)
+    assert "proven at every moment: 1 limits" in told(["I1"], [ROOM], 100)
+    said = told(["I1"], [ROOM, NONE], 100)
     assert "proven at every moment" not in said
     assert f"NOT proven: 1 of 2 limits; {NONE.words}" in " ".join(said.split())
     table = [line.split() for line in said.splitlines() if "velocity of" in line]
@@ -89,7 +86,7 @@ def test_a_motion_is_proven_or_it_is_said_what_is_not() -> None:
 
 def test_limits_beyond_the_dozen_are_counted() -> None:
     margins = [Margin(f"effort of '{k}'", 0.1 * k, 0.0) for k in range(1, 16)]
-    said = printed(["I1"], margins, 100)
+    said = told(["I1"], margins, 100)
     assert "and 3 more limits with more left" in said
     assert "effort of '12'" in said
     assert "effort of '13'" not in said

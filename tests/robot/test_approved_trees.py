@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
 from testbed.parameters.rules import Model
 from testbed.robot.free_base import on_free_base
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_appearance
-from tests.helpers.approved import hold
+from tests.helpers.approved import hold, numbers
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 
 pytestmark = pytest.mark.slow
@@ -38,25 +37,21 @@ FILES = {
 KINDS: tuple[Model, ...] = ("dynamic", "reaction")
 
 
-def words(values: Array) -> str:
-    return " ".join(f"{value + 0.0:.6g}" for value in np.ravel(values))
-
-
 def of_tree(tree: tb.Tree) -> list[str]:
-    lines = [repr(tree), f"gravity {words(tree.gravity)}, floating {tree.floating}"]
+    lines = [repr(tree), f"gravity {numbers(tree.gravity)}, floating {tree.floating}"]
     lines += [f"warning: {line}" for line in tree.warnings]
     bodies = zip(tree.joints, tree.inertias, strict=True)
     for joint, inertia in ((None, tree.pedestal), *bodies):
         if joint is not None:
             place = f"{joint.name}: {joint.kind} on {joint.parent}, body {joint.body}"
-            lines.append(f"{place}, axis {words(joint.axis)}, at {words(joint.offset)}")
-            lines.append(f"  turned {words(joint.rotation)}")
+            lines.append(f"{place}, axis {numbers(joint.axis)}, at {numbers(joint.offset)}")
+            lines.append(f"  turned {numbers(joint.rotation)}")
             lines.append(
-                f"  range {words(np.array(joint.position_range))}, limits {joint.max_velocity:.6g} "
+                f"  range {numbers(joint.position_range)}, limits {joint.max_velocity:.6g} "
                 f"{joint.max_effort:.6g}, coulomb {joint.coulomb:.6g}, viscous "
                 f"{joint.viscous:.6g}, rotor {joint.rotor_inertia:.6g}"
             )
-        values = (words(np.asarray(value)) for value in vars(inertia).values())
+        values = (numbers(np.asarray(value)) for value in vars(inertia).values())
         lines.append(f"  inertia: {', '.join(values)}")
     return lines
 
@@ -65,9 +60,9 @@ def of_appearance(tree: tb.Tree, model: ModelFile) -> list[str]:
     look = load_appearance(tree, model)
     lines = [f"not shown: {line.replace(str(REAL), '')}" for line in look.warnings]
     for shape in look.shapes:
-        place = f"{words(shape.position)}, turned {words(shape.rotation)}"
-        lines.append(f"{shape.body} {shape.kind} {words(shape.size)} at {place}")
-        lines.append(f"  {words(shape.colour)}, {shape.vertices.shape} {shape.faces.shape}")
+        place = f"{numbers(shape.position)}, turned {numbers(shape.rotation)}"
+        lines.append(f"{shape.body} {shape.kind} {numbers(shape.size)} at {place}")
+        lines.append(f"  {numbers(shape.colour)}, {shape.vertices.shape} {shape.faces.shape}")
     return lines
 
 
@@ -81,7 +76,7 @@ def test_a_robot_is_read_as_approved(name: str) -> None:
         lines += [f"{found!r}", f"never {found.never}, axial {found.axial}"]
         each = zip(found.names, found.units, found.bodies, found.reasons, strict=True)
         lines += [f"  {' '.join(map(str, one))}" for one in each]
-        lines.append(f"  values {words(found.values(tb.barycentric(tree)))}")
+        lines.append(f"  values {numbers(found.values(tb.barycentric(tree)))}")
     free = on_free_base(tree)
     lines.append(f"on a free base: {tb.minimal_set(free, 'reaction').count}")
     text = "\n".join(lines).replace(str(Path(model.path).parent), "")

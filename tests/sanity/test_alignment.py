@@ -13,20 +13,6 @@ from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import ClockOffset
 from tests.helpers.foreign_files import npz, some_log
 
-PLATES = """
-[plates.left]
-source = "log"
-columns = ["w[0]", "w[1]", "w[2]", "w[3]", "w[4]", "w[5]"]
-units = ["N", "N m"]
-sense = "on_robot"
-delay = 0.004
-[plates.right]
-source = "log"
-columns = ["w[0]", "w[1]", "w[2]", "w[3]", "w[4]", "w[5]"]
-units = ["N", "N m"]
-sense = "on_robot"
-"""
-
 REPORT: Any = SimpleNamespace(clocks={"log": SimpleNamespace(lead=0.25)})
 
 
@@ -37,7 +23,8 @@ def offset(signal: str, delay: float, skew: float = 0.0) -> ClockOffset:
 def mapping(folder: Path, plates: bool) -> Mapping:
     text = npz(folder, some_log())
     if plates:
-        text = text[: text.index("[wrench]")] + PLATES
+        before, wrench = text.split("[wrench]\n")
+        text = f"{before}[plates.left]\ndelay = 0.004\n{wrench}\n[plates.right]\n{wrench}"
     (folder / "map.toml").write_text(text)
     return read_mapping(folder / "map.toml")
 

@@ -18,6 +18,8 @@ from tests.helpers.runs import robot
 JOINTS = ("elbow", "waist", "shoulder")
 """The mapping's own order."""
 
+READING: Any = SimpleNamespace(fit=SimpleNamespace(left=np.ones(3)))
+
 TABLES: tuple[dict[str, Any], ...] = (
     {},
     {"sign": [1, -1, 1]},
@@ -44,9 +46,8 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
     mistake: Mistake, table: dict[str, Any]
 ) -> None:
     raw = np.random.default_rng(0).normal(size=(4, 3))
-    reading: Any = SimpleNamespace(fit=SimpleNamespace(left=np.ones(3)))
     mapping = {"joints": list(JOINTS), "position": table}
-    found = mistake_finding(robot("puma"), mistake, reading, reading, mapping)
+    found = mistake_finding(robot("puma"), mistake, READING, READING, mapping)
     changed = dict(table)
     for line in re.findall(r"\[position\] ([^;]*)", found.remedy):
         changed |= tomllib.loads(line)
@@ -58,7 +59,6 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
     ("joints", "said"), [((0, 1, 2), 'unit = "deg"'), ((0,), 'unit = ["rad", "deg", "rad"]')]
 )
 def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: str) -> None:
-    reading: Any = SimpleNamespace(fit=SimpleNamespace(left=np.ones(3)))
     mapping = {"joints": list(JOINTS), "position": {}}
-    found = mistake_finding(robot("puma"), Mistake("degrees", joints), reading, reading, mapping)
+    found = mistake_finding(robot("puma"), Mistake("degrees", joints), READING, READING, mapping)
     assert said in found.remedy

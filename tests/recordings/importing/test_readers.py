@@ -7,7 +7,6 @@ import gzip
 from pathlib import Path
 from typing import Any
 
-import ezc3d
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -15,7 +14,7 @@ from scipy.io import savemat
 import testbed as tb
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.readers import open_foreign
-from tests.helpers.foreign_files import EPOCH, FORMATS, SINGLE, some_log
+from tests.helpers.foreign_files import EPOCH, FORMATS, SINGLE, some_log, write_c3d
 
 STAMPS = 2.4e-7
 """Spacing of doubles at seconds since 1970 [s]."""
@@ -153,15 +152,15 @@ def test_what_is_no_column_is_left_out_of_a_matlab_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize("points", [1, 3])
 def test_analog_channels_stand_beside_points(points: int, tmp_path: Path) -> None:
     """A frame of C3D has four numbers a point, then its analog channels."""
-    made, rng = ezc3d.c3d(), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     place, force = rng.normal(size=(3, points, 5)), rng.normal(size=(2, 5))
-    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
-    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-    made["parameters"]["ANALOG"]["LABELS"]["value"] = ("Fx", "Fy")
-    made["parameters"]["POINT"]["LABELS"]["value"] = tuple(f"m{k}" for k in range(points))
-    made["data"]["points"] = np.concatenate([place, np.ones((1, points, 5))])
-    made["data"]["analogs"] = force[None]
-    made.write(str(tmp_path / "log.c3d"))
+    write_c3d(
+        tmp_path / "log.c3d",
+        force,
+        place,
+        ANALOG={"LABELS": ("Fx", "Fy")},
+        POINT={"LABELS": tuple(f"m{k}" for k in range(points))},
+    )
     table = open_foreign(tmp_path / "log.c3d")
     wanted = {"analog/Fx": force[0], "analog/Fy": force[1]} | {
         f"point/m{k}/{axis}": place["xyz".index(axis), k] for k in range(points) for axis in "xyz"
@@ -171,18 +170,16 @@ def test_analog_channels_stand_beside_points(points: int, tmp_path: Path) -> Non
 
 
 def test_what_a_c3d_file_says_of_units_names_and_unseen_points(tmp_path: Path) -> None:
-    made, rng = ezc3d.c3d(), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     place, force = rng.normal(size=(3, 1, 6)), rng.normal(size=(4, 6))
-    made["parameters"]["ANALOG"]["RATE"]["value"] = [100.0]
-    made["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-    made["parameters"]["ANALOG"]["LABELS"]["value"] = ("Fx", "Fx", "", "My")
-    made["parameters"]["ANALOG"]["UNITS"]["value"] = ("N", "N", "", "Nmm")
-    made["parameters"]["POINT"]["LABELS"]["value"] = ("m",)
-    made["parameters"]["POINT"]["UNITS"]["value"] = ("mm",)
     place[:, 0, 2] = np.nan
-    made["data"]["points"] = np.concatenate([place, np.ones((1, 1, 6))])
-    made["data"]["analogs"] = force[None]
-    made.write(str(tmp_path / "log.c3d"))
+    write_c3d(
+        tmp_path / "log.c3d",
+        force,
+        place,
+        ANALOG={"LABELS": ("Fx", "Fx", "", "My"), "UNITS": ("N", "N", "", "Nmm")},
+        POINT={"LABELS": ("m",), "UNITS": ("mm",)},
+    )
     table = open_foreign(tmp_path / "log.c3d")
     assert set(table.columns) == {
         *("analog/time", "point/time", "point/m/x", "point/m/y", "point/m/z"),
