@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -100,3 +100,39 @@ def test_it_can_be_stopped_at_any_step() -> None:
 def test_a_start_outside_is_refused() -> None:
     with pytest.raises(ValueError, match="outside"):
         minimise(Ball(0), 10 * np.ones(6))
+
+
+class Rounded(Dense):
+    """Numbers so coarse that a sum of squares comes out negative."""
+
+    def squared(self, weights: Array) -> Array:
+        return np.asarray(-1e9 * np.eye(self.matrix.shape[1]))
+
+
+@dataclass
+class Corner(Ball):
+    """The same function, from which no step can be found after a while."""
+
+    flaw: str = ""
+
+    def point(self, x: Array) -> Point:
+        found = super().point(x)
+        if self.flaw == "numbers are too coarse" and len(self.seen) > 3:
+            return replace(found, jacobian=Rounded(np.vstack([self.faces, 2 * x])))
+        return found
+
+    def inside(self, x: Array) -> Inside:
+        found = super().inside(x)
+        if self.flaw == "nothing is better" and len(self.seen) > 3:
+            return Inside(np.inf, found.limits)
+        return found
+
+
+@pytest.mark.parametrize("flaw", ["numbers are too coarse", "nothing is better"])
+def test_where_there_is_no_step_the_last_point_is_the_answer(flaw: str) -> None:
+    search = Corner(1, flaw=flaw)
+    found = minimise(search, np.zeros(search.count))
+    assert len(search.seen) == 4
+    np.testing.assert_array_equal(found.x, search.seen[-1])
+    assert found.holds
+    assert found.value < search.value(np.zeros(search.count))

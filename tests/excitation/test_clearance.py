@@ -149,3 +149,36 @@ def test_what_is_not_measured_again_would_not_have_mattered(seed: int) -> None:
         fresh = ClearanceTerm(collision, limits, np.full(len(collision.pairs), 0.05))
         np.testing.assert_array_equal(old.values(here), fresh.values(here))
         np.testing.assert_array_equal(old.slopes(here), fresh.slopes(here))
+
+
+def test_shapes_that_just_touch_push_in_no_direction(puma: tb.Tree) -> None:
+    """Balls of radius zero meet in a point, and the line between two equal points has none."""
+    turn, place = places(puma, np.zeros(3))[2]
+    for apart, still in ((0.0, True), (0.1, False)):
+        there = place + turn @ np.array([apart, 0.0, 0.0])
+        shapes = [ball(-1, 1e-12, there), ball(2, 1e-12, np.zeros(3))]
+        meter = DistanceMeter(collision_model(puma, shapes), 10.0)
+        found = meter.measure(np.zeros(3), slopes=True)
+        assert found.values[0] == pytest.approx(apart, abs=1e-9)
+        assert found.slopes.any() != still
+
+
+def test_what_is_flat_cannot_be_hit(puma: tb.Tree) -> None:
+    """A mesh without a volume has no hull; one with a volume stands for all it encloses."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    triangles = np.zeros((0, 3))
+
+    def mesh(vertices: np.ndarray) -> Shape:
+        placed = np.zeros(3), np.eye(3), GREY
+        return Shape(-1, "mesh", np.zeros(0), *placed, vertices=vertices, faces=triangles)
+
+    robot = [ball(2, 0.1, np.zeros(3))]
+    assert collision_model(puma, [*robot, mesh(corners * [1, 1, 0])]).pairs == ()
+    assert collision_model(puma, [*robot, mesh(corners[:3])]).pairs == ()
+    solid = collision_model(puma, [*robot, mesh(np.vstack([corners, [[0.5, 0.5, 0.5]]]))])
+    assert list(solid.pairs) == [(STANDING, 2)]
+    (found,) = DistanceMeter(solid, 9.0).measure(np.zeros(3)).values
+    centre = places(puma, np.zeros(3))[2][1]
+    outside = np.maximum(0.0, np.maximum(-centre, centre - 1))
+    if outside.any():
+        assert found == pytest.approx(np.linalg.norm(outside) - 0.1)

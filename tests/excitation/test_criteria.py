@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.excitation.criteria import CRITERIA, CriterionName, e_optimal
+from testbed.excitation.information import _inverse
 
 NAMES: tuple[CriterionName, ...] = ("a", "d", "e")
 
@@ -48,3 +49,18 @@ def test_the_smooth_largest_axis_is_near_the_largest(seed: int) -> None:
     longest = np.log(np.linalg.eigvalsh(here)[-1])
     value, _ = e_optimal(here)
     assert longest - np.log(len(here)) / 8 - 1e-12 <= value <= longest + 1e-12
+
+
+def spread(entries: list[list[float]]) -> np.ndarray | None:
+    return _inverse(np.array(entries))
+
+
+def test_what_is_no_information_has_no_inverse() -> None:
+    """Infinite, about nothing, or contradicting itself; sizes may differ by many orders."""
+    assert spread([[np.inf, 0], [0, 1]]) is None
+    assert spread([[np.nan, 0], [0, 1]]) is None
+    assert spread([[0, 0], [0, 1]]) is None
+    assert spread([[1, 2], [2, 1]]) is None
+    found = spread([[1e12, 1e2], [1e2, 1e-4]])
+    assert found is not None
+    np.testing.assert_allclose(found @ [[1e12, 1e2], [1e2, 1e-4]], np.eye(2), atol=1e-3)

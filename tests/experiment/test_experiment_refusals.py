@@ -12,7 +12,7 @@ import testbed as tb
 from testbed.errors import ExperimentError
 from testbed.excitation.fourier import Fourier
 from testbed.experiment.evaluate import robot_of
-from testbed.experiment.motion_file import read_motion
+from testbed.experiment.motion_file import MotionFile, read_motion
 from testbed.experiment.run_folder import read_run, write_recorded, write_run
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import MODELS, noisy, robot, run_of
@@ -87,6 +87,26 @@ def test_a_motion_file_is_read_joint_by_joint(tmp_path: Path) -> None:
     wanted = Fourier(0.5, np.array([0.1]), np.array([[0.1, -0.3]]), np.array([[0.0, 0.2]]))
     times = np.linspace(0, 2, 9)
     np.testing.assert_allclose(found.motion.at(times).q, wanted.at(times).q, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("joints", "hint"),
+    [
+        (("waist", "shoulder"), True),
+        (("waist", "shoulder", "wrist"), False),
+        (("waist", "shoulder", "elbow", "wrist"), False),
+    ],
+)
+def test_a_motion_of_other_joints_is_refused(
+    joints: tuple[str, ...], hint: bool, tmp_path: Path
+) -> None:
+    """With the way on where the robot has more of them than the motion."""
+    tree = robot("puma")
+    still = Fourier.of(0.1, np.zeros((len(joints), 5)))
+    motion = MotionFile(tmp_path / "m.toml", PUMA, still, joints)
+    with pytest.raises(ExperimentError, match="moves waist, shoulder.*the robot has") as told:
+        motion.motion_for(tree)
+    assert ("robot.lock.JOINT=POSITION" in str(told.value)) == hint
 
 
 def test_a_run_of_no_experiment_has_no_folder(tmp_path: Path) -> None:

@@ -29,6 +29,13 @@ def columns(path: Path, entity: str, column: str, *, static: bool = False) -> np
     return np.concatenate(found)
 
 
+def tensor(path: Path, entity: str, column: str) -> np.ndarray[Any, Any]:
+    """A static column of one tensor, flat."""
+    (found,) = _chunks(path, entity, column, True)
+    (held,) = found.flatten().to_pylist()
+    return np.array(held["buffer"], dtype=float)
+
+
 def words(path: Path, entity: str, column: str) -> list[str]:
     """What a static column of text says."""
     return [

@@ -13,7 +13,7 @@ from testbed.excitation.fourier import Fourier
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.effect import StepForces
-from testbed.simulation.rollout import Rollout, simulate_motion
+from testbed.simulation.rollout import Rollout, Task, simulate_motion, simulate_motions
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
@@ -120,3 +120,11 @@ def test_friction_that_an_experiment_states_goes_before_the_model_files(
     found = dict(zip(internal.names, internal.values, strict=True))
     assert found["coulomb/elbow"] == pytest.approx(4.5, rel=1e-9)
     assert abs(found["viscous/waist"]) < 1e-9
+
+
+def test_forces_need_a_simulation_of_their_own(robot: tuple[tb.Tree, Path, Fourier]) -> None:
+    tree, path, motion = robot
+    plant = build_plant(ModelFile(path), tree, STEP)
+    tasks = [Task(plant, tree, motion, 60.0)] * 2
+    with pytest.raises(ValueError, match="forces need a simulation of their own"):
+        simulate_motions(tasks, 0.6, MEANS, forces=lambda t, q, v, motor: np.zeros(3))

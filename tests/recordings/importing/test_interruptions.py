@@ -22,3 +22,12 @@ def test_a_piece_of_just_the_least_length_is_kept(length: float, kept: int) -> N
     assert windows == [(0.0, length), (8.0, 12.0)][-kept:]
     assert ("left out" in lines[-1]) == (kept == 1)
     assert lines[0].startswith(f"nothing of source 'log' for {8 - length:.3g} s after {length:g} s")
+
+
+@pytest.mark.parametrize("window", [(0.0, 5.0), (7.0, 12.0)])
+def test_silence_before_and_after_what_is_wanted_cuts_nothing(
+    window: tuple[float, float],
+) -> None:
+    """It begins where the window ends, or ends where the window begins."""
+    time = np.concatenate([np.arange(0, 5.125, 0.125), np.arange(7, 12.125, 0.125)])
+    assert cut(window, {"log": SOURCE}, {"log": time}) == ([window], [])
