@@ -13,6 +13,8 @@ LONGEST_MESSAGE = 500
 """Characters of a message; more would drive everything else off the terminal."""
 LONGEST_NAME = 200
 """Names longer than this are not searched for likely typing errors: that takes too long."""
+LISTED, SEARCHED = 30, 2000
+"""Names that a message lists, and that are searched for likely typing errors, of many."""
 
 
 def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
@@ -108,9 +110,10 @@ class UnknownName(TestbedError):
         self.name = name
         self.known = tuple(known)
         short = [each for each in self.known if len(each) <= LONGEST_NAME]
-        near = get_close_matches(name, short, n=1) if len(name) <= LONGEST_NAME else []
+        near = get_close_matches(name, short[:SEARCHED], 1) if len(name) <= LONGEST_NAME else []
         hint = f"; did you mean '{near[0]}'?" if near else ""
-        super().__init__(f"unknown {what} '{name}'{hint} (known: {', '.join(self.known)})")
+        listed = ", ".join([*short[:LISTED], *["..."] * (len(short) > LISTED)])
+        super().__init__(f"unknown {what} '{name}'{hint} (known: {listed})")
 
 
 class RecordingError(TestbedError):

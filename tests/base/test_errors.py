@@ -49,6 +49,17 @@ def test_a_name_nearly_known_is_proposed_and_a_strange_one_is_not() -> None:
     assert str(UnknownName("joint", "xyz", ["waist"])) == "unknown joint 'xyz' (known: waist)"
 
 
+@pytest.mark.parametrize(("count", "rest"), [(30, ""), (31, ", ...")])
+def test_of_many_names_the_first_are_listed_and_any_may_be_meant(count: int, rest: str) -> None:
+    """Names too long to be searched are not listed either."""
+    names = ["w" * 201, *(f"column {k}" for k in range(count - 1)), "elbow torque"]
+    listed = ", ".join(names[1:31])
+    error = UnknownName("column", "elbow torqe", names)
+    assert error.known == tuple(names)
+    assert str(error).endswith(f"; did you mean 'elbow torque'? (known: {listed}{rest})")
+    assert "did you mean" not in str(UnknownName("column", "w" * 201, names))
+
+
 def test_unseen_parameters_are_counted_and_named() -> None:
     error = UnseenParameters(["K1zz", "mb2x"], 5, 7, 100)
     assert error.names == ("K1zz", "mb2x")

@@ -20,7 +20,7 @@ from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Instrument, information_of, relative_scale
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
-from testbed.excitation.prediction import Pipeline, predict
+from testbed.excitation.prediction import Pipeline, moving, predict
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import random_motion
 from testbed.excitation.sampled_rows import SampledRows
@@ -290,3 +290,21 @@ def test_in_the_end_a_motion_that_swings_much_less_will_do(
     np.testing.assert_allclose(found.motion.sine, 0.88 * whole.sine, rtol=1e-9)
     np.testing.assert_allclose(found.motion.cosine, 0.88 * whole.cosine, rtol=1e-9)
     np.testing.assert_allclose(found.motion.offset, whole.offset, rtol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_row_counts_where_its_joint_moves_and_so_do_all_within_its_filters_reach(
+    seed: int,
+) -> None:
+    """Instant by instant, around the period."""
+    rng = np.random.default_rng(seed)
+    motion = Fourier(0.25, np.zeros(2), *(0.3 * rng.normal(size=(2, 2, 3))))
+    count, resting, reach = 80, 0.2, 0.21
+    found = moving(motion, count, replace(ALL, resting=resting, reach=reach))
+    step = motion.period / count
+    for k in range(count):
+        near = np.arange(-round(reach / step), round(reach / step) + 1)
+        speed = np.abs(motion.derivative(np.array((k + near) * step, dtype=float), 1))
+        np.testing.assert_array_equal(found[k], (speed > resting).all(axis=0))
+    assert found.any()
+    assert not found.all()

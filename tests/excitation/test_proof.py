@@ -194,6 +194,22 @@ def test_from_rest_to_rest_the_path_is_the_motion_s_own(puma: tb.Tree) -> None:
     assert np.abs(samples.qdd[still]).max() < 1e-9
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_start_tells_when_its_acceleration_is_greatest(seed: int) -> None:
+    """Joint by joint, at an instant of the start or of its mirror image."""
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 3).tree()
+    start, margins = start_of(random_series(rng, 3, 3, 0.05), rules(tree, wide(3)))
+    told = {m.label: m for m in margins[:3]}
+    fine = np.linspace(0, start.duration, 4001)
+    size = np.abs(start.derivative(fine, 2))
+    for j, name in enumerate(tree.names):
+        margin = told[f"acceleration of '{name}'"]
+        assert 0 <= margin.instant <= start.duration
+        here = np.abs(start.derivative(np.array([margin.instant]), 2))[0, j]
+        assert here > 0.99 * size[:, j].max()
+
+
 @pytest.mark.slow
 def test_a_robot_that_cannot_rest_where_the_motion_begins_is_told_so(puma: tb.Tree) -> None:
     """However slowly it starts: its motors do not hold the weight there."""

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_origin
 
 import pytest
+from pydantic import BaseModel
 
 import testbed as tb
 from testbed.errors import ExperimentError
-from testbed.experiment.experiment import RecordingTables
-from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound
+from testbed.experiment.experiment import ExperimentTables, RecordingTables
+from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, JointTable
 from testbed.experiment.run_folder import default_folder, write_run
 from testbed.toml_text import LARGEST_FILE, checked, override
 from tests.helpers.paths import ROOT
@@ -74,6 +77,32 @@ def test_what_is_not_understood_is_named(setting: str, said: str) -> None:
         tb.Experiment.load(TABLE6, [setting])
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def is_number(kind: Any) -> bool:
+    """Whether a key takes a number with a fraction, and perhaps something else."""
+    lists = (dict, list, tuple)
+    return kind is float or (get_origin(kind) not in lists and any(map(is_number, get_args(kind))))
+
+
+def numbers_of(table: type[BaseModel], path: str = "") -> Iterator[str]:
+    """Paths of all keys of numbers in a table and those within it."""
+    for name, field in table.model_fields.items():
+        kind = field.annotation
+        if isinstance(kind, type) and issubclass(kind, BaseModel):
+            yield from numbers_of(kind, f"{path}{name}.")
+        elif is_number(kind):
+            yield f"{path}{name}"
+
+
+NUMBERS = [*numbers_of(ExperimentTables), *numbers_of(JointTable, "robot.joint.waist.")]
+
+
+@pytest.mark.parametrize("path", NUMBERS)
+def test_no_number_is_infinite(path: str) -> None:
+    for value in ("inf", "-inf", "nan"):
+        with pytest.raises(ExperimentError, match=re.escape(path)):
+            tb.Experiment.load(TABLE6, [f"{path}={value}"])
 
 
 def test_all_faults_are_listed_at_once() -> None:

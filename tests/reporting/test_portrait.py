@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.reporting.portrait import portrait
+from testbed.reporting.portrait import _arrow, portrait
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 from tests.helpers.paths import GOLDEN, ROOT
@@ -109,3 +109,29 @@ def test_the_picture_shows_the_robot_where_it_stands() -> None:
     svg = portrait(Appearance(tree, (made,)), np.zeros((1, 3)), None, "box")
     (x,) = re.findall(r'<line x1="([\d.-]+)"', svg)[:1]
     assert float(x) < 200  # the origin is to the left of a picture 640 wide
+
+
+@pytest.mark.parametrize("angle", np.linspace(0, 2 * np.pi, 9)[:-1])
+def test_an_arrow_has_a_head_as_wide_as_it_is_thick_and_its_label_ahead(angle: float) -> None:
+    """The head is a triangle on the line, alike to both sides."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    ends = np.zeros((2, 3))
+    ends[0, :2], ends[1, :2] = (200.0, 150.0), np.array([200.0, 150.0]) + 90 * along
+    root = parsed(f"<svg>{_arrow(ends, 'red', 4.0, '3 < 4 N')}</svg>")
+    line, head, label = root
+    corners = np.array([word.split(",") for word in head.attrib["points"].split()], dtype=float)
+    np.testing.assert_allclose(corners[0], ends[1, :2], atol=0.06)
+    size = 3 * 4.0 + 2
+    across = corners[1] - corners[2]
+    assert np.linalg.norm(across) == pytest.approx(size, abs=0.2)
+    assert abs(across @ along) < 0.2
+    base = (corners[1] + corners[2]) / 2
+    np.testing.assert_allclose(base, ends[1, :2] - 1.6 * size * along, atol=0.2)
+    begins = [float(line.attrib[k]) for k in ("x1", "y1")]
+    np.testing.assert_allclose(begins, ends[0, :2], atol=0.06)
+    np.testing.assert_allclose([float(line.attrib[k]) for k in ("x2", "y2")], base, atol=0.2)
+    place = np.array([float(label.attrib[k]) for k in "xy"])
+    assert label.text == "3 < 4 N"
+    sides = {-1: "end", 0: "middle", 1: "start"}
+    assert label.attrib["text-anchor"] == sides[int(np.sign(round(along[0], 3)))]
+    assert (place - ends[1, :2]) @ along > -8.0

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import LONGEST_NAME, RecordingError, UnknownName
+from testbed.errors import RecordingError, UnknownName
 
 MOST_NUMBERS = 100_000_000
 """That are held in memory at once: an import is made in memory."""
@@ -74,7 +74,7 @@ class ForeignTable:
         places, wanted = self._places(), list(columns)
         for name in wanted:
             if name not in places:
-                raise UnknownName(f"column of '{self.path}'", name, _some(places))
+                raise UnknownName(f"column of '{self.path}'", name, places)
         arrays = dict.fromkeys(places[name][0] for name in wanted)
         if sum(int(np.prod(self.shapes[array])) for array in arrays) > MOST_NUMBERS:
             raise RecordingError(
@@ -154,9 +154,3 @@ def library(name: str) -> Iterator[None]:
             f"this format needs the package {name}, which is not installed: "
             "pip install '.[import]' in the project's folder"
         ) from None
-
-
-def _some(names: Iterable[str], most: int = 30) -> list[str]:
-    """Names for a message, the first of many."""
-    short = [name for name in names if len(name) <= LONGEST_NAME]
-    return short[:most] + ["..."] * (len(short) > most)
