@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from testbed.arrays import Array
-from testbed.sanity.cures import mistake_finding
+from testbed.sanity.cures import gain_finding, mistake_finding
 from testbed.sanity.mistakes import Mistake, Signals
 from tests.helpers.runs import robot
 
@@ -62,3 +62,35 @@ def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: str) -
     mapping = {"joints": list(JOINTS), "position": {}}
     found = mistake_finding(robot("puma"), Mistake("degrees", joints), READING, READING, mapping)
     assert said in found.remedy
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said", "side", "number"),
+    [
+        ((0.02, 1.1, 0.05), "is too small: .*make: waist 0.02, elbow 0.05$", "motor", 0.02),
+        ((0.02, 1.1, NAN), "is too small: .*make: waist 0.02$", "motor", 0.02),
+        ((NAN, 40.0, 900.0), "is too large: .*make: shoulder 40, elbow 9e\\+02$", "unit", 40.0),
+        ((0.02, 40.0, 1.0), "is too large: .*make: waist 0.02, shoulder 40$", "unit", 0.02),
+        ((1.0, 0.1, 1.0), "is too small: .*make: shoulder 0.1$", "motor", 0.1),
+    ],
+)
+def test_torques_of_another_size_are_named_with_what_makes_them_so(
+    sizes: tuple[float, ...], said: str, side: str, number: float
+) -> None:
+    """Small ones are on the motors' side, or currents; others are in another unit."""
+    found = gain_finding(robot("puma"), np.array(sizes), 0.2, 5.0, {})
+    assert re.search(said, found.found)
+    assert found.number == number
+    assert found.subject == "the torque"
+    if side == "motor":
+        gears = ", ".join(f"{1 / size:.5g}" if np.isfinite(size) else "0" for size in sizes)
+        assert 'side = "motor"' in found.remedy
+        assert f"ratio about [{gears}]" in found.remedy
+        assert "currents taken for torques" in found.causes
+    else:
+        assert "[torque] unit" in found.remedy
+        assert "motor" not in found.remedy
+        assert "masses of another robot" in found.causes

@@ -1,0 +1,51 @@
+"""What is left of limits at every instant is what the proof says of the whole motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.excitation.clearance import DistanceMeter
+from testbed.excitation.collision_model import collision_model
+from testbed.excitation.limit_terms import EffortTerm
+from testbed.excitation.limits import limits_of, motor_efforts
+from testbed.excitation.proof import Rules
+from testbed.excitation.random_motion import random_motion
+from testbed.excitation.slack import slack
+from testbed.robot.visuals.appearance import load_appearance
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_kind_of_limit_has_its_nearest(seed: int, puma: tb.Tree) -> None:
+    limits = limits_of(puma)
+    motion = random_motion(puma, limits, 0.1, 4, np.random.default_rng(seed))
+    collision = collision_model(puma, load_appearance(puma).shapes)
+    least = np.linspace(0.01, 0.05, len(collision.pairs))
+    terms = (EffortTerm(puma, limits, 0.9),)
+    times = np.linspace(0, motion.period, 60)
+    found = slack(motion, Rules(puma, limits, 0.9, terms, collision, least), times)
+    assert [(each.label, each.unit) for each in found] == [
+        ("position limits", "%"),
+        ("velocity limits", "%"),
+        ("acceleration limits", "%"),
+        ("effort limits", "%"),
+        ("clearances", "mm"),
+    ]
+    at = motion.at(times)
+    middle, half = (limits.high + limits.low) / 2, (limits.high - limits.low) / 2
+    meter = DistanceMeter(collision)
+    wanted = [
+        100 * (0.9 - (np.abs(at.q - middle) / half).max(axis=1)),
+        100 * (0.9 - (np.abs(at.qd) / limits.velocity).max(axis=1)),
+        100 * (0.9 - (np.abs(at.qdd) / limits.acceleration).max(axis=1)),
+        None,
+        [1000 * (meter.measure(q).values - least).min() for q in at.q],
+    ]
+    for each, expected in zip(found, wanted, strict=True):
+        if expected is not None:
+            np.testing.assert_allclose(each.left, expected, atol=1e-9)
+    used = (np.abs(motor_efforts(puma, at)) / limits.effort).max(axis=1)
+    assert (found[3].left <= 100 * (0.9 - used) + 1e-9).all()
+    assert np.abs(found[3].left - 100 * (0.9 - used)).max() < 20  # smooth friction, either sign
+    assert len(slack(motion, Rules(puma, limits, 0.9, terms, None, np.zeros(0)), times)) == 4
