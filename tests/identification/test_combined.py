@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.identification.combined import Combined
+from testbed.identification.combined import Combined, _disagreement
 from testbed.identification.drive_findings import identify_drives
 from testbed.identification.estimate import Estimate
 from testbed.recordings.recording import Recording
@@ -66,3 +66,11 @@ def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
     bodies = tb.identify(tree, recording)
     cured = identify_drives(tree, recording, bodies, settings=terms).combined
     assert cured.disagreement.chance > 1e-3
+
+
+def test_where_torques_tell_nothing_new_nothing_disagrees() -> None:
+    bodies = tb.identify(robot("gantry"), measured(robot("gantry"), duration=4.0))
+    found = _disagreement(bodies, bodies.values, bodies.covariance)
+    assert found.names == ()
+    assert found.chance == 1.0
+    assert found.warnings == ()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from testbed.errors import RecordingError
-from testbed.recordings.columns import AXES, axis_unit, joints_in, signal_of, unit_of
+from testbed.recordings.columns import AXES, axis_unit, joints_in, members_of, signal_of, unit_of
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import ideal
@@ -43,6 +43,13 @@ def test_every_column_has_the_unit_of_its_signal_and_joint(column: str, unit: st
 
 def test_the_plate_has_three_forces_and_three_moments() -> None:
     assert [axis_unit(axis) for axis in AXES] == ["N"] * 3 + ["N m"] * 3
+
+
+def test_a_bases_columns_are_those_of_the_conventions() -> None:
+    """Its place, and its quaternion's parts, the real one first."""
+    names = members_of("base", ("waist", "elbow"))
+    assert names == ("x", "y", "z", "qw", "qx", "qy", "qz")
+    assert [unit_of(f"base/{name}", {}) for name in names] == ["m"] * 3 + ["1"] * 4
 
 
 @pytest.mark.parametrize(

@@ -292,6 +292,17 @@ def test_a_tendon_goes_with_its_joints_unless_it_pulls_on_others(tmp_path: Path)
             tb.load_tree(path, lock={"e": 0.0})
 
 
+def test_a_tendon_along_other_joints_stays_with_them(tmp_path: Path) -> None:
+    """Holding a joint elsewhere neither refuses the file nor takes its spring away."""
+    path = tmp_path / "r.xml"
+    path.write_text(STACKED.replace("<actuator>", TENDON.format('stiffness="3"')))
+    held: dict[str, float | None] = {"a": 0.5}
+    tree = tb.load_tree(path, lock=held)
+    assert tree.n == 5
+    with pytest.raises(ModelError, match="tendon"):
+        build_plant(ModelFile(path, lock=held), tree, 1e-3)
+
+
 # what cannot be locked
 
 WRONG: dict[str, tuple[dict[str, float | None], type[Exception], str]] = {

@@ -411,3 +411,20 @@ def test_upright_turns_z_into_the_direction(direction: Array) -> None:
     np.testing.assert_allclose(turn[:, 2], direction / np.linalg.norm(direction), atol=1e-15)
     np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-14)
     assert np.linalg.det(turn) == pytest.approx(1.0)
+
+
+BESIDE = """<mujoco><asset><mesh name="bad" file="bad.stl"/>
+<mesh name="good" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset><worldbody><body name="b">
+<inertial pos="0 0 0" mass="1" diaginertia="1 0.1 0.1"/><joint name="j" axis="0 0 1"/>
+<geom type="mesh" mesh="bad"/><geom type="mesh" mesh="good"/></body></worldbody></mujoco>"""
+
+
+def test_a_mesh_that_can_be_read_is_drawn_whatever_else_is_wrong(tmp_path: Path) -> None:
+    """Beside one that cannot, on a body whose stated inertia no body has."""
+    (tmp_path / "bad.stl").write_bytes(b"no mesh")
+    (tmp_path / "robot.xml").write_text(BESIDE)
+    tree = tb.load_tree(tmp_path / "robot.xml", accept_inertia=True)
+    seen = load_shapes(tmp_path / "robot.xml", tree)
+    assert [shape.kind for shape in seen.shapes if shape.body == 0] == ["mesh"]
+    (warning,) = seen.warnings
+    assert warning.startswith("mesh 'bad.stl' is left out")
