@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,3 +69,26 @@ def test_the_plots_scale_does_not_depend_on_when_the_clock_was_set() -> None:
     assert len(set(scales)) == 1
     low, high = scales[0]
     assert low < 1.0 < high < 2.0
+
+
+def test_methods_that_share_no_name_are_shown_by_the_first() -> None:
+    """As of sets by other zeros: the second has nothing to stand beside it."""
+
+    def base(*names: str) -> SimpleNamespace:
+        sigma = np.ones(len(names))
+        base = SimpleNamespace(names=names, units=("kg",) * len(names), values=sigma, sigma=sigma)
+        return SimpleNamespace(base=base)
+
+    estimates = {"external": base("m1", "m2"), "internal": base("K1", "K2", "K3")}
+    time = np.arange(3.0)
+    grown = {
+        method: SimpleNamespace(time=time, values=np.ones((3, len(each.base.names))))
+        for method, each in estimates.items()
+    }
+    scene: Any = SimpleNamespace(
+        growth=grown, run=SimpleNamespace(estimates=estimates, truths={"m2": 3.0})
+    )
+    found = learned(scene)
+    first = METHODS[0]
+    assert tuple(each.name for each in found) == estimates[first].base.names
+    assert all(set(each.values) == {first} for each in found)
