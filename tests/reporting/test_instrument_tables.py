@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 import testbed as tb
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run, assemble_run
+from testbed.identification.nuisances.all_nuisances import NUISANCES
+from testbed.identification.nuisances.estimates import TraceTest
 from testbed.instruments.plate import PlatePose
 from testbed.recordings.columns import AXES
 from testbed.reporting.instrument_tables import instrument_tables
@@ -64,3 +67,22 @@ def test_predictions_are_held_against_the_corrected_wrench() -> None:
         signal = next(s for s in predict(run).smoothed(10.0).signals if s.kind == "wrench")
         left[name] = abs(signal.residual("external")[:, :3]).mean()
     assert left["known"] < 0.9 * left["plain"]
+
+
+@pytest.mark.parametrize(
+    ("chance", "said"), [(0.31, "0.31"), (2e-30, "2e-30"), (0.0, "below 1e-99")]
+)
+def test_of_what_left_no_clear_trace_only_the_chance_is_told(chance: float, said: str) -> None:
+    """Beside it stands one that is clear, and all rows have as many cells as there are heads."""
+    kind = next(each for each in NUISANCES if each.kind == "pose")
+    parts = ("pose/rx", "pose/ry"), ("rad", "rad"), (0.02, -0.5)
+    clear = TraceTest(kind, 1e-80, 50.0, *parts, shift=12.0, parameter="mb2x")
+    other = replace(clear, chance=chance, parameter="mb3x", shift=-3.0)
+    estimate = SimpleNamespace(nuisances=(), trace_tests=(clear, other), noise=None)
+    run: Any = SimpleNamespace(estimates={"external": estimate})
+    (table,) = instrument_tables(run)
+    assert table["heads"] == ["fault", "chance", "would move", "size"]
+    rows = {row[1]: row for row in table["rows"]}
+    assert rows["1e-80"][2] == "mb2x by 12 sigma"
+    last = ["", ""] if chance > 0.1 else ["mb3x by -3 sigma", rows["1e-80"][3]]
+    assert rows[said] == [kind.said, said, *last]
