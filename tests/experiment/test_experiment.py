@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 import testbed as tb
 from testbed.errors import ExperimentError
@@ -103,6 +103,29 @@ def test_no_number_is_infinite(path: str) -> None:
     for value in ("inf", "-inf", "nan"):
         with pytest.raises(ExperimentError, match=re.escape(path)):
             tb.Experiment.load(TABLE6, [f"{path}={value}"])
+
+
+@pytest.mark.parametrize(("length", "cut"), [(58, False), (59, True)])
+def test_what_was_found_is_shown_whole_unless_it_is_long(length: int, cut: bool) -> None:
+    """Sixty characters of it, quotation marks among them."""
+    with pytest.raises(ExperimentError) as caught:
+        tb.Experiment.load(TABLE6, [f"motion.duration={'w' * length}"])
+    assert str(caught.value).endswith(f"found '{'w' * 59}..." if cut else f"found '{'w' * 58}'")
+
+
+def test_a_file_that_is_nested_too_deeply_is_named(tmp_path: Path) -> None:
+    deep = tmp_path / "deep.toml"
+    deep.write_text(f"a = {'[' * 100_000}")
+    with pytest.raises(ExperimentError, match=r"deep\.toml: not a readable TOML file: nested too"):
+        tb.Experiment.load(deep)
+
+
+def test_an_experiment_does_not_change() -> None:
+    """Neither its own keys nor those of its tables."""
+    made = tb.Experiment.load(TABLE6)
+    for table, name in ((made, "seed"), (made.motion, "duration"), (made.simulation, "step")):
+        with pytest.raises((ValidationError, AttributeError)):
+            setattr(table, name, 1)
 
 
 def test_all_faults_are_listed_at_once() -> None:
