@@ -292,3 +292,23 @@ def test_a_file_system_that_cannot_exchange_is_no_error(
         with pytest.raises(PermissionError):
             files._exchanged(here, nowhere)
     assert here.is_dir()
+
+
+def test_an_older_folder_is_put_back_if_the_fresh_one_cannot_take_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where two steps are needed and the second fails."""
+    write(tmp_path / "place", "folder", "old")
+    rename = Path.rename
+
+    def refused(self: Path, target: Path) -> Path:
+        if self.name == "fresh":
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return rename(self, target)
+
+    monkeypatch.setattr(files, "_exchanged", lambda a, b: False)
+    monkeypatch.setattr(Path, "rename", refused)
+    with pytest.raises(PermissionError):
+        write(tmp_path / "place", "folder", "new")
+    assert content(tmp_path / "place") == "old"
+    assert names(tmp_path) == ["place"]
