@@ -19,8 +19,9 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
     """`value` as a read-only array of float64, checked to have `shape`.
 
     Args:
-        value: Anything NumPy turns into an array. Copied, unless it is one of float64 that
-            is read-only already: parts of recordings and memory maps stay where they are.
+        value: Anything NumPy turns into an array. Copied, row by row, unless it is one of
+            float64 that is read-only already: parts of recordings and memory maps stay where
+            they are.
         shape: Required shape; None leaves an axis free.
         name: What the array is called in the error.
 
@@ -28,7 +29,7 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
         ValueError: The shape differs.
     """
     kept = isinstance(value, np.ndarray) and not value.flags.writeable
-    array = (np.asarray if kept else np.array)(value, dtype=np.float64)
+    array = np.asarray(value, np.float64) if kept else np.array(value, np.float64, order="C")
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )

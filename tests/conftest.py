@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from typing import Any
 
 import hypothesis
@@ -15,6 +16,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 # what they print waits in a buffer, as it does for most people
 os.environ.pop("PYTHONUNBUFFERED", None)
+# where tests run in the background Ctrl-C is ignored, and would be by what they start
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import testbed as tb
 from testbed.experiment.evaluate import evaluate

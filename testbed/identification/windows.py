@@ -132,17 +132,24 @@ class Plan:
         return window.last - window.first if last else window.rows * self.step
 
     def signals(self, part: Recording, window: Window) -> Signals:
-        """What the kernel needs of a window's samples."""
+        """What the kernel needs of a window's samples.
+
+        Samples lie row by row however the source keeps them: BLAS adds in another order where
+        columns lie together, and bits would depend on it.
+        """
         if part.names != self.layout.tree.names:
             part = part.ordered(self.layout.tree)
         dynamic = self.layout.model == "dynamic"
         nothing = np.empty((0, len(part.names)))
         sensed = part.senses_kinematics
+        velocity = part.velocity if sensed and part.velocity is not None else nothing
+        acceleration = part.acceleration if sensed and part.acceleration is not None else nothing
+        measured = part.measured("torque") if dynamic else part.measured("wrench") - self.tare
         return Signals(
-            position=part.position,
-            velocity=part.velocity if sensed and part.velocity is not None else nothing,
-            acceleration=part.acceleration if sensed and part.acceleration is not None else nothing,
-            measured=part.measured("torque") if dynamic else part.measured("wrench") - self.tare,
+            position=np.ascontiguousarray(part.position),
+            velocity=np.ascontiguousarray(velocity),
+            acceleration=np.ascontiguousarray(acceleration),
+            measured=np.ascontiguousarray(measured),
             taps=self.taps,
             weights=self.weights,
             deadband=self.deadband,

@@ -44,6 +44,9 @@ DEADBAND, NEARLY = 0.02, 0.02
 LAGS = 12
 """Rows over which residuals are taken as correlated."""
 
+DEPENDENT = 1e-9
+"""Share of the largest singular value below which columns of unit length depend on others."""
+
 LARGEST_STEP, ENOUGH = (0.05, 0.01), 1e-8
 """Of delay [s] and drift; delay below which the search ends [s]."""
 
@@ -141,7 +144,7 @@ def _fitted(
     powers = np.stack([np.ones_like(place), place][: 1 + drifting], axis=1)  # (T, 1 or 2)
     unknowns, weights = np.zeros(powers.shape[1]), counted
     for _ in range(2):  # the second time by what is left in each channel
-        basis = np.linalg.qr((rows * weights[..., None]).reshape(-1, rows.shape[2]))[0]
+        basis = _basis((rows * weights[..., None]).reshape(-1, rows.shape[2]))
 
         def rest(signal: Array, by: Array = weights, base: Array = basis) -> Array:
             flat = (signal * by).reshape(-1)
@@ -161,6 +164,18 @@ def _fitted(
     wide, drift = np.append(sigma, np.inf)[:2]
     middle = float(reading.time.mean())
     return ClockOffset(kind, float(delay), float(wide), float(skew), float(drift), middle, *shares)
+
+
+def _basis(columns: Array) -> Array:
+    """Orthonormal directions of all that columns, (k, N), can make.
+
+    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    triangular = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
+    directions, spread, _ = np.linalg.svd(triangular.R)
+    found: Array = triangular.Q @ directions[:, spread > DEPENDENT * spread[0]]
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,12 +20,18 @@ OTHER = [
     ("sigma 1e-4", "sigma 2e-4"),
     ("at 10480 N", "at 10580 N"),
     ("a line", None),
+    ("mass       20", "mass 20"),
 ]
 
 
 @pytest.mark.parametrize(("was", "now"), SAME)
 def test_numbers_may_differ_by_what_machines_do(was: str, now: str) -> None:
     assert same(was, now)
+
+
+def test_columns_stay_in_line() -> None:
+    assert same("waist    0.00051   3%", "waist     0.0005   3%", 0.1)
+    assert not same("waist    0.00051   3%", "waist    0.0006   3%", 0.1)
 
 
 @pytest.mark.parametrize(("was", "now"), OTHER)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -12,6 +13,10 @@ from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
 
 pytestmark = pytest.mark.slow
+
+SEARCHED = 0.1
+"""Relative difference of sigmas: rounding leads a search, which ends where little is left to be
+had, by another way on other processors."""
 
 QUICK = ("excitation.starts=1", "excitation.harmonics=3", "motion.duration=8")
 ASKED: dict[str, tuple[str, ...]] = {
@@ -44,4 +49,5 @@ def test_a_design_is_as_approved(
         line for line in limits.splitlines() if "limits" in line
     ]  # what is left is not as sharp
     text = "\n".join([f"$ testbed excite {model} {' '.join(words)}", told, *last, done.stderr])
-    hold(f"design_{name}.txt", timeless(text.replace(str(tmp_path), "")))
+    text = re.sub(r"(condition number \d+)\b", r"\1.0", text)  # is no count
+    hold(f"design_{name}.txt", timeless(text.replace(str(tmp_path), "")), within=SEARCHED)

@@ -25,6 +25,8 @@ from testbed.identification.passes import Passes, is_small
 from testbed.identification.settings import Settings
 from testbed.identification.windows import make_plan
 from testbed.kernel.layout import layout
+from testbed.parameters.rules import Model
+from testbed.recordings.columns import JOINT_SIGNALS
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import open_source
 from testbed.recordings.stored import write_parts
@@ -106,6 +108,41 @@ def test_memory_file_map_and_stream_give_the_same_bits(
         torque=recording.measured("torque")[:, ::-1],
     )
     same(tb.identify(tree, turned, method, settings=FILTERED), whole)
+    together = by_columns(recording.position)
+    kept = replace(recording, position=together)
+    assert np.shares_memory(kept.position, together)
+    same(tb.identify(tree, kept, method, settings=FILTERED), whole)
+
+
+def by_columns(values: Array) -> Array:
+    """A copy that cannot be written and keeps each column together."""
+    found = np.asfortranarray(values)
+    found.flags.writeable = False
+    return found
+
+
+@pytest.mark.parametrize("model", ["dynamic", "reaction"])
+def test_the_kernel_gets_samples_row_by_row(
+    model: Model, tree: tb.Tree, recording: Recording
+) -> None:
+    """However a source keeps them, or some processors would add in another order."""
+    few = recording.part(0, 200)
+    joints = {signal: few.measured(signal) for signal in JOINT_SIGNALS}
+    other_way: dict[str, Any] = {name: values[:, ::-1] for name, values in joints.items()}
+    columns: dict[str, Any] = {name: by_columns(values) for name, values in joints.items()}
+    turned = replace(few, names=few.names[::-1], **other_way)
+    apart = replace(few, **columns, wrench=by_columns(few.measured("wrench")))
+    found = layout(tree, tb.minimal_set(tree, model))
+    for given in (few, turned, apart):
+        plan = make_plan(given, found, np.zeros(6), EXACT)
+        for window in plan.windows():
+            signals = plan.signals(given.part(window.first, window.last), window)
+            for name in ("position", "velocity", "acceleration", "measured"):
+                assert getattr(signals, name).flags.c_contiguous, name
+                np.testing.assert_array_equal(
+                    getattr(signals, name),
+                    getattr(plan.signals(few.part(window.first, window.last), window), name),
+                )
 
 
 @pytest.mark.parametrize("settings", [EXACT, FILTERED])

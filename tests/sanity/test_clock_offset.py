@@ -63,6 +63,22 @@ def test_sigma_of_a_delay_is_honest() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["puma", "ur5", "gantry"])
+def test_rounding_changes_no_delay(name: str) -> None:
+    """Columns that others imitate, as a first rotor's, have no directions of their own."""
+    tree = robot(name)
+    recording = measured(tree, rate=500.0, noise=0.1)
+    other = np.nextafter(recording.position, np.inf)
+    for one, two in zip(
+        clock_offsets(tree, recording),
+        clock_offsets(tree, replace(recording, position=other)),
+        strict=True,
+    ):
+        assert abs(one.delay - two.delay) < 1e-5 * one.sigma
+        assert one.sigma == pytest.approx(two.sigma, rel=1e-5)
+
+
+@pytest.mark.slow
 def test_a_drift_no_clock_has_is_not_taken_for_one() -> None:
     tree = robot("puma")
     recording = without(measured(tree, rate=500.0, noise=0.1), "torque")
