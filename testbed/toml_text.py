@@ -32,6 +32,18 @@ KNOWN_KEYS = ConfigDict(extra="forbid", frozen=True, strict=True, use_attribute_
 
 Checked = TypeVar("Checked", bound=BaseModel)
 
+IN_TOML = {
+    "Input should be": "should be",
+    "an object": "a table, such as { name = 1 }",
+    "a valid dictionary": "a table, such as { name = 1 }",
+    "a valid array": "a list, such as [1, 2]",
+    "a valid string": "text in quotes",
+    "a valid boolean": "true or false",
+    "a valid integer": "a whole number",
+    "a valid number": "a number",
+}
+"""Pydantic's words, and plainer ones."""
+
 
 def read_toml(path: Path, what: str = "experiment") -> dict[str, Any]:
     """The tables of a TOML file, unchecked.
@@ -114,6 +126,8 @@ def _value(text: str, setting: str) -> Any:
 
 def _of_parser(error: Exception) -> str:
     """What the parser found, but for advice to programmers."""
+    if isinstance(error, UnicodeDecodeError):
+        return "it is no text"
     long = type(error) is ValueError and "integer string conversion" in str(error)
     return "a number has thousands of digits" if long else str(error)
 
@@ -146,12 +160,19 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> str:
             *tables, key = where
             lines.append(_unknown(model, tables, key))
         else:
-            said = fault["msg"].removeprefix("Value error, ")
+            said = _in_toml(fault["msg"].removeprefix("Value error, "))
             found = "" if fault["type"] == "missing" else f", found {_short(fault['input'])}"
             label = ".".join(part for part in where if "[" not in part)
             found = "" if fault["type"] == "value_error" else found
             lines.append(f"{label}: {said}{found}" if label else said)
     return "; ".join(dict.fromkeys(lines))
+
+
+def _in_toml(said: str) -> str:
+    """A complaint in the words of TOML, where pydantic has those of JSON."""
+    for json_words, toml_words in IN_TOML.items():
+        said = said.replace(json_words, toml_words)
+    return said
 
 
 def _short(value: Any, limit: int = 60) -> str:
