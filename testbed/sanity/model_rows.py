@@ -6,7 +6,7 @@ scaled one by one. Everything passes one low-pass and is thinned out: a few hund
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
-from testbed.parameters.barycentric import barycentric
-from testbed.robot.inertia import NOTHING, Inertia
+from testbed.parameters.barycentric import standard, to_barycentric
 from testbed.robot.tree import Tree
 from testbed.sanity.thinning import thinned
 
@@ -128,17 +127,13 @@ def _noise(signals: Array) -> Array:
 
 def _shares(tree: Tree) -> Array:
     """Barycentric parameters of each body alone, then of its shifts, (n, 10, n + 3 n)."""
-    light = LIGHT * sum(inertia.mass for inertia in tree.inertias)
-    shifts = [
-        (body, Inertia(0.0, REACH * max(own.mass, light) * axis, np.zeros((3, 3))))
-        for body, own in enumerate(tree.inertias)
-        for axis in np.eye(3)
-    ]
-    alone = []
-    for body, inertia in [*enumerate(tree.inertias), *shifts]:
-        inertias = tuple(inertia if k == body else NOTHING for k in range(tree.n))
-        alone.append(barycentric(replace(tree, inertias=inertias)))
-    return np.stack(alone, axis=-1)
+    n, own = tree.n, standard(tree)
+    least = LIGHT * own[:, 0].sum()
+    alone, bodies = np.zeros((n, 10, 4 * n)), np.arange(n)
+    alone[bodies, :, bodies] = own
+    for axis in range(3):
+        alone[bodies, 1 + axis, n + 3 * bodies + axis] = REACH * np.maximum(own[:, 0], least)
+    return to_barycentric(tree, alone)
 
 
 def _middle(samples: int, most: int) -> slice:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.sanity.bounded import bounded
 from testbed.sanity.model_rows import ModelRows
 
 LEAST, MOST = 0.25, 4.0
@@ -91,9 +92,9 @@ def _fitted(rows: ModelRows, gains: Array) -> ScaledFit:
     weights = 1 / variance
     low = np.repeat([LEAST, -1.0, 0.0], [n, 3 * n, OWN * n])
     high = np.repeat([MOST, 1.0, np.inf], [n, 3 * n, OWN * n])
-    left = variance
+    left, values = variance, np.full(len(low), np.nan)  # at no bound
     for _ in range(ROUNDS):
-        values = _bounded(parts, weights, low, high)
+        values = _bounded(parts, weights, low, high, near=values)
         left = np.array([np.sum((right - a @ values[at]) ** 2) for a, right, at in parts])
         weights = 1 / np.maximum(left, FLOOR * variance)
     alone = [_without_bodies(a, right, n) for a, right, _ in parts]
@@ -113,20 +114,15 @@ def _channel(rows: ModelRows, channel: int, gain: float) -> Part:
     return matrix - matrix.mean(axis=0), right - right.mean(), np.array(unknowns)
 
 
-def _bounded(parts: list[Part], weights: Array, low: Array, high: Array) -> Array:
-    """Least squares within bounds, by products."""
-    from scipy.optimize import lsq_linear
-
+def _bounded(parts: list[Part], weights: Array, low: Array, high: Array, near: Array) -> Array:
+    """Least squares within bounds, by products, begun at the bounds a near solution reached."""
     normal, vector = np.zeros((len(low), len(low))), np.zeros(len(low))
     for (matrix, right, at), weight in zip(parts, weights, strict=True):
         normal[np.ix_(at, at)] += weight * matrix.T @ matrix
         vector[at] += weight * matrix.T @ right
     size = np.sqrt(np.where(np.diagonal(normal) > 0, np.diagonal(normal), 1.0))
     scaled = normal / np.outer(size, size) + 1e-9 * np.eye(len(low))
-    root = np.linalg.cholesky(scaled).T
-    target = np.linalg.solve(root.T, vector / size)
-    found = lsq_linear(root, target, (low * size, high * size), method="bvls")
-    values: Array = found.x / size
+    values: Array = bounded(scaled, vector / size, low * size, high * size, near * size) / size
     return values
 
 
