@@ -64,6 +64,7 @@ def test_an_experiment_runs_a_file_s_motion(found: Excitation, tmp_path: Path) -
     assert np.abs(recording.position - wanted.q).max() < 5e-3
 
 
+@pytest.mark.slow
 def test_a_file_s_motion_is_proven_again(found: Excitation, tmp_path: Path) -> None:
     """Under other limits, and for a robot with other joints."""
     file = tmp_path / "motion.toml"
@@ -82,6 +83,7 @@ def test_a_file_s_motion_is_proven_again(found: Excitation, tmp_path: Path) -> N
         motion_of(other, robot_of(other))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -102,6 +104,7 @@ def test_files_that_are_no_motion_are_refused(
         read_motion(file)
 
 
+@pytest.mark.slow
 def test_a_design_beats_the_random_motion_that_would_have_run(found: Excitation) -> None:
     assert found.gain is not None
     assert found.gain > 1.2
@@ -184,6 +187,7 @@ def test_frequencies_are_within_the_band() -> None:
         frequencies_of(asked("puma", "excitation.highest_frequency=0.2"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", [".csv", ".parquet"])
 def test_samples_for_a_controller_lead_from_rest_to_rest(
     found: Excitation, tmp_path: Path, ending: str
@@ -213,6 +217,7 @@ def test_samples_for_a_controller_lead_from_rest_to_rest(
         np.testing.assert_allclose(q[inside], wanted.q[:, j], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_samples_are_of_whole_periods(found: Excitation, tmp_path: Path) -> None:
     samples = samples_of(RestToRest(Start(found.design.motion, 1.0), 3), 100.0)
     assert samples.t[0] == -1.0
@@ -224,6 +229,7 @@ def test_samples_are_of_whole_periods(found: Excitation, tmp_path: Path) -> None
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_earlier_estimate_is_a_prior(found: Excitation) -> None:
     names = tb.minimal_set(found.tree, "reaction").names
     rng = np.random.default_rng(0)
@@ -285,6 +291,7 @@ def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle(name
     assert (np.abs(found.values - alone.values) < 1e-3 * alone.sigma).all()
 
 
+@pytest.mark.slow
 def test_what_a_motion_hardly_tells_is_said(found: Excitation) -> None:
     relative = found.predicted.relative.copy()
     assert found.warnings == ()

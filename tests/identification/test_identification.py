@@ -74,6 +74,7 @@ def test_ten_seconds_of_table6_are_within_their_sigma(
     assert np.sqrt(np.mean(relative[:9] ** 2)) < 1.5e-3
 
 
+@pytest.mark.slow
 def test_torques_are_far_worse_than_the_plate(puma: tb.Tree, puma_recording: Recording) -> None:
     """Friction estimated, torque constants a few percent off: the paper's point."""
     errors = []

@@ -62,6 +62,7 @@ def test_as_many_threads_as_asked_answer_at_once(
     assert not together.broken
 
 
+@pytest.mark.slow
 def test_one_thread_works_where_it_was_called(
     tree: tb.Tree, recording: Recording, sweeps: list[Callable[[], None]]
 ) -> None:

@@ -16,6 +16,7 @@ from testbed.identification.estimate import METHODS
 from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
 
 
+@pytest.mark.slow
 def test_dots_are_errors_and_bars_are_sigmas(puma_run: Run) -> None:
     dots = dots_of_run(puma_run)
     assert set(dots.errors) == set(dots.sigmas) == set(METHODS)
@@ -33,6 +34,7 @@ def test_dots_are_errors_and_bars_are_sigmas(puma_run: Run) -> None:
         assert np.isnan([dots.errors[method][dots.names.index(n)] for n in absent]).all()
 
 
+@pytest.mark.slow
 def test_without_the_truth_there_are_sigmas(puma_run: Run) -> None:
     blind = replace(puma_run, score=None)
     dots = dots_of_run(blind)
@@ -65,6 +67,7 @@ def test_any_number_of_parameters_is_drawn_on_one_scale(count: int) -> None:
         assert f">{name}<" in drawn
 
 
+@pytest.mark.slow
 def test_of_very_many_parameters_the_worst_are_drawn(puma_run: Run) -> None:
     dots = dots_of_run(puma_run)
     wide = replace(dots, names=tuple(f"{k}" for k in range(len(dots.names))))
