@@ -17,6 +17,7 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.row_space import row_space
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
@@ -172,10 +173,7 @@ def _basis(columns: Array) -> Array:
     A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
     """
     size = np.linalg.norm(columns, axis=0)
-    triangular = np.linalg.qr(columns / np.where(size > 0, size, 1.0))
-    directions, spread, _ = np.linalg.svd(triangular.R)
-    found: Array = triangular.Q @ directions[:, spread > DEPENDENT * spread[0]]
-    return found
+    return row_space((columns / np.where(size > 0, size, 1.0)).T, DEPENDENT).rows.T
 
 
 @dataclass(frozen=True, eq=False)

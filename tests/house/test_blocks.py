@@ -118,7 +118,7 @@ SLOW = [page for page, blocks in RUN.items() if any(b.slow for b in blocks)]
 @pytest.mark.slow
 @pytest.mark.parametrize("page", FAST, ids=ids)
 def test_the_blocks_of_a_page_run(page: Path, place: Path) -> None:
-    run([block for block in RUN[page] if not block.slow], place)
+    run(RUN[page], place)
 
 
 @pytest.mark.slow

@@ -136,13 +136,13 @@ def test_the_kernel_gets_samples_row_by_row(
     for given in (few, turned, apart):
         plan = make_plan(given, found, np.zeros(6), EXACT)
         for window in plan.windows():
-            signals = plan.signals(given.part(window.first, window.last), window)
+            signals, wanted = (
+                plan.signals(each.part(window.first, window.last), window) for each in (given, few)
+            )
             for name in ("position", "velocity", "acceleration", "measured"):
-                assert getattr(signals, name).flags.c_contiguous, name
-                np.testing.assert_array_equal(
-                    getattr(signals, name),
-                    getattr(plan.signals(few.part(window.first, window.last), window), name),
-                )
+                found_now = getattr(signals, name)
+                assert found_now.flags.c_contiguous, name
+                np.testing.assert_array_equal(found_now, getattr(wanted, name))
 
 
 @pytest.mark.parametrize("settings", [EXACT, FILTERED])
