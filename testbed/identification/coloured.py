@@ -208,7 +208,7 @@ def _encoder_noise(passes: Passes) -> PositionNoise:
     """Noise of the encoders that is in the columns; zero where it is none, or unknown."""
     plan, survey = passes.plan, passes.surveyor.survey()
     none = np.zeros(plan.layout.tree.n)
-    if plan.layout.model != "reaction" or plan.source.senses_kinematics:
+    if plan.source.senses_kinematics:
         return PositionNoise(none, none)
     filtered = len(plan.weights) > 1
     return PositionNoise(survey.encoder_noise, survey.encoder_count if filtered else none)

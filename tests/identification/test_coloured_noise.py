@@ -47,6 +47,16 @@ def test_sigma_is_the_size_of_the_error(robot: str, method: str) -> None:
         assert estimate.noise.factor >= 1.0
 
 
+@pytest.mark.parametrize("robot", ["puma", "ur5", "gantry_ppp_rrr"])
+def test_sigma_holds_where_noise_of_accelerations_passes_the_filter(robot: str) -> None:
+    """It draws plain least squares to zero, by up to 20 sigma here."""
+    tree, settings = load(robot), tb.Settings(cutoff=20.0)
+    for seed in (1, 2):
+        recording = measured(tree, seed, duration=60.0)
+        estimate = tb.identify(tree, recording, "internal", settings=settings)
+        assert 0.4 < float(np.sqrt(np.mean(scores(tree, estimate) ** 2))) < 1.7
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("robot", ["puma", "gantry_ppp_rrr", "two_trunks"])
 def test_perfect_recordings_give_the_truth(robot: str, method: str) -> None:

@@ -53,17 +53,19 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
-        made: Of noise in the same places, whitened rows' only; None for none.
+        made: Of noise in the same places; None for none.
         whole: Whether no rows are missing.
     """
     none, m = np.zeros((given.products.shape[1], 0)), given.products.shape[2] - 2
-    if not whole:
-        return Answer(weighted_fit(given), weighted_fit, none, np.zeros((0, m)))
-    there = constants(given)
-    plain = whitened_fit(given)
+    fit = whitened_fit if whole else weighted_fit
+    plain = fit(given)
     taken = None if made is None else undiluted(plain, made)
     alone = plain if taken is None else taken.found
-    answer = Answer(alone, whitened_fit, none, there.hidden, taken)
+    answer = Answer(alone, fit, none, np.zeros((0, m)), taken)
+    if not whole:
+        return answer
+    there = constants(given)
+    answer = replace(answer, hidden=there.hidden)
     count = there.directions.shape[1]
     if given.rows < FEW or not count:
         return answer
@@ -91,13 +93,16 @@ def averaged(alone: NoiseFit, beside: NoiseFit, weight: float) -> NoiseFit:
         weight: Of the latter.
     """
     m, every = len(alone.values), len(beside.values)
-    values, covariance = np.zeros(every), np.zeros((every, every))
-    values[:m], covariance[:m, :m] = alone.values, alone.covariance
+    values, covariance, inverse = np.zeros(every), *np.zeros((2, every, every))
+    values[:m], covariance[:m, :m], inverse[:m, :m] = alone.values, alone.covariance, alone.inverse
+    likelier = beside if weight > 0.5 else alone
     apart = beside.values - values
     return NoiseFit(
         values=values + weight * apart,
         covariance=(1 - weight) * covariance
         + weight * beside.covariance
         + weight * (1 - weight) * np.outer(apart, apart),
-        noise=(beside if weight > 0.5 else alone).noise,
+        noise=likelier.noise,
+        weighting=likelier.weighting,
+        inverse=(1 - weight) * inverse + weight * beside.inverse,
     )

@@ -25,8 +25,8 @@ class CountDoubt:
             found: The fit; its unknowns may have constants after them.
             count: How many unknowns.
         """
-        self._noise, self._covariance = found.noise, found.covariance[:count, :count]
-        self._sums, self._numbers = LaggedSums(found.noise.order), 0
+        self._fit, self._inverse = found, found.inverse[:count, :count]
+        self._sums, self._numbers = LaggedSums(found.weighting.order), 0
 
     def add(self, columns: Array, made: Array) -> None:
         """Go on with consecutive rows.
@@ -42,11 +42,10 @@ class CountDoubt:
 
     def found(self) -> tuple[Array, float]:
         """Covariance of the unknowns by counts alone, (m, m), and their part of the residuals."""
-        m = len(self._covariance)
+        m = len(self._inverse)
         if not self._numbers:
             return np.zeros((m, m)), 0.0
-        white = self._sums.finish().whitened(self._noise.coefficients)
-        squares = np.tensordot(self._noise.sigma**-2.0, white, 1)
-        moved = self._covariance @ squares[:m, m:]
+        squares = self._fit.normal(self._sums.finish())
+        moved = self._inverse @ squares[:m, m:]
         share = float(np.diagonal(squares)[m:].mean()) / self._numbers
         return moved @ moved.T / moved.shape[1], share

@@ -3,10 +3,12 @@
 Least squares takes columns for exact. Noise in them adds to their squares and not to their
 products with the measurement, and draws the unknowns to zero. The longer a recording, the
 smaller is sigma, but not this error. Whitening makes it worse where slow noise of the plate
-leaves the weight to fast motion, of which the encoders' accelerations have little.
+leaves the weight to fast motion, of which the encoders' accelerations have little; so does a
+filter on rows that lets much of the accelerations' noise pass.
 
 With products of what the noise alone does to the columns, N of all and H of the noise,
-(N - H) x = b is free of it to first order.
+(N - H) x = b is free of it to first order, and the covariance C of N x = b becomes T C T' with
+T = (N - H)^-1 N.
 
 Source    [Ful87]
 """
@@ -39,7 +41,7 @@ class Undiluted:
 
     Attributes:
         found: Values and covariance.
-        directions: Combinations of the unknowns, independent and of variance one before, (m, m).
+        directions: Combinations of the unknowns, of normal matrix one before, (m, m).
         share: Part of the square of each one's column that is noise, (m,).
     """
 
@@ -62,17 +64,22 @@ def undiluted(found: NoiseFit, made: LaggedProducts) -> Undiluted:
     """Take noise in the columns back.
 
     Args:
-        found: A fit of whitened rows.
+        found: A fit.
         made: Products of noise in the same unknowns' columns, of what it leaves in the
             residuals, and of ones, as the rows' own.
     """
     m = len(found.values)
-    white = np.tensordot(found.noise.sigma**-2.0, made.whitened(found.noise.coefficients), 1)
-    root = square_root(found.covariance)
+    white, root = found.normal(made), square_root(found.inverse)
     share, axes = np.linalg.eigh(root.T @ white[:m, :m] @ root)
     directions, kept = root @ axes, np.clip(share, 0.0, MOST)
     taken = white[:m, :m] @ found.values - white[:m, m]
     taken = directions.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)
     spread = directions / (1 - kept)
-    values = found.values + spread @ taken
-    return Undiluted(replace(found, values=values, covariance=spread @ spread.T), directions, share)
+    back = spread @ np.linalg.inv(directions)
+    better = replace(
+        found,
+        values=found.values + spread @ taken,
+        covariance=back @ found.covariance @ back.T,
+        inverse=spread @ directions.T,
+    )
+    return Undiluted(better, directions, share)

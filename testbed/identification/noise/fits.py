@@ -62,11 +62,24 @@ class NoiseFit:
         values: (m,).
         covariance: By the formula of the fit, (m, m).
         noise: Of the residuals.
+        weighting: What rows were whitened and weighted by; of rows with gaps, of order zero.
+        inverse: Of the normal matrix of these rows, (m, m).
     """
 
     values: Array
     covariance: Array
     noise: Autoregression
+    weighting: Autoregression
+    inverse: Array
+
+    def normal(self, given: LaggedProducts) -> Array:
+        """The normal matrix of columns, weighted as the fit's own were, (q, q).
+
+        Args:
+            given: Products of the columns.
+        """
+        white = given.whitened(self.weighting.coefficients)
+        return np.asarray(np.tensordot(self.weighting.sigma**-2.0, white, 1))
 
 
 Fit = Callable[[LaggedProducts, int | None], NoiseFit]
@@ -90,7 +103,8 @@ def whitened_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
         coefficients = fit(_moments(given, found, order), order)
         white = given.whitened(coefficients)
         found = _weighted(white, given.after(order), m, order)
-    return NoiseFit(found.values, found.inverse, Autoregression(coefficients, found.spread))
+    noise = Autoregression(coefficients, found.spread)
+    return NoiseFit(found.values, found.inverse, noise, noise, found.inverse)
 
 
 def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
@@ -117,7 +131,8 @@ def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
     middle = _at_least(LEAST_SHARE, parts[0], middle)
     order = given.lags if order is None else order
     noise = _from_covariances(covariances, order)
-    return NoiseFit(values, inverse @ middle @ inverse, noise)
+    weighting = Autoregression(np.zeros((len(spread), 0)), spread)
+    return NoiseFit(values, inverse @ middle @ inverse, noise, weighting, inverse)
 
 
 def _highest(given: LaggedProducts, m: int) -> int:

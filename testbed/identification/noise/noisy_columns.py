@@ -21,6 +21,7 @@ from testbed.identification.passes import Columns
 from testbed.identification.windows import Plan
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
+from testbed.robot.friction import term_torque
 
 PER_ROW = 5
 """Samples of made noise from row to row, at least: slow noise, behind the filter on rows."""
@@ -92,7 +93,7 @@ class PositionNoise:
 
 
 class NoisyColumns:
-    """Noise in columns of the plate's rows, window by window, the same for any order of them."""
+    """Noise in columns of rows, window by window, the same for any order of them."""
 
     def __init__(self, plan: Plan, encoders: PositionNoise, combined: Array) -> None:
         """Ready for any window.
@@ -104,7 +105,7 @@ class NoisyColumns:
         """
         self._plan, self._sigma = plan, np.where(encoders.count > 0, 0.0, encoders.sigma)
         self._counts = Counts(plan, encoders.count) if encoders.count.any() else None
-        self._lead = plan.layout.theta @ (plan.layout.basis @ combined)
+        self._lead = plan.layout.basis @ combined
         divisors = [d for d in range(1, plan.step + 1) if plan.step % d == 0]
         stride = max([d for d in divisors if d * PER_ROW <= plan.step], default=1)
         kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
@@ -113,7 +114,7 @@ class NoisyColumns:
         self._kernels = kernels[:, middle % stride :: stride].T * np.sqrt(stride)
 
     def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, (6, rows, q).
+        """Of a window's rows, (C, rows, q).
 
         Args:
             signals: The window's.
@@ -145,7 +146,7 @@ class NoisyColumns:
 
 
 class CountReplicas:
-    """What counts from other zeros do to the plate's rows of an estimate, window by window."""
+    """What counts from other zeros do to the rows of an estimate, window by window."""
 
     def __init__(self, plan: Plan, count: Array, values: Array) -> None:
         """Ready for any window.
@@ -156,10 +157,10 @@ class CountReplicas:
             values: Of the unknowns, (p,).
         """
         self._plan, self._counts = plan, Counts(plan, count)
-        self._lead = plan.layout.theta @ (plan.layout.basis @ values[:, None])
+        self._lead = plan.layout.basis @ values[:, None]
 
     def __call__(self, signals: Signals, first: int) -> Array:
-        """Of a window's rows, replica by replica, (6, rows, ZEROS)."""
+        """Of a window's rows, replica by replica, (C, rows, ZEROS)."""
         del first
         motion, layout = at_rows(signals), self._plan.layout
         each = [self._counts.lasting(signals, replica) for replica in range(ZEROS)]
@@ -175,16 +176,21 @@ def at_rows(signals: Signals) -> Array:
 
 
 def changed(layout: Layout, motion: Array, noise: Array, lead: Array) -> Array:
-    """By how much noise changes combinations of the columns, to second order, (6, rows, q).
+    """By how much noise changes combinations of the columns, to second order, (C, rows, q).
 
     Args:
         layout: The robot's rows.
         motion: Positions, velocities, accelerations, (3, rows, n).
         noise: Of these, (3, rows, n).
-        lead: Barycentric parameters of the combinations, (n, 10, q).
+        lead: How the columns are combined, (P, q).
     """
     moved = np.concatenate([motion + noise, motion - noise], axis=1)
-    time = np.arange(moved.shape[1], dtype=np.float64)
-    wrench = linear(layout.tree, Motion(time, *moved), lead, layout.gravity)[1]
-    more, less = np.split(wrench, 2)
+    time, bodies = np.arange(moved.shape[1], dtype=np.float64), layout.theta.shape[2]
+    joints, base = linear(
+        layout.tree, Motion(time, *moved), layout.theta @ lead[:bodies], layout.gravity
+    )
+    rows = base if layout.model == "reaction" else joints
+    for term, own in zip(layout.terms, lead[bodies:], strict=True):
+        rows = rows + term_torque(layout.tree, term, *moved[1:])[..., None] * own
+    more, less = np.split(rows, 2)
     return np.asarray((more - less).transpose(1, 0, 2) / 2)

@@ -183,7 +183,7 @@ class Units:
                 ones=ones,
                 own=own,
                 further=further,
-                made=units[..., p : p + width],
+                made=units[..., p : p + width] * ones[..., None],
             )
 
     def products(

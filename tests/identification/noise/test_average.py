@@ -16,7 +16,8 @@ TRUTH = np.array([1.0, -2.0])
 
 
 def one(values: Array, spread: float) -> NoiseFit:
-    return NoiseFit(values, spread * np.eye(len(values)), NOISE)
+    covariance = spread * np.eye(len(values))
+    return NoiseFit(values, covariance, NOISE, NOISE, covariance)
 
 
 def recorded(seed: int, noise: Autoregression, bias: float, rows: int = 300) -> LaggedProducts:

@@ -22,7 +22,7 @@ def test_it_is_the_spread_of_estimates_from_replicas(seed: int) -> None:
     flat, moved = columns.reshape(-1, COUNT) * weights, made.reshape(-1, REPLICAS) * weights
     covariance = np.asarray(np.linalg.inv(flat.T @ flat), dtype=np.float64)
     noise = Autoregression(np.zeros((CHANNELS, 0)), sigma)
-    doubt = CountDoubt(NoiseFit(np.zeros(COUNT), covariance, noise), COUNT)
+    doubt = CountDoubt(NoiseFit(np.zeros(COUNT), covariance, noise, noise, covariance), COUNT)
     for part in (slice(0, 17), slice(17, ROWS)):
         doubt.add(columns[:, part], made[:, part])
     found, share = doubt.found()
@@ -33,7 +33,7 @@ def test_it_is_the_spread_of_estimates_from_replicas(seed: int) -> None:
 
 def test_without_counts_there_is_none() -> None:
     noise = Autoregression(np.zeros((1, 0)), np.ones(1))
-    doubt = CountDoubt(NoiseFit(np.zeros(2), np.eye(2), noise), 2)
+    doubt = CountDoubt(NoiseFit(np.zeros(2), np.eye(2), noise, noise, np.eye(2)), 2)
     doubt.add(np.ones((1, 9, 2)), np.zeros((1, 9, 0)))
     found, share = doubt.found()
     assert not found.any()
