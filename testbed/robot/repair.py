@@ -82,7 +82,7 @@ def repaired(
         parts.setdefault(link.carrier, []).append(link)
     for name in given or ():
         if name not in parts:
-            raise UnknownName("link that is fixed to no other", name, parts)
+            raise UnknownName("link to repair", name, parts)
     bodies = {name: _lump(named[name], own) for name, own in parts.items()}
     bodies |= given or {}
     judged = {name for name, own in parts.items() if any(part.name in suspects for part in own)}
