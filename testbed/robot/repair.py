@@ -176,8 +176,8 @@ def _notes(slight: Sequence[str], grave: Sequence[str]) -> Iterator[str]:
         yield f"the inertia of {_listed(slight)} is corrected within rounding"
     if grave:
         yield (
-            f"no body has the mass and inertia that the model file gives {_listed(grave)}; the "
-            "nearest that one can have are taken"
+            f"no body has the inertia that the model file gives {_listed(grave)}; the nearest that "
+            "can be is taken"
         )
 
 

@@ -17,7 +17,7 @@ from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
-MODEL = ("--model", str(TX40 / "tx40.urdf"), "--accept-inertia")
+MODEL = ("--model", str(TX40 / "tx40.urdf"))
 RATE = 5000.0
 SLOW = np.array([0.05009095, 0.05009095, 0.07504916, 0.0715585, 0.05585054, 0.12217305])
 """Joint speeds below which the source leaves rows out [rad/s]."""
