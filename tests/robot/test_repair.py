@@ -18,6 +18,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.robot.repair import THINNEST
 from testbed.robot.rotations import from_rpy
 from testbed.simulation.build import build_plant
+from tests.helpers.paths import REAL
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_robot, random_states
 
@@ -288,3 +289,12 @@ def test_a_robot_without_a_name_is_called_after_its_file(tmp_path: Path) -> None
     tree = tb.load_tree(path)
     assert tree.name == "r"
     build_plant(ModelFile(path), tree, 1e-3)
+
+
+@pytest.mark.parametrize("name", ["xarm7", "kinova"])
+def test_formulas_of_robots_with_rounded_angles_hold_no_rounding(name: str) -> None:
+    """No parameter is a combination with a millionth of another."""
+    tree = tb.load_tree(next(REAL.rglob(f"{name}.urdf")))
+    for model in ("dynamic", "reaction"):
+        matrix = tb.minimal_set(tree, model).matrix
+        assert np.abs(matrix[matrix != 0]).min() > 1e-5
