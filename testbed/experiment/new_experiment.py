@@ -69,7 +69,7 @@ def new_experiment(
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = _read(model, None if not strict else {})
+    found = _read(model, {} if strict else None)
     tree = found.tree
     for line in _repairs(found.repair):
         say(line)
@@ -158,15 +158,18 @@ def _robot(found: _Reading) -> list[str]:
         lines += ["", "[robot.joint]  # ASSUMED friction: the model file has none for these"]
         lines += [_friction(tree.joints[j], load[j], calm[j]) for j in bare]
     if found.repair.bodies:
-        lines += ["", "[robot.repair]  # in place of bodies that cannot be: the nearest that can"]
+        lines += [
+            "",
+            "[robot.repair]  # ASSUMED: the nearest bodies to those that cannot be; kg, m, kg m^2",
+        ]
         lines += [_body(name, body) for name, body in found.repair.bodies.items()]
     return lines
 
 
 def _body(name: str, body: Inertia) -> str:
-    said = BodyTable.of(body).model_dump()
-    values = ", ".join(f"{key} = {value!r}" for key, value in said.items())
-    return f"{_key(name)} = {{ {values} }}".replace("(", "[").replace(")", "]")
+    said = BodyTable.of(body)
+    lists = f"centre = {_list(said.centre)}, inertia = {_list(said.inertia)}"
+    return f"{_key(name)} = {{ mass = {said.mass!r}, {lists} }}"
 
 
 def _repairs(repair: Repair) -> Iterator[str]:

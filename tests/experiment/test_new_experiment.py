@@ -141,6 +141,18 @@ def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path)
         new_experiment(path, tmp_path, strict=True)
 
 
+def test_repaired_links_may_have_any_name(tmp_path: Path) -> None:
+    name = 'l (1) = "a.b"'
+    (
+        tmp_path / "odd.xml"
+    ).write_text(f"""<mujoco><worldbody><body name='{name.replace('"', "&quot;")}'>
+      <joint axis="0 1 0"/><inertial mass="1" pos=".1 0 0" diaginertia="1 1 9"/></body>
+      </worldbody></mujoco>""")
+    experiment = written(tmp_path / "odd.xml", tmp_path)
+    assert list(experiment.robot.repair) == [name]
+    assert robot_of(experiment).inertias[0].mass == 1.0
+
+
 def test_a_robot_without_mass_is_no_experiment(tmp_path: Path) -> None:
     text = '<robot><link name="a"/><link name="b"/><joint name="j" type="continuous">'
     path = tmp_path / "r.urdf"
