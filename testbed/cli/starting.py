@@ -24,11 +24,16 @@ def new(
         typer.Option(help="Instead: a logger's file; writes a mapping for testbed import."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Refuse bodies that cannot be instead of repairing them."),
+    ] = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
-    Limits and counts are the model file's; what it does not say is assumed, and marked. With
-    --recording, a mapping that turns somebody's log into a recording.
+    Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
+    no matter can make are repaired ([robot.repair]). With --recording, a mapping that turns
+    somebody's log into a recording.
 
     Example: testbed new models/puma562.xml
     """
@@ -41,7 +46,7 @@ def new(
     path = out or Path(f"{source.stem}.toml")
     if path.exists():
         raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
-    text = _experiment(source, path.parent) if robot else _mapping(source, path.parent)
+    text = _experiment(source, path.parent, strict) if robot else _mapping(source, path.parent)
     from testbed.files import replacing
 
     with replacing(path) as fresh:
@@ -52,10 +57,10 @@ def new(
     typer.echo(f"{path}: {further}")
 
 
-def _experiment(model: Path, folder: Path) -> str:
+def _experiment(model: Path, folder: Path, strict: bool) -> str:
     from testbed.experiment.new_experiment import new_experiment
 
-    return new_experiment(model, folder)
+    return new_experiment(model, folder, strict=strict, say=typer.echo)
 
 
 def _mapping(file: Path, folder: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,13 +13,16 @@ import tomli_w
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
-from testbed.errors import FreeRootError, MimicError
+from testbed.errors import FreeRootError, MimicError, ModelError
 from testbed.excitation.limits import CALM, Limits, limits_of
 from testbed.experiment.experiment import run_name
+from testbed.experiment.experiment_tables import BodyTable
 from testbed.parameters.minimal_set import minimal_set
-from testbed.robot.load import mimic_joints
+from testbed.robot.inertia import Inertia
+from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
+from testbed.robot.repair import NAMED, Bodies, Repair
 from testbed.robot.tree import Joint, Tree
 
 POSTURES = 200
@@ -42,9 +45,16 @@ class _Reading:
     weld_root: bool
     lock_mimic: bool
     lock: Mapping[str, float]
+    repair: Repair
 
 
-def new_experiment(model: Path, folder: Path) -> str:
+def new_experiment(
+    model: Path,
+    folder: Path,
+    *,
+    strict: bool = False,
+    say: Callable[[str], None] = lambda line: None,
+) -> str:
     """The text of an experiment file that runs as it is.
 
     What the model file does not say is assumed, and marked so.
@@ -53,23 +63,27 @@ def new_experiment(model: Path, folder: Path) -> str:
         model: MJCF or URDF. A floating root is welded, joints that follow others are held, and
             grippers with them.
         folder: Where the file will be.
+        strict: Refuse bodies that cannot be instead of taking the nearest that can.
+        say: Called with a line for what was repaired.
 
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = _read(model)
+    found = _read(model, {} if strict else None)
     tree = found.tree
+    for line in _repairs(found.repair):
+        say(line)
     lines = [*_head(model, folder, found), *_robot(found), *_motion(tree), *_instrument(tree)]
     return "\n".join([*lines, *_claims(tree), ""])
 
 
-def _read(model: Path) -> _Reading:
+def _read(model: Path, repair: Bodies | None) -> _Reading:
     """Read the file; weld its root and hold what follows others if that is what it takes."""
     weld, masters = False, set[str]()
     while True:
         try:
             held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld_root=weld, lock=held).tree()
+            tree = ModelFile(model, weld, repair, held).tree()
             break
         except FreeRootError:
             if weld:
@@ -81,8 +95,13 @@ def _read(model: Path) -> _Reading:
             masters = set(error.masters.values())
     lock = _grippers(tree, masters)
     if lock:
-        tree = ModelFile(model, weld_root=weld, lock=held | lock).tree()
-    return _Reading(tree, weld, bool(masters), lock)
+        tree = ModelFile(model, weld, repair, held | lock).tree()
+    if not any(inertia.mass for inertia in tree.inertias):
+        raise ModelError(
+            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
+        )
+    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
+    return _Reading(tree, weld, bool(masters), lock, nearest)
 
 
 def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
@@ -138,7 +157,27 @@ def _robot(found: _Reading) -> list[str]:
         load = _load(tree, calm)
         lines += ["", "[robot.joint]  # ASSUMED friction: the model file has none for these"]
         lines += [_friction(tree.joints[j], load[j], calm[j]) for j in bare]
+    if found.repair.bodies:
+        lines += [
+            "",
+            "[robot.repair]  # ASSUMED: the nearest bodies to those that cannot be; kg, m, kg m^2",
+        ]
+        lines += [_body(name, body) for name, body in found.repair.bodies.items()]
     return lines
+
+
+def _body(name: str, body: Inertia) -> str:
+    said = BodyTable.of(body)
+    lists = f"centre = {_list(said.centre)}, inertia = {_list(said.inertia)}"
+    return f"{_key(name)} = {{ mass = {said.mass!r}, {lists} }}"
+
+
+def _repairs(repair: Repair) -> Iterator[str]:
+    """What was repaired: the first few, and how many."""
+    yield from repair.notes
+    yield from (f"  {flaw}" for flaw in repair.flaws[:NAMED])
+    if len(repair.flaws) > NAMED:
+        yield f"  and {len(repair.flaws) - NAMED} more"
 
 
 def _friction(joint: Joint, load: float, speed: float) -> str:
