@@ -18,6 +18,7 @@ from testbed.cli.consistent_files import (
 )
 from testbed.cli.options import (
     Accept,
+    Everything,
     Gravity,
     Json,
     Lock,
@@ -68,6 +69,7 @@ def identify(
     in_place: InPlace = False,
     unchecked: Unchecked = False,
     threads: Threads = None,
+    everything: Everything = False,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from recordings, by bedplate and by torques.
@@ -82,7 +84,6 @@ def identify(
     """
     from testbed.experiment.consistent_results import consistent_as_json
     from testbed.experiment.results import identified_as_json
-    from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
@@ -121,8 +122,8 @@ def identify(
             content["consistent"] = consistent_as_json(bodies)
         output.print_json(content)
     else:
-        warnings += warnings_between(estimates)
-        terminal.print_estimates(estimates, [*tree.warnings, *warnings], bodies)
+        said = [*tree.warnings, *warnings]
+        terminal.print_estimates(estimates, said, bodies, everything=everything)
         if write is not None:
             output.print_lines([f"model file: {write}"], ())
 
