@@ -148,6 +148,7 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:
             "state the pedestal's static wrench, or leave the tare out to take the model's",
             code="tare",
             method="external",
+            alone=True,
         )
 
 
@@ -179,6 +180,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
             "check the signs and units of wrench and tare",
             code="negative-mass",
             method="external",
+            alone=True,
         )
     elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SURE * sigma:
         yield Finding(
@@ -189,6 +191,7 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
             "weigh the robot at rest",
             code="other-mass",
             method="external",
+            alone=True,
         )
 
 

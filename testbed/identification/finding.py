@@ -15,9 +15,12 @@ LISTED = 6
 ALIKE = 2
 """Most findings of one kind that are told in one line with their cause."""
 
+GROSS = "residual"
+"""Code of the symptom that small faults do not have."""
+
 SYMPTOMS: Mapping[str, str] = {
     "negative-friction": "negative friction",
-    "residual": "large residuals",
+    GROSS: "large residuals",
     "no-rigid-bodies": "parameters that no rigid bodies have",
     "repetition": "residuals that repeat with the motion",
     "systematic-error": "errors beyond sigma",
@@ -39,7 +42,8 @@ class Finding:
         remedy: What to do.
         code: Its kind, such as "torque-constant".
         method: Whose estimate it spoils; "" for that of plate and torques alike.
-        support: Sigmas that speak for it; infinite where no noise could be the reason.
+        support: Sigmas that speak for it; infinite where it is no matter of noise, and gross.
+        alone: Whether it is the cause of no symptoms.
     """
 
     subject: str
@@ -50,10 +54,13 @@ class Finding:
     code: str = ""
     method: str = ""
     support: float = np.inf
+    alone: bool = False
 
     def explains(self, other: Finding) -> bool:
         """Whether another finding may be no more than a symptom of this one."""
-        return other.code in SYMPTOMS and self.method in ("", other.method)
+        if other.code not in SYMPTOMS or self.alone or self.method not in ("", other.method):
+            return False
+        return other.code != GROSS or np.isinf(self.support)
 
     @property
     def text(self) -> str:
@@ -78,13 +85,12 @@ def folded(findings: Iterable[Finding]) -> list[str]:
     Args:
         findings: Of one recording, by one method or by both.
     """
-    every, rank = list(dict.fromkeys(findings)), list(SYMPTOMS)
-    causes = sorted((f for f in every if f.code not in SYMPTOMS), key=lambda f: -f.support)
-    symptoms = sorted((f for f in every if f.code in SYMPTOMS), key=lambda f: rank.index(f.code))
+    rank = {code: k for k, code in enumerate(SYMPTOMS, start=1)}
+    every = sorted(dict.fromkeys(findings), key=lambda f: (rank.get(f.code, 0), -f.support))
     leaders: list[Finding] = []
     alike: dict[tuple[tuple[str, ...], str], list[Finding]] = {}
     under: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
-    for each in (*causes, *symptoms):
+    for each in every:
         leader = next((one for one in leaders if one.explains(each)), each)
         key, own = (leader.causes, leader.remedy), (each.causes, each.remedy)
         if key == own:
@@ -93,7 +99,7 @@ def folded(findings: Iterable[Finding]) -> list[str]:
         else:
             under.setdefault(key, {})[SYMPTOMS[each.code]] = None
     lines = []
-    for key, group in alike.items():
+    for key, group in sorted(alike.items(), key=lambda item: -item[1][0].support):
         also = ", ".join(under.get(key, ()))
         lines.append(_line(group, ALIKE) + (f"; this explains {also}" if also else ""))
     return lines

@@ -95,6 +95,7 @@ def _encoders(tree: Tree, position: Array) -> Iterator[Finding]:
                 ("the joint did not move", f"a unit other than {unit}"),
                 "move the joint: its parameters cannot be told otherwise",
                 code="joint-at-rest",
+                alone=True,
             )
 
 

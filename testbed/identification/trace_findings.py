@@ -33,6 +33,9 @@ UNTESTED = ("elastic joints or structure", "cables or hoses")
 OF_ENCODERS = (JOINT_ZEROS, ENCODER_GAINS, ENCODER_DELAYS, ECCENTRICITY, SAMPLING)
 """Faults that spoil what torques tell as well."""
 
+TINY = float(np.finfo(float).tiny)
+"""Least chance that has a number of sigmas."""
+
 LEVEL = "a bedplate that is not level"
 LIKE_TILT = {"crosstalk", "gains", "pose"}
 """Kinds whose traces weight that leans resembles."""
@@ -66,7 +69,7 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
         best.nuisance.remedy,
         code=f"fault-{best.nuisance.kind}",
         method="" if best.nuisance in OF_ENCODERS else "external",
-        support=float(-special.ndtri(best.chance / 2)),
+        support=float(-special.ndtri(max(best.chance / 2, TINY))),
     )
 
 
