@@ -180,11 +180,12 @@ def _parameters(rows: Sequence[Mapping[str, Any]]) -> Iterator[ParameterErrors]:
 
 
 def _numbers(row: Mapping[str, Any], method: str) -> Iterator[tuple[Any, ...]]:
-    """Name, truth, value, sigma and relative error of every parameter."""
+    """Name, truth, value, sigma and relative error of every parameter that was identifiable."""
     if row[f"{method}/names"] is None:
         return iter(())
     kinds = ("names", "truth", "values", "sigma", "relative_error")
-    return zip(*(row[f"{method}/{kind}"] for kind in kinds), strict=True)
+    every = zip(*(row[f"{method}/{kind}"] for kind in kinds), strict=True)
+    return (numbers for numbers in every if math.isfinite(numbers[3]))
 
 
 def _errors(cell: int, method: str, name: str, numbers: Array) -> ParameterErrors:

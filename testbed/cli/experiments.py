@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import (
+    Everything,
     ExperimentFile,
     Json,
     Set,
@@ -34,6 +35,7 @@ def run(
     live: Annotated[
         bool, typer.Option("--live", help="Show it in an open viewer: rerun --bind 127.0.0.1")
     ] = False,
+    everything: Everything = False,
     as_json: Json = False,
 ) -> None:
     """Carry out an experiment: simulate, identify, compare with the model file.
@@ -81,7 +83,7 @@ def run(
     if as_json:
         output.print_json(result(done) | {"folder": str(folder)})
     elif done.estimates:
-        terminal.print_run(done, folder)
+        terminal.print_run(done, folder, everything=everything)
     if not done.estimates:
         reasons = "; ".join(f"{method}: {said}" for method, said in done.failures.items())
         raise RecordingError(f"the recording is kept in '{folder}', but no estimate: {reasons}")

@@ -17,6 +17,7 @@ from testbed.cli.consistent_files import (
     Writing,
 )
 from testbed.cli.options import (
+    Everything,
     Gravity,
     Json,
     Lock,
@@ -66,6 +67,7 @@ def identify(
     in_place: InPlace = False,
     unchecked: Unchecked = False,
     threads: Threads = None,
+    everything: Everything = False,
     as_json: Json = False,
 ) -> None:
     """Identify the minimal parameters from recordings, by bedplate and by torques.
@@ -80,7 +82,6 @@ def identify(
     """
     from testbed.experiment.consistent_results import consistent_as_json
     from testbed.experiment.results import identified_as_json
-    from testbed.identification.cross_check import warnings_between
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
@@ -119,8 +120,8 @@ def identify(
             content["consistent"] = consistent_as_json(bodies)
         output.print_json(content)
     else:
-        warnings += warnings_between(estimates)
-        terminal.print_estimates(estimates, [*tree.warnings, *warnings], bodies)
+        said = [*tree.warnings, *warnings]
+        terminal.print_estimates(estimates, said, bodies, everything=everything)
         if write is not None:
             output.print_lines([f"model file: {write}"], ())
 

@@ -83,6 +83,9 @@ def _options(
 
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+Everything = Annotated[
+    bool, typer.Option("--all", help="Print all parameters and warnings, and how well data fit.")
+]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as motion.duration=20."),

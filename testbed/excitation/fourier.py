@@ -82,6 +82,13 @@ class Fourier:
         offset = rest + share * (self.offset - rest)
         return Fourier(self.fundamental, offset, share * self.sine, share * self.cosine)
 
+    def rephased(self, rng: np.random.Generator) -> Fourier:
+        """Another motion with the same amplitudes: over a period every rms is the same."""
+        turn = rng.uniform(0, 2 * np.pi, self.sine.shape)
+        sine = self.sine * np.cos(turn) - self.cosine * np.sin(turn)
+        cosine = self.sine * np.sin(turn) + self.cosine * np.cos(turn)
+        return Fourier(self.fundamental, self.offset, sine, cosine)
+
 
 def terms(fundamental: float, harmonics: int, t: Array, order: int = 0) -> Array:
     """What a derivative has of each coefficient at times t, (M, 2 harmonics + 1).

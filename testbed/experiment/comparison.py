@@ -22,7 +22,6 @@ from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.experiment.varied_tables import VariedTables
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import in_lines
 from testbed.identification.passes import Progress
 from testbed.instruments.chain import measured_again
 from testbed.toml_text import checked, read_toml
@@ -208,12 +207,7 @@ def said_in_short(estimates: Iterable[Estimate]) -> Iterator[str]:
     """
     found = list(estimates)
     causes = [finding.causes[0] for each in found for finding in each.findings]
-    others = [
-        line.partition(":")[0].partition(" (")[0]
-        for each in found
-        for line in each.warnings
-        if line not in in_lines(each.findings)
-    ]
+    others = [line.partition(":")[0].partition(" (")[0] for each in found for line in each.notes]
     yield from dict.fromkeys([*causes, *others])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from testbed.excitation.collision_model import Obstacle, collision_model
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import Limits, limits_of
-from testbed.excitation.proof import Proof, Rules, prove
+from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.random_motion import best_motion
 from testbed.experiment.evaluate import model_of, robot_of, with_nearest_bodies
 from testbed.experiment.experiment import Experiment
@@ -33,6 +34,12 @@ QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 
 FAST = 10
 """Samples of the fastest harmonic that a controller needs."""
+
+NEARLY_AS_FAST = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Of the speed of a motion, tried one after the other for another one."""
+
+OTHERS = 20
+"""Motions tried at each of them."""
 
 HANGS = 0.1
 """Part of a robot's reach by which its joints may lie below its floor."""
@@ -52,7 +59,7 @@ def motion_of(experiment: Experiment, tree: Tree, like: Rules | None = None) -> 
     """
     table = experiment.motion
     if table.file:
-        return _of_file(experiment, tree)
+        return _of_file(experiment, tree, like)
     rules = rules_of(experiment, tree, designed=False, like=like)
     zeros = experiment.identification.zeros
     motion, _ = best_motion(
@@ -67,13 +74,36 @@ def motion_of(experiment: Experiment, tree: Tree, like: Rules | None = None) -> 
     return motion
 
 
+def another_motion(experiment: Experiment, tree: Tree) -> Fourier:
+    """A motion about as fast as the one that an experiment runs, and as safe.
+
+    The same amplitudes with other phases: over a period rms velocities and accelerations of every
+    joint are those of that one, or a share of them, at least a half, where limits ask for it.
+
+    Args:
+        experiment: Names a motion file, or how random motions are drawn.
+        tree: Its robot.
+
+    Raises:
+        InfeasibleMotion: None that is half as fast respects all limits.
+    """
+    rules = rules_of(experiment, tree, designed=bool(experiment.motion.file))
+    first = motion_of(experiment, tree, rules)
+    rng = np.random.default_rng(experiment.seed)
+    for share, _ in product(NEARLY_AS_FAST, range(OTHERS)):
+        motion = first.rephased(rng).scaled(share, first.offset)
+        if seems_to_hold(motion, rules) and prove(motion, rules).holds:
+            return motion
+    raise InfeasibleMotion("no other motion that is half as fast as it respects all limits")
+
+
 def plate_noise_of(experiment: Experiment) -> Array:
     """Standard deviation of the plate's channels, (6,) [N, N m]; of a quiet one if it has none."""
     noise = experiment.measurement.plate_noise
     return noise if noise.all() else QUIET_PLATE
 
 
-def _of_file(experiment: Experiment, tree: Tree) -> Fourier:
+def _of_file(experiment: Experiment, tree: Tree, like: Rules | None) -> Fourier:
     """A file's motion, proven again: robot and limits may be others than it was made for."""
     path = Path(experiment.motion.file)
     motion = read_motion(path).motion_for(tree)
@@ -83,7 +113,7 @@ def _of_file(experiment: Experiment, tree: Tree) -> Fourier:
             f"{path}: a motion of up to {fastest:g} Hz is too fast for measurement.rate = {rate:g} "
             "Hz"
         )
-    proof = prove(motion, rules_of(experiment, tree, designed=True))
+    proof = prove(motion, rules_of(experiment, tree, designed=True, like=like))
     if not proof.holds:
         raise InfeasibleMotion(f"{path} does not suit this experiment: {proof.worst.words}")
     return motion

@@ -83,7 +83,10 @@ class Prepared:
 
 
 def prepare(
-    experiment: Experiment, forces: StepForces | None, plants: Plants | None = None
+    experiment: Experiment,
+    forces: StepForces | None,
+    plants: Plants | None = None,
+    motion: Fourier | None = None,
 ) -> Prepared:
     """Read the robot, choose the motion, build the plant.
 
@@ -91,6 +94,7 @@ def prepare(
         experiment: What to do.
         forces: On the joints, besides motors, the model's friction and effects.
         plants: Of other experiments: one that is the same is taken, a new one is put in.
+        motion: In place of the experiment's.
 
     Raises:
         TestbedError: It cannot be carried out as written.
@@ -98,7 +102,7 @@ def prepare(
     tree, sampling = robot_of(experiment), _sampling(experiment)
     simulation = experiment.simulation
     experiment.measurement.stages(tree.names)  # refuses what speaks of other joints before work
-    path = motion_of(experiment, tree)
+    path = motion or motion_of(experiment, tree)
     reference, begin, end, facts = _course(experiment, tree, path)
     known = {} if plants is None else plants
     words = _plant_words(experiment)

@@ -28,6 +28,7 @@ def result(run: Run) -> dict[str, Any]:
     experiment = run.experiment
     expect = {} if experiment is None else experiment.expect
     errors = {} if run.score is None else run.score.errors
+    accuracy = {} if run.score is None else run.score.accuracy
     return {
         "name": run.name,
         "claim": "" if experiment is None else experiment.claim,
@@ -37,6 +38,7 @@ def result(run: Run) -> dict[str, Any]:
         },
         "failures": dict(run.failures),
         "metrics": dict(run.metrics),
+        "accuracy": {method: asdict(found) for method, found in accuracy.items()},
         "expect": {k: b.model_dump(exclude_none=True) for k, b in expect.items()},
         "verdicts": run.verdicts,
         "as_expected": run.as_expected,
@@ -56,7 +58,8 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         "names": list(estimate.names),
         "units": list(estimate.units),
         "values": estimate.values.tolist(),
-        "sigma": estimate.sigma.tolist(),
+        "sigma": _finite(estimate.sigma),
+        "unidentifiable": list(estimate.unidentifiable),
         "covariance": estimate.covariance.tolist(),
         "gravity": estimate.gravity.tolist(),
         "count": len(estimate.base.names),

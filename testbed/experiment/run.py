@@ -12,12 +12,13 @@ from dataclasses import dataclass, field, replace
 from testbed.errors import RecordingError, TestbedError, UnseenParameters
 from testbed.experiment.drive_score import drive_metrics
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.run_warnings import warnings_of
+from testbed.experiment.run_warnings import findings_of_run, notes_of
 from testbed.experiment.score import Score, score
 from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.consistency import Consistent
 from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.finding import Finding, folded
 from testbed.identification.identify import identify, in_its_gravity
 from testbed.identification.passes import Progress
 from testbed.identification.plate_doubt import PlateDoubt
@@ -44,7 +45,8 @@ class Run:
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
-        warnings: What a careful reader should know, one line each.
+        warnings: What a careful reader should know, one line each; causes of findings first.
+        findings: What is wrong with the recording or its estimates.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
         drives: What the plate says of the drives; None where it was not asked.
@@ -64,6 +66,17 @@ class Run:
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
+    findings: tuple[Finding, ...] = ()
+
+    def finding(self, more: Iterable[Finding]) -> Run:
+        """The same with more findings: all are told anew, symptoms beside their causes.
+
+        Args:
+            more: The findings.
+        """
+        before, every = folded(self.findings), (*self.findings, *more)
+        notes = [line for line in self.warnings if line not in before]
+        return replace(self, findings=every, warnings=tuple(folded(every) + notes))
 
     @property
     def truths(self) -> dict[str, float]:
@@ -150,7 +163,7 @@ def assemble_run(
         friction = experiment.simulation.friction
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
-    warnings = warnings_of(tree, recording, estimates, failures, errors)
+    notes = notes_of(tree, recording, estimates, failures)
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         told = drive_metrics(tree, experiment, recording, drives)
@@ -165,9 +178,9 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        warnings=(*warnings, *more),
+        warnings=(*notes, *more),
         drives=drives,
-    )
+    ).finding(findings_of_run(estimates, errors))
 
 
 def _drives(

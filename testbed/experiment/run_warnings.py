@@ -1,4 +1,4 @@
-"""What a careful reader of a run should know, in words: one line each, like things together."""
+"""What a careful reader of a run should know: findings, and other things in words."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from testbed.experiment.score import Errors
-from testbed.identification.cross_check import warnings_between
+from testbed.identification.cross_check import findings_of
 from testbed.identification.estimate import Estimate, Method
+from testbed.identification.finding import Finding
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
@@ -21,9 +22,9 @@ MOST_PAIRS = 5
 FAR = 5.0
 """Errors in sigmas that noise does not make."""
 
-CAUSES: Mapping[Method, str] = {
-    "internal": "a wrong torque constant, friction of another law or an unmodelled rotor",
-    "external": "a plate that is turned, late or off in its scales, or encoders that are",
+CAUSES: Mapping[Method, tuple[str, ...]] = {
+    "internal": ("a wrong torque constant", "friction of another law", "an unmodelled rotor"),
+    "external": ("a plate that is turned, late or off in its scales", "encoders that are"),
 }
 """Of errors that sigma does not tell."""
 
@@ -31,29 +32,37 @@ EXACT = 1e-6
 """Relative error that is of no matter, however small sigma is."""
 
 
-def warnings_of(
+def findings_of_run(
+    estimates: Mapping[Method, Estimate], errors: Mapping[Method, Errors]
+) -> tuple[Finding, ...]:
+    """What is wrong with a recording or its estimates.
+
+    Args:
+        estimates: By method.
+        errors: Of the estimates, where the truth is known.
+    """
+    judged = [each for m in errors for each in systematic_errors(estimates[m], errors[m])]
+    return (*findings_of(estimates.values()), *judged)
+
+
+def notes_of(
     tree: Tree,
     recording: Recording,
     estimates: Mapping[Method, Estimate],
     failures: Mapping[Method, str],
-    errors: Mapping[Method, Errors],
 ) -> tuple[str, ...]:
-    """Of the model, the recording and the estimates, none twice.
+    """What else to know of the model, the recording and the estimates, a line each, none twice.
 
     Args:
         tree: The robot.
         recording: What was measured.
         estimates: By method.
         failures: Why a method has no estimate.
-        errors: Of the estimates, where the truth is known.
     """
-    lines = [*tree.warnings, *recording.facts.get("warnings", ())]
-    lines += [f"no {method} estimate: {reason}" for method, reason in failures.items()]
-    for method, estimate in estimates.items():
-        lines += [*estimate.warnings, *close_pairs(estimate)]
-        if method in errors:
-            lines += systematic_errors(estimate, errors[method])
-    lines += warnings_between(estimates.values())
+    lines = [f"no {method} estimate: {reason}" for method, reason in failures.items()]
+    lines += [*tree.warnings, *recording.facts.get("warnings", ())]
+    for estimate in estimates.values():
+        lines += [*estimate.notes, *close_pairs(estimate)]
     return tuple(dict.fromkeys(lines))
 
 
@@ -80,7 +89,7 @@ def close_pairs(estimate: Estimate) -> Iterator[str]:
     )
 
 
-def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[str]:
+def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Finding]:
     """Errors that no sigma explains.
 
     Args:
@@ -97,8 +106,13 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[str]:
     worst = int(far.argmax())
     others = int(off.sum()) - 1
     more = f" and of {others} more parameter{'s' * (others > 1)}" if others else ""
-    yield (
-        f"the {estimate.method} estimate of {estimate.names[worst]}{more} is off by more than "
-        f"{FAR:g} sigma (up to {far[worst]:.0f}): its errors are systematic, such as "
-        f"{CAUSES[estimate.method]}, and sigma does not tell them"
+    yield Finding(
+        f"the {estimate.method} estimate of {estimate.names[worst]}{more}",
+        f"is off by more than {FAR:g} sigma (up to {far[worst]:.0f}): its errors are systematic, "
+        "and sigma does not tell them",
+        float(far[worst]),
+        CAUSES[estimate.method],
+        "look at what the instrument was given (`testbed faults`)",
+        code="systematic-error",
+        method=estimate.method,
     )

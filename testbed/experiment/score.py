@@ -9,6 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
+from testbed.experiment.accuracy import Accuracy, accuracies
 from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
@@ -39,7 +40,8 @@ class Errors:
             of the largest true value of the same unit if that is more; of a joint's term,
             abs(truth), or what makes 10 % of the joint's rms torque.
         relative: Errors over their scales, (p,).
-        z: (estimate - truth) / sigma, (p,).
+        z: (estimate - truth) / sigma, (p,); this and `relative` are not numbers where a value is
+            not identifiable.
     """
 
     names: tuple[str, ...]
@@ -57,10 +59,12 @@ class Score:
         errors: By method: of delta_r, and of delta_d with friction.
         metrics: What `[expect]` can bound, by name (docs/experiments.md). Those of a method
             without estimate, and those for which the robot has no scale, are absent.
+        accuracy: By method, in a few numbers.
     """
 
     errors: Mapping[Method, Errors]
     metrics: Mapping[str, float]
+    accuracy: Mapping[Method, Accuracy]
 
     @property
     def truths(self) -> dict[str, float]:
@@ -116,7 +120,8 @@ def score(
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
     if ours is not None and theirs is not None:
         metrics["internal_to_external"] = ours / max(theirs, np.finfo(float).tiny)
-    return Score(errors, {name: value for name, value in metrics.items() if value is not None})
+    told = {name: value for name, value in metrics.items() if value is not None}
+    return Score(errors, told, accuracies(tree, estimates, zeros, motion))
 
 
 def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
@@ -157,6 +162,7 @@ def _errors(estimate: Estimate, truth: Array, motion: Motion, torque: Array | No
     base, count = estimate.base, estimate.minimal.count
     scales = [_usual(truth[:count], base.units), *_of_terms(estimate, truth, motion, torque)]
     scale = np.concatenate(scales)
+    error[np.isinf(sigma)] = np.nan
     return Errors(estimate.names, truth, scale, error / scale, error / sigma)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from testbed.excitation.fourier import Fourier
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.prepare import Plants, Prepared, prepare
 from testbed.experiment.versions import versions
@@ -28,6 +29,7 @@ def simulate(
     watch: Watch = lambda time, truth: None,
     forces: StepForces | None = None,
     installed: int | None = None,
+    motion: Fourier | None = None,
 ) -> Recording:
     """Simulate an experiment's robot on its bedplate and measure it.
 
@@ -37,8 +39,9 @@ def simulate(
         watch: Called with what happens while it is simulated, a second or so at a time.
         forces: On the joints, besides motors and the model's friction, asked before every step.
         installed: Seed of what chance decides once of the instrument; default the experiment's.
+        motion: In place of the experiment's.
     """
-    ready = prepare(experiment, forces)
+    ready = prepare(experiment, forces, motion=motion)
     asked = ready.end, ready.sampling, progress, watch, ready.forces
     (happened,) = simulate_motions([ready.task], *asked)
     if isinstance(happened, SimulationDiverged):

@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.identification.estimate import METHODS, Method
+from testbed.experiment.accuracy import share_of_signal
+from testbed.identification.estimate import Method
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from testbed.arrays import Array
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
-    from testbed.identification.validate import Validation
 
-_SOURCES = {"external": "the bedplate's reaction", "internal": "the joint torques"}
+BY: Mapping[Method, str] = {"external": "by the plate", "internal": "by the joint torques"}
+"""By whose estimate."""
+
+SIGNALS = {
+    "wrench": "the wrench is predicted",
+    "torque": "the joint torques without friction",
+}
+"""Of an `Accuracy`."""
+
+SOURCES: Mapping[Method, str] = {
+    "external": "the bedplate's reaction",
+    "internal": "the joint torques",
+}
+"""What it is made from."""
 
 
 def summary(run: Run) -> list[str]:
@@ -25,50 +41,102 @@ def summary(run: Run) -> list[str]:
     """
     if not run.estimates:
         return [headline(run), *_cautions(run)]
-    told = [*_accuracy(run), *validation_lines(run.validation), *_cautions(run)]
-    return [headline(run), _found(run), *told]
+    return [headline(run), *accuracy_lines(run), _found(run), *_cautions(run)]
 
 
-def headline(run: Run) -> str:
-    """The one sentence: how well plate and torques know the robot.
+def accuracy_lines(run: Run) -> list[str]:
+    """Errors of the parameters, and what is left of another motion's signals, a sentence each.
 
     Args:
         run: The run.
     """
-    shares = {
-        method: run.metrics.get(f"{method}_rms_relative_error")
-        for method in METHODS
-        if method in run.estimates
-    }
-    known = {method: share for method, share in shares.items() if share is not None}
-    if not shares:
+    return [*_parameters(run), *_measured(run)]
+
+
+def headline(run: Run) -> str:
+    """The one sentence: how well plate and torques predict what the robot does.
+
+    Args:
+        run: The run.
+    """
+    if not run.estimates:
         return f"From {_data(run)} no estimate could be made."
-    if not known:
-        told = "; ".join(_own_words(run.estimates[method]) for method in shares)
-        return f"{told.replace('; The', '; the')}."
-    if len(known) == 1:
-        ((method, share),) = known.items()
-        count = len(run.estimates[method].base.names)
-        which = f"{count} parameters" if method == "internal" else "what joint torques could tell"
-        return f"{_subject(method)} {which} to {percent(share)}."
-    count = len(run.estimates["internal"].base.names)
-    return (
-        f"The bedplate gives the {count} parameters that both tell to "
-        f"{percent(known['external'])}, the joint torques to {percent(known['internal'])}."
-    )
+    if run.score is None:
+        return residual_line(run.estimates.values())
+    told = []
+    for name in ("wrench", "torque"):
+        shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
+        by = [f"to {percent(x)} {BY[m]}" for m, x in shares.items() if x is not None]
+        told += [f"{SIGNALS[name]} {' and '.join(by)}"] if by else []
+    if not told:
+        return f"From {_data(run)} nothing can be predicted: the robot makes no force."
+    where = "another motion as fast" if run.validation else "the motion that was identified"
+    return f"On {where}, rms errors in parts of the signal's rms: {'; '.join(told)}{assumed(run)}."
 
 
-def _subject(method: Method) -> str:
-    return "The bedplate gives" if method == "external" else "The joint torques give"
+def assumed(run: Run) -> str:
+    """What the experiment assumes of the torque constants; "" if nothing."""
+    table = {} if run.experiment is None else run.experiment.measurement.torque_constant_error
+    sizes = sorted({abs(error) for error in table.values() if error})
+    if not sizes or "internal" not in run.estimates:
+        return ""
+    least, most = (f"{100 * size:.3g}" for size in (sizes[0], sizes[-1]))
+    return f" (torque constants assumed {least if least == most else f'{least} to {most}'} % off)"
 
 
-def _own_words(estimate: Estimate) -> str:
-    """What an estimate says of its own accuracy; the truth is not known."""
-    base = estimate.base
-    told = np.abs(base.values) > 0
-    shares = base.sigma[told] / np.abs(base.values[told])
-    half = f", half of them to {percent(float(np.median(shares)))} or better" if told.any() else ""
-    return f"{_subject(estimate.method)} {len(base.names)} parameters{half}"
+def _parameters(run: Run) -> list[str]:
+    """Median error and largest error over sigma of the minimal parameters, by method."""
+    if run.score is None:
+        return []
+    told = []
+    for method, estimate in run.estimates.items():
+        errors = run.score.errors[method]
+        relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
+        middle, most = _of_numbers(np.median, relative), _of_numbers(np.max, z)
+        parts = [] if middle is None else [f"median error {percent(middle)}"]
+        parts += [] if most is None else [f"largest {most:.3g} sigma"]
+        if parts:
+            told.append(f"{estimate.minimal.count} {BY[method]}, {', '.join(parts)}")
+    return [f"Parameters: {'; '.join(told)}."] if told else []
+
+
+def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None:
+    there = values[np.isfinite(values)]
+    return float(function(there)) if there.size else None
+
+
+def residual_line(estimates: Iterable[Estimate]) -> str:
+    """How much of the signals estimates leave, and how well they say they know; truth is not known.
+
+    Args:
+        estimates: Of one recording.
+    """
+    told = []
+    for e in estimates:
+        own = e.normal_equations
+        rest = e.residual * np.sqrt(own.used)
+        left = share_of_signal(rest, np.sqrt(own.squares), e.channel_units) or 0.0
+        known = np.isfinite(e.base.sigma) & (np.abs(e.base.values) > 0)
+        shares = e.base.sigma[known] / np.abs(e.base.values[known])
+        half = f", half of its {len(known)} parameters known to {percent(float(np.median(shares)))}"
+        signal = "the wrench" if e.method == "external" else "the joint torques"
+        told.append(f"{percent(left)} of {signal}{half if known.any() else ''}")
+    return f"Residuals, in parts of the signal's rms: {'; '.join(told)}."
+
+
+def _measured(run: Run) -> list[str]:
+    """What is left of another motion's signals, noise among it, a sentence for all; or nothing."""
+    told = []
+    for method, found in run.validation.items():
+        rows = np.sqrt(np.array(found.rows, dtype=float))
+        signal, left, allowed = (
+            np.nan_to_num(rows * x) for x in (found.signal, found.residual, found.allowed)
+        )
+        share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
+        if share is not None and usual is not None:
+            what = "wrench" if method == "external" else "joint torques"
+            told.append(f"{percent(share)} of the {what} (noise and sigma allow {percent(usual)})")
+    return [f"Residuals measured there: {', '.join(told)}."] if told else []
 
 
 def _data(run: Run) -> str:
@@ -82,49 +150,9 @@ def _found(run: Run) -> str:
     for method, estimate in run.estimates.items():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
         more = f" and {terms} coefficients of the joints" if terms else ""
-        told.append(f"{_SOURCES[method]} tell {count} inertial parameters{more}")
+        told.append(f"{SOURCES[method]} tell {count} inertial parameters{more}")
     told[0] = told[0].replace("reaction tell", "reaction tells")
     return f"From {_data(run)}, {', '.join(told)}."
-
-
-def _accuracy(run: Run) -> list[str]:
-    """Errors where the truth is known, else how well the estimates explain the data."""
-    metrics = run.metrics
-    sigmas = [
-        f"{method} {metrics[f'{method}_max_z']:.3g}"
-        for method in METHODS
-        if f"{method}_max_z" in metrics
-    ]
-    return [f"Largest error in sigmas: {', '.join(sigmas)}."] if sigmas else _fit(run)
-
-
-def validation_lines(validation: Mapping[Method, Validation]) -> list[str]:
-    """How well estimates foretell another motion, a sentence for all; none without.
-
-    Args:
-        validation: By method.
-    """
-    told = []
-    for method, found in validation.items():
-        ratio = np.where(found.matters, found.ratio, np.nan)
-        if not np.isnan(ratio).all():
-            worst = int(np.nanargmax(ratio))
-            told.append(f"{method} {ratio[worst]:.3g} ({found.channels[worst]})")
-    if not told:
-        return []
-    return [
-        "On a motion that no estimate has seen, the largest residual over what noise and sigma "
-        f"allow: {', '.join(told)}."
-    ]
-
-
-def _fit(run: Run) -> list[str]:
-    worst = [
-        f"{method} {percent(float(e.relative_residual.max()))} "
-        f"({e.channels[int(e.relative_residual.argmax())]})"
-        for method, e in run.estimates.items()
-    ]
-    return [f"Largest residual, as part of its channel: {', '.join(worst)}."] if worst else []
 
 
 def verdict(run: Run) -> str:

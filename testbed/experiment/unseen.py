@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from testbed.errors import TestbedError
+from testbed.experiment.accuracy import accuracies
+from testbed.experiment.evaluate import robot_of
+from testbed.experiment.motions import another_motion
 from testbed.experiment.run import Run
+from testbed.experiment.score import Score
+from testbed.experiment.shown_motion import shown_motion
 from testbed.experiment.simulate import simulate
 from testbed.identification.passes import Progress
 from testbed.identification.validate import validate
@@ -38,7 +43,7 @@ def on_unseen_motion(
 
 
 def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording | None:
-    """The same robot and instrument along another motion, with other noise.
+    """The same robot and instrument along another motion as fast, with other noise.
 
     Args:
         run: The run.
@@ -55,9 +60,10 @@ def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording
         return None
     asked = experiment.motion
     duration = min(max(UNSEEN, 1.0 / asked.fundamental), asked.duration)
-    motion = asked.model_copy(update={"duration": duration, "candidates": 1, "file": ""})
-    other = experiment.model_copy(update={"motion": motion, "seed": experiment.seed + 1})
-    return simulate(other, progress, installed=experiment.seed)
+    shorter = asked.model_copy(update={"duration": duration})
+    other = experiment.model_copy(update={"motion": shorter, "seed": experiment.seed + 1})
+    motion = another_motion(experiment, robot_of(experiment))
+    return simulate(other, progress, installed=experiment.seed, motion=motion)
 
 
 def validated(run: Run, recording: Recording) -> Run:
@@ -74,9 +80,18 @@ def validated(run: Run, recording: Recording) -> Run:
         }
     except TestbedError as error:
         return _warned(run, f"not validated on another motion: {error}")
-    lines = [line for validation in found.values() for line in validation.warnings]
-    return _warned(replace(run, validation=found), *lines)
+    findings = [each for validation in found.values() for each in validation.findings]
+    return replace(run, validation=found, score=_judged(run, recording)).finding(findings)
 
 
-def _warned(run: Run, *lines: str) -> Run:
-    return replace(run, warnings=tuple(dict.fromkeys((*run.warnings, *lines))))
+def _judged(run: Run, recording: Recording) -> Score | None:
+    """The run's score, its predictions being of this motion."""
+    if run.score is None:
+        return None
+    motion, _ = shown_motion(recording, run.settings)
+    told = accuracies(run.tree, run.estimates, run.settings.zeros, motion)
+    return replace(run.score, accuracy=told)
+
+
+def _warned(run: Run, line: str) -> Run:
+    return replace(run, warnings=(*run.warnings, line))

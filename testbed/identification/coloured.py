@@ -108,7 +108,7 @@ def under_coloured_noise(
     covariance += _by_facts(units, given.every, directions, found.noise, step)
     noise = replace(
         _found_noise(passes, answer, factor, back, bias),
-        hidden=_large(answer.hidden[:, :m] @ units.lead[:p].T, names),
+        hidden=_large(answer.hidden[:, :m] @ units.lead.T, names),
         drowned=_drowned(answer.alone, units.lead[:p], names),
         least_counts=encoders.least_counts,
         by_counts=share,
@@ -246,10 +246,10 @@ def _in_channels(units: Units, directions: Array) -> Array:
 
 
 def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Unknowns with a large part in one of k combinations, (k, p)."""
+    """The first unknowns, by name, with a large part in one of k combinations, (k, p + s)."""
     size = np.abs(part)
     large = size > LARGE * size.max(axis=1, keepdims=True, initial=0.0)
-    return tuple(n for n, seen in zip(names, large.any(axis=0), strict=True) if seen)
+    return tuple(n for n, seen in zip(names, large.any(axis=0), strict=False) if seen)
 
 
 def _drowned(found: Undiluted | None, lead: Array, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.finding import Finding, in_lines
+from testbed.identification.finding import Finding
 from testbed.parameters.minimal_set import selection
 from testbed.robot.shafts import shares
 
@@ -32,6 +32,9 @@ CLEAR = 10.0
 
 KNOWN = 0.05
 """Relative error up to which the foretold torque is known well enough."""
+
+TINY = float(np.finfo(float).tiny)
+"""Against division by nothing."""
 
 APART = 1e-3
 """Part of the foretold torque, in power, that a rotor, friction or an offset cannot replace."""
@@ -91,16 +94,17 @@ def cross_check(external: Estimate, internal: Estimate) -> tuple[Finding, ...]:
     return tuple(found)
 
 
-def warnings_between(estimates: Iterable[Estimate]) -> list[str]:
-    """What two estimates of one recording say against each other, a line each; else nothing.
+def findings_of(estimates: Iterable[Estimate]) -> list[Finding]:
+    """What estimates of one recording say of it, each alone and against each other.
 
     Args:
-        estimates: Of one recording, by both methods or by one.
+        estimates: By both methods or by one.
     """
     by_method = {estimate.method: estimate for estimate in estimates}
-    if len(by_method) < len(METHODS):
-        return []
-    return in_lines(cross_check(by_method["external"], by_method["internal"]))
+    found = [each for estimate in by_method.values() for each in estimate.findings]
+    if len(by_method) == len(METHODS):
+        found += cross_check(by_method["external"], by_method["internal"])
+    return found
 
 
 def _finding(joint: str, factor: float) -> Finding:
@@ -112,6 +116,7 @@ def _finding(joint: str, factor: float) -> Finding:
         factor,
         (*sign, *unit, "torques on the motor's side of the gear", "exchanged joints or channels"),
         "trust neither estimate before they agree",
+        code="torque-scale",
     )
 
 
@@ -121,8 +126,11 @@ def _off(joint: str, factor: Factor) -> Finding:
         f"is {factor.value:.3f} times what the bedplate's estimate foretells",
         factor.value,
         ("a torque constant that is off", "friction that is not among the terms", "late torques"),
-        "the estimate from torques is off by as much, and its sigma does not say so: take the "
-        "bedplate's, and let it find the constants: --set 'identification.drives=\"given\"'",
+        "take the bedplate's estimate, and let it find the constants: --set "
+        "'identification.drives=\"given\"'",
+        code="torque-constant",
+        method="internal",
+        support=abs(factor.value - 1) / max(factor.sigma, TINY),
     )
 
 

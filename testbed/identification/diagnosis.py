@@ -124,7 +124,7 @@ def quality_warnings(estimate: Estimate) -> list[str]:
         for name, unit, value, sigma in zip(
             base.names, base.units, base.values, base.sigma, strict=True
         )
-        if sigma > SIGNIFICANT * abs(value) and sigma > SMALL * largest[unit]
+        if sigma > SIGNIFICANT * abs(value) and SMALL * largest[unit] < sigma < np.inf
     ]
     if loose:
         warnings.append(f"the {estimate.method} estimate leaves poorly determined: {few(loose)}")
@@ -146,6 +146,9 @@ def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:
             gap,
             (*causes, "another pedestal or gravity than the model's"),
             "state the pedestal's static wrench, or leave the tare out to take the model's",
+            code="tare",
+            method="external",
+            alone=True,
         )
 
 
@@ -175,6 +178,9 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
             mass,
             causes if reversed_tare or not tare.any() else (causes[1], causes[0], *causes[2:]),
             "check the signs and units of wrench and tare",
+            code="negative-mass",
+            method="external",
+            alone=True,
         )
     elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SURE * sigma:
         yield Finding(
@@ -183,6 +189,9 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
             mass - carried,
             ("wrong gravity", "a drift of the plate", "exchanged channels"),
             "weigh the robot at rest",
+            code="other-mass",
+            method="external",
+            alone=True,
         )
 
 
@@ -204,6 +213,8 @@ def _friction(estimate: Estimate) -> Iterator[Finding]:
                 term.value,
                 ("the sign of the joint's torque or encoder", "exchanged joints", "late torques"),
                 "check each torque against its joint's velocity",
+                code="negative-friction",
+                method="internal",
             )
 
 
@@ -220,6 +231,9 @@ def _late(estimate: Estimate) -> Iterator[Finding]:
         found.delay,
         (late if found.z > 0 else early, *UNTIMELY),
         "record torques and encoders by one clock, and look at the drives' filters",
+        code="late-torques",
+        method="internal",
+        support=abs(found.z),
     )
 
 
@@ -239,6 +253,8 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:
                 float(share),
                 _causes(estimate, c),
                 "plot it beside its prediction (`testbed view`)",
+                code="residual",
+                method=estimate.method,
             )
 
 
@@ -286,4 +302,6 @@ def _impossible(estimate: Estimate) -> Iterator[Finding]:
         found.distance,
         ("the sign of a channel or encoder", *OTHER_CAUSES[estimate.method]),
         "check signs, units and order of the channels",
+        code="no-rigid-bodies",
+        method=estimate.method,
     )

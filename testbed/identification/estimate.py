@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from typing import Any, Literal
@@ -13,7 +13,7 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.errors import TestbedError
 from testbed.identification.estimate_text import Words
-from testbed.identification.finding import Finding
+from testbed.identification.finding import Finding, folded
 from testbed.identification.held_out import TermChoice
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
@@ -145,8 +145,9 @@ class Estimate:
         names: The minimal parameters; then, for the internal method, the joints' own terms.
         units: One each.
         values: (p,).
-        sigma: Standard deviations, (p,), correlation of residuals counted.
-        covariance: (p, p).
+        sigma: Standard deviations, (p,), correlation of residuals counted; infinite for those
+            that are `unidentifiable`.
+        covariance: (p, p); of those that are `unidentifiable`, as if the plate's zero were right.
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         channels: The measured channels.
         channel_units: One each, N or N m.
@@ -167,6 +168,8 @@ class Estimate:
         nuisance_covariance: Of the instrument's numbers, (s, s).
         nuisance_cross: Of the parameters with them, (p, s).
         choice: How held-out data chose the joints' terms, where they did.
+        unidentifiable: Names of parameters that no motion tells from the plate's zero, which is
+            not known here. Their values hold together with that zero only.
     """
 
     method: Method
@@ -194,6 +197,7 @@ class Estimate:
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     nuisance_cross: Array = field(default_factory=lambda: np.zeros((0, 0)))
     choice: TermChoice | None = None
+    unidentifiable: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         p, c = len(self.names), len(self.channels)
@@ -205,10 +209,26 @@ class Estimate:
         for name, shape in shapes.items():
             object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
 
+    def without(self, unidentifiable: Sequence[str]) -> Estimate:
+        """The same, some of the parameters said to be not identifiable.
+
+        Args:
+            unidentifiable: Their names.
+        """
+        unknown = [name in unidentifiable for name in self.names]
+        sigma = np.where(unknown, np.inf, self.sigma)
+        return replace(self, sigma=sigma, unidentifiable=tuple(unidentifiable))
+
     @property
     def doubtful(self) -> bool:
         """Whether the data show that something is wrong: sigma is then of no use."""
         return bool(self.findings)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The warnings that are no findings."""
+        told = folded(self.findings)
+        return tuple(line for line in self.warnings if line not in told)
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
@@ -274,7 +294,7 @@ class Estimate:
         return self.words.html()
 
     def to_dict(self) -> dict[str, dict[str, float | str]]:
-        """Value, sigma and unit by name."""
+        """Value, sigma and unit by name; sigma is infinite where a value is not identifiable."""
         numbers = zip(self.values.tolist(), self.sigma.tolist(), self.units, strict=True)
         return {
             name: {"value": value, "sigma": sigma, "unit": unit}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from html import escape
 
@@ -10,6 +11,10 @@ EXACT, EXACT_SHORT = 1e-7, 1e-10
 
 ROUNDING = 1e-15
 """Relative sigma of what is known: numbers of the computer have no more digits."""
+
+NOT_IDENTIFIABLE = "not identifiable"
+OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
+"""In place of a number whose sigma is infinite: no motion tells it from the plate's zero."""
 
 NOTHING = 1e-15
 """Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
@@ -20,9 +25,11 @@ def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
 
     Args:
         value: The value.
-        sigma: Its standard deviation.
+        sigma: Its standard deviation; infinite where the value is not identifiable.
         short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
     """
+    if math.isinf(sigma):
+        return NOT_IDENTIFIABLE if short else OPEN_ZERO
     if max(abs(value), sigma) < NOTHING:
         return "0"
     if sigma <= ROUNDING * abs(value):

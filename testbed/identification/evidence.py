@@ -26,6 +26,9 @@ FINEST = 1e-7
 """Sigmas below this part of a parameter are rounding: they are taken to be that large."""
 
 
+UNKNOWN = 10.0
+"""Sigmas, in parts of themselves, of parameters that are not identifiable."""
+
 ROUNDING = 1e-14
 """Part of the greatest eigenvalue of a covariance below zero that is no sign of a wrong one."""
 
@@ -99,7 +102,9 @@ def evidence(tree: Tree, estimate: Estimate, terms: tuple[JointTerm, ...]) -> Ev
         found[:, place] = rows[:, 10 * tree.n :]
         return found
 
-    finest = (FINEST * sizes(estimate.values, estimate.units)) ** 2
+    size = sizes(estimate.values, estimate.units)
+    unknown = [name in estimate.unidentifiable for name in estimate.names]
+    finest = (np.where(unknown, UNKNOWN, FINEST) * size) ** 2
     white = inverse_root(estimate.covariance + np.diag(finest)).T
     return Evidence(estimate, on_x(own), white, on_x(zero))
 

@@ -30,7 +30,7 @@ from testbed.identification.estimate import (
     channel_units,
     channels_of,
 )
-from testbed.identification.finding import in_lines
+from testbed.identification.finding import folded
 from testbed.identification.instrument import (
     Side,
     Start,
@@ -41,6 +41,7 @@ from testbed.identification.instrument import (
     side,
     trace_tests,
 )
+from testbed.identification.noise_warnings import zero_unknown
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
@@ -140,8 +141,10 @@ def identify(
         told = _with_instrument(plain, rows, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
         wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += in_lines(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
-    return drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
+    warnings += folded(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
+    made = drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
+    open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
+    return made.without([name for name in made.names if name in open_zero])
 
 
 def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:

@@ -24,7 +24,7 @@ from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.corrected import Corrected
 from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest, in_order
 from testbed.identification.nuisances.foretold import row_filter
-from testbed.identification.nuisances.offsets import SLOPE
+from testbed.identification.nuisances.offsets import BIAS, SLOPE, TARE
 from testbed.identification.nuisances.structure import Imitated, still_open, told_apart
 from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.passes import Passes
@@ -85,6 +85,12 @@ class Side:
     trends: Unknowns
     stated: Facts
     taken: frozenset[str] = frozenset()
+
+    @property
+    def beside_zero(self) -> tuple[str, ...]:
+        """What changes with constants of the plate that were asked for and cannot be told."""
+        kinds = (BIAS.kind, TARE.kind)
+        return tuple(n for i in self.imitated if i.name.partition("/")[0] in kinds for n in i.by)
 
     def beside(self, plan: Plan, values: Array, numbers: Array, tests: bool = True) -> Beside:
         """Columns to first order around an estimate.

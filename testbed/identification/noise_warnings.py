@@ -9,6 +9,9 @@ from testbed.identification.noise.found_noise import FoundNoise
 SMALL_CHANCE = 1e-3
 """Probability below which what is found is not taken for chance."""
 
+CURE = "not identifiable, unless the total mass is known (--set identification.known.mass=20)"
+"""Of a parameter that no motion tells from the plate's zero."""
+
 DRIFT = 0.5
 """Part of a recording over which the noise of a channel holds on, and is a drift."""
 
@@ -33,8 +36,7 @@ def noise_warnings(estimate: Estimate) -> list[str]:
         if sigma > 0 and abs(value) > 2 * sigma
     )
     hidden = (
-        f"; {', '.join(noise.hidden)} cannot be told from a constant, and sigma holds for it only "
-        "if there is none"
+        f"; {', '.join(noise.hidden)} cannot be told from a constant: {CURE}"
         if noise.hidden
         else ""
     )
@@ -45,21 +47,32 @@ def noise_warnings(estimate: Estimate) -> list[str]:
     ]
 
 
+def zero_unknown(noise: FoundNoise | None) -> tuple[str, ...]:
+    """Parameters that no motion tells from the plate's zero, where that is off or drifts.
+
+    Args:
+        noise: What the residuals are found to be like.
+    """
+    if noise is None:
+        return ()
+    known = noise.bias_chance > SMALL_CHANCE and not any(_slow(noise))
+    return () if known else noise.hidden
+
+
+def _slow(noise: FoundNoise) -> list[bool]:
+    """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
+    return [memory > DRIFT * noise.span for memory in noise.memory]
+
+
 def _drifting(estimate: Estimate, noise: FoundNoise) -> list[str]:
-    """Channels that wander so slowly that what rests on their constants rests on nothing."""
-    if not noise.hidden:
-        return []
-    slow = [
-        f"{channel} ({memory:.2g} s)"
-        for channel, memory in zip(estimate.channels, noise.memory, strict=True)
-        if memory > DRIFT * noise.span
-    ]
-    if not slow:
+    """Channels that wander as slowly as the recording lasts."""
+    channels = zip(estimate.channels, noise.memory, _slow(noise), strict=True)
+    slow = [f"{channel} ({memory:.2g} s)" for channel, memory, wanders in channels if wanders]
+    if not slow or not noise.hidden:
         return []
     return [
         f"the plate's zero drifts: what is left of {', '.join(slow)} wanders as slowly as the "
-        f"recording lasts; {', '.join(noise.hidden)} cannot be told from a constant, and sigma "
-        "does not hold for it"
+        f"recording lasts; {', '.join(noise.hidden)} cannot be told from a constant: {CURE}"
     ]
 
 

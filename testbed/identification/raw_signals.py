@@ -65,6 +65,8 @@ def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Finding]:
             share,
             ("samples lost on the way and filled with the last", "a device slower than the others"),
             "record at the slowest device's rate, and look for losses on the bus",
+            code="repeated-samples",
+            method=estimate.method,
         )
 
 
@@ -83,6 +85,7 @@ def _encoders(tree: Tree, position: Array) -> Iterator[Finding]:
                 max(least - low, high - greatest),
                 _encoder_causes(joint, low, high),
                 "convert the positions, or correct the range in the model file",
+                code="encoder-range",
             )
         elif high - low < STILL[joint.kind]:
             yield Finding(
@@ -91,6 +94,8 @@ def _encoders(tree: Tree, position: Array) -> Iterator[Finding]:
                 high - low,
                 ("the joint did not move", f"a unit other than {unit}"),
                 "move the joint: its parameters cannot be told otherwise",
+                code="joint-at-rest",
+                alone=True,
             )
 
 
@@ -124,6 +129,8 @@ def _channels(estimate: Estimate, measured: Array) -> Iterator[Finding]:
                     float(values[0]),
                     ("it is not connected", "a column that was filled in"),
                     "record it, or weigh it with 0 (`fit`)",
+                    code="constant-channel",
+                    method=estimate.method,
                 )
             continue
         share, end = max((_piled(values, float(e)), float(e)) for e in (values.max(), values.min()))
@@ -134,6 +141,8 @@ def _channels(estimate: Estimate, measured: Array) -> Iterator[Finding]:
                 share,
                 ("the sensor or its amplifier is saturated", "the drive is at its limit"),
                 "measure with a wider range, or move less",
+                code="saturation",
+                method=estimate.method,
             )
 
 
@@ -161,4 +170,6 @@ def _efforts(tree: Tree, torque: Array) -> Iterator[Finding]:
                 if joint.revolute
                 else ("the force of another joint", "raw units of the drive"),
                 "convert the torques, or correct the effort in the model file",
+                code="effort",
+                method="internal",
             )

@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy import special
 
 from testbed.identification.estimate import Estimate
 from testbed.identification.finding import Finding
+from testbed.identification.nuisances.encoder_errors import (
+    ECCENTRICITY,
+    ENCODER_DELAYS,
+    ENCODER_GAINS,
+    JOINT_ZEROS,
+    SAMPLING,
+)
 
 FALSE_ALARMS = 1e-6
 """Nominal probability of a word about a recording without any fault, all its tests together. It is
@@ -21,6 +29,12 @@ NAMED = 3
 """Most causes, and most numbers of a cause, that are named."""
 
 UNTESTED = ("elastic joints or structure", "cables or hoses")
+
+OF_ENCODERS = (JOINT_ZEROS, ENCODER_GAINS, ENCODER_DELAYS, ECCENTRICITY, SAMPLING)
+"""Faults that spoil what torques tell as well."""
+
+TINY = float(np.finfo(float).tiny)
+"""Least chance that has a number of sigmas."""
 
 LEVEL = "a bedplate that is not level"
 LIKE_TILT = {"crosstalk", "gains", "pose"}
@@ -53,6 +67,9 @@ def trace_findings(estimate: Estimate) -> Iterator[Finding]:
         best.shift,
         (*named, *leaning, LACKING),
         best.nuisance.remedy,
+        code=f"fault-{best.nuisance.kind}",
+        method="" if best.nuisance in OF_ENCODERS else "external",
+        support=float(-special.ndtri(max(best.chance / 2, TINY))),
     )
 
 
@@ -81,6 +98,8 @@ def _repetition(estimate: Estimate) -> Iterator[Finding]:
         share,
         (*first, *UNTESTED, "errors of the encoders", LACKING),
         "plot them beside the joints' motion (`testbed view`)",
+        code="repetition",
+        method="external",
     )
 
 

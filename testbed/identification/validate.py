@@ -217,6 +217,8 @@ def _findings(found: Validation) -> Iterator[Finding]:
             float(ratio),
             causes,
             remedy,
+            code="prediction",
+            method=found.method,
         )
 
 

@@ -9,6 +9,8 @@ from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.identification.estimate import Estimate
+from testbed.identification.estimate_text import OPEN_ZERO
+from testbed.identification.influence import by_influence
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
@@ -102,18 +104,14 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
 
 
 def parameter_rows(run: Run) -> list[dict[str, Any]]:
-    """Every parameter by every method: what joint torques tell, what only the plate, friction.
+    """Every parameter by every method: first what adds most to the predicted signals.
 
     Args:
         run: The run.
     """
-    internal = run.estimates.get("internal")
     units = {n: u for e in run.estimates.values() for n, u in zip(e.names, e.units, strict=True)}
-    first = () if internal is None else internal.base.names
-    external = run.estimates.get("external")
-    second = () if external is None else external.names
     rows, short = [], _in_brackets(run)
-    for name in dict.fromkeys((*first, *second, *units)):
+    for name in by_influence(run.estimates.values(), run.truths):
         truth = run.truths.get(name)
         rows.append(
             {
@@ -128,7 +126,12 @@ def parameter_rows(run: Run) -> list[dict[str, Any]]:
 
 def _in_brackets(run: Run) -> bool:
     """Whether values would be too long for a page with their sigmas after a sign."""
-    every = (with_sigma(e, name) for e in run.estimates.values() for name in e.names)
+    every = (
+        with_sigma(e, name)
+        for e in run.estimates.values()
+        for name in e.names
+        if name not in e.unidentifiable
+    )
     return any(len(text.replace("+-", "±")) > LONGEST for text in every)
 
 
@@ -144,6 +147,8 @@ def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> di
     if name not in estimate.names:
         return cell
     k = estimate.names.index(name)
+    if name in estimate.unidentifiable:
+        return cell | {"text": OPEN_ZERO}
     value, sigma = float(estimate.values[k]), float(estimate.sigma[k])
     cell |= {"value": value, "sigma": sigma}
     if truth is not None:

@@ -18,6 +18,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.estimate_text import ROUNDING
+from testbed.identification.influence import by_influence
 from testbed.reporting.figures import (
     COLOURS,
     FAINT,
@@ -30,7 +31,7 @@ from testbed.reporting.figures import (
 )
 
 MOST = 60
-"""Parameters drawn; of more, those that are furthest off."""
+"""Parameters drawn; of more, those that add most to the predicted signals."""
 
 SPLIT = 8
 """Parameters from which they stand in two panels."""
@@ -86,15 +87,15 @@ class ErrorDots:
 def error_dots(
     found: Mapping[Method, Estimate], judged: Mapping[Method, Errors] | None = None
 ) -> ErrorDots:
-    """What there is to draw of estimates, the parameter that is furthest off first of many.
+    """What there is to draw of estimates, first the parameter that adds most to the signals.
 
     Args:
         found: By method, of one robot.
         judged: Their errors, where the truth is known.
     """
     estimates = [found[m] for m in reversed(METHODS) if m in found]
-    bodies = (name for estimate in estimates for name in estimate.base.names)
-    names = tuple(dict.fromkeys((*bodies, *(n for e in estimates for n in e.names))))
+    truths = {} if judged is None else _truths(judged)
+    names = tuple(by_influence(estimates, truths)[:MOST])
     errors: dict[Method, Array] = {}
     sigmas: dict[Method, Array] = {}
     for method in METHODS:
@@ -106,11 +107,12 @@ def error_dots(
             continue
         errors[method] = _placed(names, estimate, np.abs(judged[method].relative))
         sigmas[method] = _placed(names, estimate, estimate.sigma / judged[method].scale)
-    dots = ErrorDots(names, errors, sigmas)
-    if len(names) <= MOST:
-        return dots
-    worst = np.nan_to_num(np.array(list(errors.values())), nan=-1.0).max(axis=0)
-    return dots.part(np.argsort(-worst, kind="stable")[:MOST])
+    return ErrorDots(names, errors, sigmas)
+
+
+def _truths(judged: Mapping[Method, Errors]) -> dict[str, float]:
+    every = (zip(e.names, e.truth.tolist(), strict=True) for e in judged.values())
+    return {name: value for pairs in every for name, value in pairs}
 
 
 def dots_of_run(run: Run) -> ErrorDots:
@@ -119,17 +121,18 @@ def dots_of_run(run: Run) -> ErrorDots:
 
 
 def _own_sigmas(estimate: Estimate) -> Array:
-    """Relative sigmas; not a number where a value is zero, or known."""
+    """Relative sigmas; not a number where a value is zero, known, or not identifiable."""
     size = np.abs(estimate.values)
-    told = (size > 0) & (estimate.sigma > ROUNDING * size)
+    told = (size > 0) & (estimate.sigma > ROUNDING * size) & np.isfinite(estimate.sigma)
     shares: Array = estimate.sigma / np.where(told, size, np.nan)
     return shares
 
 
 def _placed(names: Sequence[str], estimate: Estimate, values: Array) -> Array:
-    """An estimate's values by name, in percent; not a number where it has none."""
+    """An estimate's values by name, in percent; not a number where it has none, or no end."""
     place = dict(zip(estimate.names, 100 * values, strict=True))
-    return np.array([place.get(name, np.nan) for name in names])
+    there = np.array([place.get(name, np.nan) for name in names])
+    return np.where(np.isfinite(there), there, np.nan)
 
 
 def draw(
@@ -207,8 +210,8 @@ def dots_section(run: Run) -> dict[str, Any] | None:
     if not dots.names:
         return None
     judged = bool(dots.sigmas)
-    told = "furthest off" if judged else "least certain"
-    part = f" The {MOST} that are {told}." if len(dots.names) == MOST else ""
+    order = "What adds most to the predicted forces comes first"
+    part = f"{order}; these are the first {MOST}." if len(dots.names) == MOST else f"{order}."
     heads = [f"{'error' if judged else 'sigma'}, {method} [%]" for method in dots.errors]
     return {
         "id": "errors",
@@ -219,7 +222,7 @@ def dots_section(run: Run) -> dict[str, Any] | None:
         else "One standard deviation, as the estimate itself states it, as part of the value.",
         "legend": {method: LEGEND[method] for method in dots.errors},
         "panels": dot_panels(dots),
-        "caption": f"Logarithmic; further to the left is better.{part}",
+        "caption": f"Logarithmic; further to the left is better. {part}",
         "heads": ["parameter", *heads],
         "rows": [
             [name, *(_number(values[k]) for values in dots.errors.values())]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from rich.table import Table
 
 from testbed.errors import printable
 from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.influence import by_influence
 from testbed.reporting.widths import first_that_fits
 
 _NAME = 12
@@ -40,42 +42,50 @@ _LAYOUTS = (
 
 
 def result_tables(
-    console: Console, estimates: Sequence[Estimate], truths: Mapping[str, float], title: str = ""
+    console: Console,
+    estimates: Sequence[Estimate],
+    truths: Mapping[str, float],
+    title: str = "",
+    most: int | None = None,
 ) -> list[Table]:
     """What every method found: value and sigma, and, where it is known, the truth beside it.
 
-    First the parameters that both methods know, then what only the plate tells, then what
-    only the torques tell. The widest layout that fits is taken.
+    First what adds most to the predicted signals. The widest layout that fits is taken.
 
     Args:
         console: Where the tables are to be printed.
         estimates: Of one recording, one a method.
         truths: True values by name; {} where they are not known.
         title: Of the table.
+        most: Rows in all; None for all that there are.
     """
+    names = by_influence(estimates, truths)[:most]
 
     def laid_out(layout: _Layout) -> list[Table]:
         groups = [list(estimates)] if layout.together else [[e] for e in estimates]
         width = console.width if layout.folded else None
-        return [_table(group, truths, title, layout, width) for group in groups]
+        return [_table(group, names, truths, title, layout, width) for group in groups]
 
     return first_that_fits(console, map(laid_out, _LAYOUTS))
 
 
 def _table(
     estimates: Sequence[Estimate],
+    names: Sequence[str],
     truths: Mapping[str, float],
     title: str,
     layout: _Layout,
     width: int | None,
 ) -> Table:
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
     rows = {
         name: [
-            *([units] if layout.units else []),
+            *([units[name]] if layout.units else []),
             *([_number(truths.get(name))] if truths else []),
             *(cell for e in estimates for cell in _cells(e, name, truths, layout.short)),
         ]
-        for name, units in _units(estimates).items()
+        for name in names
+        if name in units
     }
     table = Table(
         title=printable(title) or None,
@@ -86,33 +96,15 @@ def _table(
     heads = ["unit"] * layout.units + ["truth"] * bool(truths)
     for estimate in estimates:
         heads += [estimate.method, *(["z" if layout.short else "error/sigma"] * bool(truths))]
-    taken = [max(len(h), *(len(r[k]) for r in rows.values())) for k, h in enumerate(heads)]
+    taken = [max(len(h), *(len(r[k]) for r in rows.values()), 0) for k, h in enumerate(heads)]
     room = None if width is None else max(_NAME, width - sum(taken) - 3 * len(taken) - 4)
     table.add_column("parameter", overflow="fold", max_width=room, no_wrap=room is None)
     for head in heads:
         style = "dim" if head == "unit" else ""
         table.add_column(head, justify="left" if style else "right", no_wrap=True, style=style)
-    ends = _sections(estimates)
     for name, cells in rows.items():
-        table.add_row(printable(name), *cells, end_section=name in ends)
+        table.add_row(printable(name), *cells)
     return table
-
-
-def _units(estimates: Sequence[Estimate]) -> dict[str, str]:
-    """Units by name, in the order of the rows: shared, the plate's, the torques'."""
-    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
-    order = [name for e in reversed(estimates) for name in e.base.names]
-    return {name: units[name] for name in dict.fromkeys((*order, *units))}
-
-
-def _sections(estimates: Sequence[Estimate]) -> set[str]:
-    """Names after which a line is drawn."""
-    base = [e.base.names for e in estimates]
-    shared = [name for name in base[-1] if name in base[0]]
-    ends = {shared[-1]} if shared else set()
-    every = list(_units(estimates))
-    last = max(every.index(name) for names in base for name in names)
-    return ends | {every[last]}
 
 
 def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
@@ -146,7 +138,8 @@ def _noise(estimate: Estimate) -> str:
     if noise is None:
         return ""
     constants = ", constants estimated" if noise.bias_weight > 0.5 else ""
-    rests = f", {', '.join(noise.hidden)} if its zero is right" if noise.hidden else ""
+    hidden = [name for name in noise.hidden if name not in estimate.unidentifiable]
+    rests = f", {', '.join(hidden)} if the plate's zero is right" if hidden else ""
     return (
         f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}"
         f"{rests}), "
@@ -164,6 +157,8 @@ def _cells(
         return value, ""
     k = estimate.names.index(name)
     sigma = float(estimate.sigma[k])
+    if math.isinf(sigma):
+        return value, ""
     z = (float(estimate.values[k]) - truths[name]) / sigma if sigma > 0 else 0.0
     return value, f"{z:+.1f}"
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 
 from testbed.errors import printable
-from testbed.experiment.summary import headline, validation_lines
+from testbed.experiment.summary import accuracy_lines, headline, residual_line
+from testbed.identification.cross_check import findings_of
+from testbed.identification.finding import folded
 from testbed.reporting.choice_table import choice_lines
 from testbed.reporting.consistent_table import consistent_lines, consistent_tables
 from testbed.reporting.drive_table import drive_lines, drive_tables
@@ -29,8 +31,16 @@ if TYPE_CHECKING:
     from testbed.identification.validate import Validation
 
 
+ROWS = 10
+"""Parameters that are shown where not all are asked for."""
+
+
 def print_estimates(
-    estimates: list[Estimate], warnings: Sequence[str], bodies: Consistent | None = None
+    estimates: list[Estimate],
+    warnings: Sequence[str],
+    bodies: Consistent | None = None,
+    *,
+    everything: bool = False,
 ) -> None:
     """Print what was found.
 
@@ -38,18 +48,49 @@ def print_estimates(
         estimates: Of one recording.
         warnings: About the robot and the recording.
         bodies: Consistent with the estimates, where they were asked for.
+        everything: Whether all parameters and warnings are printed.
     """
     out = console()
-    for table in result_tables(out, estimates, {}):
-        out.print(table)
-    for line in [*quality_lines(estimates), *choice_lines(estimates)]:
+    out.print(printable(residual_line(estimates)), soft_wrap=True)
+    said = dict.fromkeys([*folded(findings_of(estimates)), *warnings])
+    said |= dict.fromkeys(note for e in estimates for note in e.notes)
+    _print_cautions(out, list(said), everything=everything)
+    _print_parameters(out, estimates, {}, everything=everything)
+    lines = choice_lines(estimates)
+    for line in [*quality_lines(estimates), *lines] if everything else lines:
         out.print(line, soft_wrap=True)
     if bodies is not None:
         for table in consistent_tables(bodies):
             out.print(table)
         for line in consistent_lines(bodies):
             out.print(printable(line), soft_wrap=True)
-    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+
+
+def _print_cautions(out: Console, warnings: Sequence[str], *, everything: bool) -> None:
+    """The first warning, or all."""
+    print_warnings(out, warnings if everything else warnings[:1])
+    if not everything and len(warnings) > 1:
+        count = len(warnings) - 1
+        out.print(f"({count} more warning{'s' * (count > 1)}: --all)", soft_wrap=True)
+
+
+def _print_parameters(
+    out: Console,
+    estimates: Sequence[Estimate],
+    truths: Mapping[str, float],
+    title: str = "",
+    *,
+    everything: bool,
+) -> None:
+    """The parameters that add most to the predicted signals, or all."""
+    if not estimates:
+        return
+    most = None if everything else ROWS
+    for table in result_tables(out, estimates, truths, title, most):
+        out.print(table)
+    count = len({name for e in estimates for name in e.names}) - ROWS
+    if not everything and count > 0:
+        out.print(f"({count} more that add less to what is predicted: --all)", soft_wrap=True)
 
 
 def print_validations(validations: Sequence[Validation], warnings: Sequence[str]) -> None:
@@ -119,37 +160,39 @@ def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
     print_warnings(out, warnings)
 
 
-def print_run(run: Run, folder: Path) -> None:
+def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     """Print what came of an experiment.
 
     Args:
         run: What came of it.
         folder: Where it is kept.
+        everything: Whether all parameters, metrics and warnings are printed.
     """
     out = console()
     estimates = list(run.estimates.values())
-    for table in result_tables(out, estimates, run.truths, run.name) if estimates else ():
-        out.print(table)
-    for line in quality_lines(estimates):
-        out.print(line, soft_wrap=True)
+    for line in (headline(run), *accuracy_lines(run)):
+        out.print(printable(line), soft_wrap=True)
+    _print_verdict(out, run)
+    _print_cautions(out, run.warnings, everything=everything)
+    _print_parameters(out, estimates, run.truths, run.name, everything=everything)
+    if everything:
+        for line in quality_lines(estimates):
+            out.print(line, soft_wrap=True)
     if run.consistent is not None:
         for line in consistent_lines(run.consistent):
             out.print(printable(line), soft_wrap=True)
     if run.drives is not None:
         _print_drives(out, run.drives)
-    for line in validation_lines(run.validation):
-        out.print(printable(line), soft_wrap=True)
-    _print_metrics(out, run)
-    print_warnings(out, run.warnings)
-    out.print(printable(headline(run)), soft_wrap=True)
-    _print_verdict(out, run)
+    if everything:
+        expect = {} if run.experiment is None else run.experiment.expect
+        _print_metrics(out, run, dict.fromkeys((*run.metrics, *expect)))
     out.print(f"run folder: {folder}", soft_wrap=True)
 
 
-def _print_metrics(out: Console, run: Run) -> None:
-    """Every metric, and what was claimed of it."""
+def _print_metrics(out: Console, run: Run, names: Iterable[str]) -> None:
+    """Metrics, and what was claimed of them."""
     expect = {} if run.experiment is None else run.experiment.expect
-    for name in dict.fromkeys((*run.metrics, *expect)):
+    for name in names:
         value = f"{run.metrics[name]:9.3g}" if name in run.metrics else "     none"
         claim = ""
         if name in expect:
@@ -164,5 +207,6 @@ def _print_verdict(out: Console, run: Run) -> None:
     held, count = sum(run.verdicts.values()), len(run.experiment.expect)
     if run.experiment.claim:
         out.print(f"claim: {printable(run.experiment.claim)}")
-    verdict = "the claim holds" if held == count else "THE CLAIM FAILS"
-    out.print(f"verdict: {verdict} ({held} of {count} bounds)")
+    said = "the claim holds" if held == count else "THE CLAIM FAILS"
+    out.print(f"verdict: {said} ({held} of {count} bounds)")
+    _print_metrics(out, run, [name for name, holds in run.verdicts.items() if not holds])

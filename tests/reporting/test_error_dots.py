@@ -13,6 +13,7 @@ import testbed as tb
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import write_recorded, write_result
 from testbed.identification.estimate import METHODS
+from testbed.identification.influence import by_influence
 from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
 
 
@@ -68,12 +69,18 @@ def test_any_number_of_parameters_is_drawn_on_one_scale(count: int) -> None:
 
 
 @pytest.mark.slow
-def test_of_very_many_parameters_the_worst_are_drawn(puma_run: Run) -> None:
-    dots = dots_of_run(puma_run)
-    wide = replace(dots, names=tuple(f"{k}" for k in range(len(dots.names))))
-    worst = wide.part(np.array([2, 0]))
-    assert worst.names == ("2", "0")
-    assert worst.errors["external"][1] == dots.errors["external"][0]
+def test_what_adds_most_to_the_forces_is_drawn_first(puma_run: Run) -> None:
+    """However wrong the others are."""
+    names = dots_of_run(puma_run).names
+    assert names == tuple(by_influence(puma_run.estimates.values(), puma_run.truths))[:MOST]
+    assert puma_run.score is not None
+    errors = {
+        m: replace(e, relative=np.linspace(1e3, 1e9, len(e.names)))
+        for m, e in puma_run.score.errors.items()
+    }
+    assert (
+        dots_of_run(replace(puma_run, score=replace(puma_run.score, errors=errors))).names == names
+    )
 
 
 @pytest.mark.slow
