@@ -58,16 +58,18 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
+    from testbed.files import check_writable
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
+    check_writable(out)
     if guess:
         _guess(mapping, out)
         return
     if out is None:
-        raise typer.BadParameter("--out is missing: the recording to write (Parquet)")
+        raise typer.BadParameter("say where the recording goes, as --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines, warnings = [], []

@@ -41,9 +41,10 @@ def new(
     path = out or Path(f"{source.stem}.toml")
     if path.exists():
         raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
-    text = _experiment(source, path.parent) if robot else _mapping(source, path.parent)
-    from testbed.files import replacing
+    from testbed.files import check_writable, replacing
 
+    check_writable(path)
+    text = _experiment(source, path.parent) if robot else _mapping(source, path.parent)
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     further = (
