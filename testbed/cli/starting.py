@@ -28,15 +28,13 @@ def new(
     """Write an experiment file for a robot, commented and ready to run.
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. With
-    --recording, a mapping that turns somebody's log into a recording.
+    --recording, a mapping that turns somebody's log into a recording, of ROBOT if it is named.
 
     Example: testbed new models/puma562.xml
     """
-    if robot is not None and recording is not None:
-        raise typer.BadParameter("name a robot's model file or --recording FILE, not both")
     if robot is None and recording is None:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
-    source = robot or recording
+    source = recording or robot
     assert source is not None
     path = out or Path(f"{source.stem}.toml")
     if path.exists():
@@ -44,11 +42,13 @@ def new(
     from testbed.files import check_writable, replacing
 
     check_writable(path)
-    text = _experiment(source, path.parent) if robot else _mapping(source, path.parent)
+    text = (
+        _mapping(recording, robot, path.parent) if recording else _experiment(source, path.parent)
+    )
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     further = (
-        f"testbed run {path}" if robot else f"fill in what is empty, then testbed import {path}"
+        f"fill in what is empty, then testbed import {path}" if recording else f"testbed run {path}"
     )
     typer.echo(f"{path}: {further}")
 
@@ -59,10 +59,11 @@ def _experiment(model: Path, folder: Path) -> str:
     return new_experiment(model, folder)
 
 
-def _mapping(file: Path, folder: Path) -> str:
+def _mapping(file: Path, robot: Path | None, folder: Path) -> str:
+    from testbed.cli.reading import Reading
     from testbed.recordings.importing.guess import guessed
 
-    return guessed(file, folder)
+    return guessed([file], folder, Reading().tree(robot).names if robot else ())
 
 
 @app.command()
