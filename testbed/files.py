@@ -45,6 +45,34 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
             device, or the place may not be written to.
     """
     place = _place(path, folder)
+    with _nest_beside(place, path) as nest:
+        yield nest / "fresh"
+        _put(nest, place)
+
+
+def check_writable(*paths: Path | None, folder: bool = False) -> None:
+    """Whether `replacing` could write there: said before the work, not after it.
+
+    Args:
+        paths: What is to appear; None for nothing.
+        folder: Whether they are folders, else files.
+
+    Raises:
+        OSError: As `replacing`.
+    """
+    for path in paths:
+        if path is not None:
+            with _nest_beside(_place(path, folder), path):
+                pass
+
+
+@contextmanager
+def _nest_beside(place: Path, path: Path) -> Iterator[Path]:
+    """A nest beside a place, and the folders above it while there is something in them.
+
+    Raises:
+        OSError: It cannot be made there; in the words of `path`.
+    """
     made: list[Path] = []
     try:
         _make_folders(place.parent, made)
@@ -53,15 +81,11 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
     except OSError as error:
         _remove_empty(made)
         raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
-    done = False
     try:
-        yield nest / "fresh"
-        _put(nest, place)
-        done = True
+        yield nest
     finally:
         _remove(nest, lock)
-        if not done:
-            _remove_empty(made)
+        _remove_empty(made)
 
 
 def read_text(path: Path, most: int) -> str:
@@ -92,19 +116,34 @@ def _place(path: Path, folder: bool) -> Path:
     """Where to write: a link stays, what it points to is replaced."""
     try:
         place = path.resolve()
-        mode = place.stat().st_mode
     except FileNotFoundError:
-        return place
+        raise OSError(f"'{path}' cannot be written: the working folder was removed") from None
     except OSError as error:
         raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
     except (RuntimeError, ValueError) as error:  # links in a circle; a zero byte
         raise OSError(f"'{path}' cannot be written: {error}") from None
+    try:
+        mode = place.stat().st_mode
+    except FileNotFoundError:
+        return place
+    except OSError as error:  # a file among the folders above it; a name that is too long
+        raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
     if stat.S_ISDIR(mode) is not folder:
         kind = "folder" if stat.S_ISDIR(mode) else "file"
         raise OSError(f"'{path}' is a {kind}; choose another name")
+    if folder and _holds_us(place):  # we would be left in a folder that is none
+        raise OSError(f"'{path}' is the working folder or above it; choose another name")
     if not folder and not stat.S_ISREG(mode):
         raise OSError(f"'{path}' is a device or pipe, not a file; choose another name")
     return place
+
+
+def _holds_us(place: Path) -> bool:
+    """Whether a folder is the working folder or above it."""
+    try:
+        return Path.cwd().is_relative_to(place)
+    except FileNotFoundError:  # it was removed
+        return False
 
 
 def _make_folders(folder: Path, made: list[Path]) -> None:

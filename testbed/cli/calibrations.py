@@ -63,6 +63,7 @@ def calibrate(
     """
     from testbed.errors import SettingsError
     from testbed.experiment.plate_file import write_plate
+    from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
     from testbed.identification.calibration_by_payload import calibrate_by_payload
     from testbed.identification.known import parse_known
@@ -70,6 +71,7 @@ def calibrate(
     from testbed.reporting.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
+    check_writable(out)
     tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
         raise SettingsError("--joint says what carries the payload of --loaded: give both")

@@ -89,10 +89,12 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
     from testbed.campaign.campaign_summary import read_campaign, summarise
     from testbed.campaign.summary_files import changes, write_summary
+    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign_lines import print_changes, print_summary
     from testbed.reporting.campaign_page import write_campaign_page
 
+    check_writable(rrd)
     found = summarise(read_campaign(folder))
     out, place = output.console(), folder if folder.is_dir() else folder.parent
     if against is not None:

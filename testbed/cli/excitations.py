@@ -64,6 +64,7 @@ def excite(
     from testbed.experiment.motion_results import excitation_as_json
     from testbed.experiment.trajectory_file import check_ending, write_trajectory
     from testbed.experiment.write_motion import write_motion
+    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.motion_tables import print_excitation
 
@@ -72,6 +73,7 @@ def excite(
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings or [], as_json=as_json)
+    check_writable(out, trajectory, page)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:

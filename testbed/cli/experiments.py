@@ -63,10 +63,12 @@ def run(
         write_result,
     )
     from testbed.experiment.simulate import simulate as simulated
+    from testbed.files import check_writable
     from testbed.reporting import output, terminal
 
     experiment = Experiment.load(file, settings or ())
     folder = out or default_folder(experiment)
+    check_writable(folder, folder=True)
     check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
     with output.Progress("simulating") as progress:
@@ -129,8 +131,10 @@ def simulate(
     """
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
+    from testbed.files import check_writable
     from testbed.reporting import output
 
+    check_writable(out)
     experiment = Experiment.load(file, settings or ())
     with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress)

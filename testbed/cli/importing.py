@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -22,9 +23,9 @@ from testbed.cli.reading import Reading
 
 @app.command("import")
 def import_(
-    mapping: Annotated[
-        Path,
-        typer.Argument(metavar="MAPPING.toml", help="Mapping file; with --guess a foreign file."),
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="MAPPING.toml", help="Mapping file; with --guess foreign files."),
     ],
     out: Annotated[
         Path | None,
@@ -56,24 +57,29 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
+    from testbed.files import check_writable
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
+    check_writable(out)
+    reading = Reading(settings, False, weld_root, lock, lock_mimic)
+    tree = None if model is None else reading.tree(model)
     if guess:
-        _guess(mapping, out)
+        _guess(files, out, () if tree is None else tree.names)
         return
+    if len(files) > 1:
+        raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
+    (mapping,) = files
     if out is None:
-        raise typer.BadParameter("--out is missing: the recording to write (Parquet)")
+        raise typer.BadParameter("say where the recording goes, as --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines, warnings = [], []
-    if model is None:
+    if tree is None:
         made, cuts = pieces(mapping)
     else:
-        reading = Reading(settings, False, weld_root, lock, lock_mimic)
-        tree = reading.tree(model)
         made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
@@ -102,17 +108,17 @@ def _paths(out: Path, count: int) -> list[Path]:
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
 
 
-def _guess(file: Path, out: Path | None) -> None:
+def _guess(files: list[Path], out: Path | None, joints: Sequence[str]) -> None:
     """A mapping file to start from, on standard output or where it is wanted."""
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
 
     if out is None:
-        typer.echo(guessed(file, Path()), nl=False)
+        typer.echo(guessed(files, Path(), joints), nl=False)
         return
     if out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
-    text = guessed(file, out.parent)
+    text = guessed(files, out.parent, joints)
     with replacing(out) as fresh:
         fresh.write_text(text, encoding="utf-8")
     typer.echo(f"{out}: fill in what is empty")

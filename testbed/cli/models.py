@@ -171,7 +171,7 @@ def equations(
 
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
-    from testbed.files import fingerprint, replacing
+    from testbed.files import check_writable, fingerprint, replacing
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.budget import MAX_TERMS
     from testbed.symbolic.equations import equations as derived
@@ -180,6 +180,7 @@ def equations(
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
+    check_writable(out)
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
     known, most = _known(zeros, zero), max_terms or MAX_TERMS

@@ -70,16 +70,18 @@ def view(
     Example: testbed view recording.parquet --model robot.urdf
     """
     from testbed.experiment.growth import growth
+    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
+    log = save or _beside(runs[0], ".rrd")
+    check_writable(log)
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
-        path = save or _beside(runs[0], ".rrd")
-        warnings = _write_motion(runs[0], settings or [], path)
-        _show(path, warnings, serve, save is None, port)
+        warnings = _write_motion(runs[0], settings or [], log)
+        _show(log, warnings, serve, save is None, port)
         return
     _check_said(runs, model, reading)
     scenes = []
@@ -88,9 +90,8 @@ def view(
             progress(k, len(runs))
             run = _run_at(path, model, reading, unchecked=unchecked)
             scenes.append(scene_of(run, growth(run)))
-    path = save or _beside(runs[0], ".rrd")
-    write_rrd(scenes, path)
-    _show(path, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
+    write_rrd(scenes, log)
+    _show(log, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
 
 
 def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int) -> None:
@@ -159,12 +160,12 @@ def report(
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
     from testbed.experiment.carry_out import checked_elsewhere
+    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.html import write_report
 
     path = out or _beside(run, ".html")
-    if path.is_dir():
-        raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
+    check_writable(path, path.with_suffix(".json"))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     done = _run_at(run, model, reading, unchecked=unchecked)

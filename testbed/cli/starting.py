@@ -33,26 +33,29 @@ def new(
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
     no matter can make are repaired ([robot.repair]). With --recording, a mapping that turns
-    somebody's log into a recording.
+    somebody's log into a recording, of ROBOT if it is named.
 
     Example: testbed new models/puma562.xml
     """
-    if robot is not None and recording is not None:
-        raise typer.BadParameter("name a robot's model file or --recording FILE, not both")
     if robot is None and recording is None:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
-    source = robot or recording
+    source = recording or robot
     assert source is not None
     path = out or Path(f"{source.stem}.toml")
     if path.exists():
         raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
-    text = _experiment(source, path.parent, strict) if robot else _mapping(source, path.parent)
-    from testbed.files import replacing
+    from testbed.files import check_writable, replacing
 
+    check_writable(path)
+    text = (
+        _mapping(recording, robot, path.parent)
+        if recording
+        else _experiment(source, path.parent, strict)
+    )
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     further = (
-        f"testbed run {path}" if robot else f"fill in what is empty, then testbed import {path}"
+        f"fill in what is empty, then testbed import {path}" if recording else f"testbed run {path}"
     )
     typer.echo(f"{path}: {further}")
 
@@ -63,10 +66,11 @@ def _experiment(model: Path, folder: Path, strict: bool) -> str:
     return new_experiment(model, folder, strict=strict, say=typer.echo)
 
 
-def _mapping(file: Path, folder: Path) -> str:
+def _mapping(file: Path, robot: Path | None, folder: Path) -> str:
+    from testbed.cli.reading import Reading
     from testbed.recordings.importing.guess import guessed
 
-    return guessed(file, folder)
+    return guessed([file], folder, Reading().tree(robot).names if robot else ())
 
 
 @app.command()

@@ -47,8 +47,6 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
         ExperimentError: Something else is there.
     """
     if not folder.is_dir():
-        if folder.exists():
-            raise ExperimentError(f"'{folder}' is a file; name a folder with --out")
         return
     present = {p.name for p in folder.iterdir()}
     others = sorted(present - {EXPERIMENT, RECORDING, RESULT, MODEL})

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import ModelError
-from testbed.files import replacing
+from testbed.files import check_writable, replacing
 from testbed.robot.inertia import Inertia
 from testbed.robot.links import Fixed, Link, shared_out
 from testbed.robot.load import model_format, nearest_bodies
@@ -80,6 +80,7 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
 
     Raises:
         ModelError: It may not.
+        OSError: There is something else, or the place may not be written to.
     """
     ending = ENDINGS[model_format(source)]
     if path.suffix.lower() != ending:
@@ -91,6 +92,7 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
         raise ModelError(
             f"'{path}' is the model file itself; choose another name, or say --in-place"
         )
+    check_writable(path)
 
 
 def _changes(file: Tree, tree: Tree) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:

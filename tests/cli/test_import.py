@@ -106,7 +106,7 @@ def test_a_guess_is_written_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("map.toml",), "--out is missing"),
+        (("map.toml",), "--out recording.parquet"),
         (("map.toml", "--out", "x.parquet", "--align"), "--align needs --model"),
         (("none.toml", "--out", "x.parquet"), "there is no mapping file 'none.toml'"),
     ],

@@ -12,7 +12,6 @@ import testbed as tb
 from testbed.errors import ExperimentError
 from testbed.experiment.run_folder import check_folder, read_run, write_recorded, write_run
 from testbed.robot.visuals.load_shapes import load_shapes
-from tests.helpers.paths import ROOT
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 4 3\nf 1 2 4\nf 2 3 4\n"
 INERTIA = '<inertial mass="2" pos="0.1 0 0.2" diaginertia="0.1 0.2 0.15"/>'
@@ -96,8 +95,6 @@ def test_an_older_run_goes_only_for_the_same_experiment_or_by_force(tmp_path: Pa
     (tmp_path / "run/notes.txt").write_text("mine")
     with pytest.raises(ExperimentError, match=r"holds notes\.txt"):
         check_folder(tmp_path / "run", asked, force=True)
-    with pytest.raises(ExperimentError, match="is a file"):
-        check_folder(ROOT / "README.md", asked)
 
 
 def test_a_run_without_a_result_is_read_all_the_same(tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.columns import members_of
+from testbed.recordings.importing.derivative import derivatives
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
 from testbed.recordings.importing.held_samples import held_share, slow_device
 from testbed.recordings.importing.import_report import ImportReport, SignalReport
@@ -41,6 +42,8 @@ from testbed.recordings.importing.signal_maps import (
 )
 from testbed.recordings.importing.source_clock import (
     ClockReport,
+    Times,
+    by_one_clock,
     clock_report,
     sample_times,
     steady_times,
@@ -130,7 +133,8 @@ def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], li
 def _opened(mapping: Mapping, folder: Path) -> tuple[dict[str, ForeignTable], dict[str, Array]]:
     """The sources' files, and when their samples were taken."""
     tables = {name: _open(folder, mapping, name) for name in _used(mapping)}
-    return tables, {name: _times(mapping, name, table) for name, table in tables.items()}
+    times = {name: _times(mapping, name, table) for name, table in tables.items()}
+    return tables, by_one_clock(times, {name: mapping.sources[name].offset for name in times})
 
 
 def _converted(
@@ -154,6 +158,7 @@ def _converted(
         made = _mapped(mapping, label, onto_grid(got.time, got.values, got.rate, grid))
         columns |= {name: made[name] + columns.get(name, 0.0) for name in made}  # plates add up
     reports = {label: got.report for label, got in samples.items()}
+    reports |= derivatives(mapping, columns, reports)
     leads = {name: float(grid[0] - times[name][0]) for name in sources}
     clocks = {name: replace(s.clock, lead=leads[name]) for name, s in sources.items()}
     report = ImportReport(mapping.rate, len(grid), clocks, reports)
@@ -184,20 +189,20 @@ def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
     return table
 
 
-def _times(mapping: Mapping, name: str, table: ForeignTable) -> Array:
-    """When a source's samples were taken by the common clock, (M,) [s]."""
+def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
+    """When a source's samples were taken by its clock, drift taken back."""
     source = mapping.sources[name]
     if source.time is None:
         first = _used(mapping)[name][0]
         table.read([first])
         time = sample_times(name, source, None, table.lengths[first], None)
     else:
-        stamps = table.read([source.time])[source.time]
+        stamps = table.stamps(source.time)
         time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
-    if len(time) < 4:
-        raise RecordingError(f"sources.{name}: {len(time)} samples are no recording")
-    found: Array = time[0] + (time - time[0]) * (1 + source.skew) + source.offset
-    return found
+    since = time.since
+    if len(since) < 4:
+        raise RecordingError(f"sources.{name}: {len(since)} samples are no recording")
+    return replace(time, since=since[0] + (since - since[0]) * (1 + source.skew))
 
 
 def _window(mapping: Mapping, times: Table[str, Array]) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
@@ -82,9 +83,27 @@ class ForeignTable:
             )
         with readable(self.path):
             loaded = {array: self._loaded(array) for array in arrays}
-        return {name: loaded[places[name][0]][places[name][1]] for name in wanted}
+        rows = {name: loaded[places[name][0]][places[name][1]] for name in wanted}
+        return {name: np.array(row, dtype=np.float64) for name, row in rows.items()}
 
-    def _loaded(self, name: str) -> Array:
+    def stamps(self, column: str) -> Array | NDArray[np.int64]:
+        """A column as it is counted, (M,): whole numbers stay whole.
+
+        Nanoseconds since 1970 have more digits than floating-point numbers.
+
+        Args:
+            column: Its name.
+
+        Raises:
+            UnknownName: There is no such column.
+            RecordingError: The file is damaged there, or holds too much.
+        """
+        found, (array, row) = self.read([column])[column], self._places()[column]
+        with readable(self.path):
+            kept = self._loaded(array)[row]
+        return kept.astype(np.int64) if kept.dtype.kind in "iu" else found
+
+    def _loaded(self, name: str) -> NDArray[Any]:
         """An array as columns, (k, M)."""
         found = np.asarray(self.load(name))
         if found.shape != self.shapes[name] or found.dtype.kind not in NUMBERS:
@@ -93,7 +112,7 @@ class ForeignTable:
             found = found.reshape(1, -1)
         elif found.shape[0] >= found.shape[1]:  # rows are samples
             found = found.T
-        return np.array(found, dtype=np.float64)
+        return found
 
     def _places(self) -> dict[str, tuple[str, int]]:
         """Array and row among its columns, by the column's name."""

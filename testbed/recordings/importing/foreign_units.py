@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Literal
 
 from testbed.errors import UnknownName
@@ -41,21 +42,44 @@ UNITS = {kind: TURNING[kind] | SLIDING[kind] for kind in KINDS} | {
 }
 """By what is measured: what one of each is in SI."""
 
-SPELLINGS = {
-    "Nm": "N m", "N*m": "N m", "N.m": "N m", "Nmm": "N mm", "Ncm": "N cm", "degree": "deg",
-    "degrees": "deg", "radian": "rad", "radians": "rad", "rev": "turn",
+KNOWN = {name for units in UNITS.values() for name in units} | RAW.keys() | TIMES.keys()
+
+WORDS = {
+    "Nm": "N m", "Nmm": "N mm", "Ncm": "N cm", "kNm": "kN m", "degree": "deg", "degrees": "deg",
+    "radian": "rad", "radians": "rad", "rev": "turn", "revs": "turn", "turns": "turn",
+    "lb": "lbf", "lbs": "lbf", "kp": "kgf", "inch": "in", "inches": "in", "foot": "ft",
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns",
+    "s2": "s^2", "s²": "s^2", "amp": "A", "amps": "A", "newton": "N",
 }  # fmt: skip
-"""Other ways to write some of them."""
+"""Other ways to write words of units."""
+
+WHOLE = {"in": "inch", "turn/min": "rpm", "dps": "deg/s", "rps": "turn/s", "inlbf": "lbf in"}
+"""Other ways to write whole units."""
 
 
 def plain(unit: str) -> str:
-    """A unit as it is written here.
+    """A unit as it is written here: in-lbf, N·m, °/s and the like are known.
 
     Args:
         unit: As a person or a file writes it.
     """
     short = " ".join(unit.split())
-    return SPELLINGS.get(short, short)
+    if short in KNOWN:
+        return short
+    text = short.replace("°", "deg").replace("µ", "u").replace("μ", "u")
+    text = re.sub(r"\s+s\^?-([12])$", r"/s^\1", text).replace("s^1", "s")
+    parts = [_product(part) for part in re.split(r"\s*/\s*|\s+per\s+", text)]
+    found = "/".join(parts)
+    found = WHOLE.get(found, found)
+    return found if found in KNOWN else short
+
+
+def _product(text: str) -> str:
+    """Factors of a unit, a force before its arm."""
+    given = re.split(r"[\s*·⋅.\-_]+", text)
+    plainer = [word.lower() if len(word) > 2 and word not in WORDS else word for word in given]
+    words = [WORDS.get(word, word) for word in plainer]
+    return " ".join(sorted(words, key=lambda word: word not in FORCES))
 
 
 def check_unit(kind: str, unit: str, *, gained: bool = False) -> None:

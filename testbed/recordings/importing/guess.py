@@ -1,158 +1,100 @@
-"""A mapping file to start from: what a foreign file holds; what only a person knows is empty."""
+"""A mapping file to start from: what foreign files hold; what only a person knows is empty."""
 
 from __future__ import annotations
 
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, printable
+from testbed.recordings.importing.column_groups import at_the_hand
+from testbed.recordings.importing.column_names import ColumnName
 from testbed.recordings.importing.foreign_table import ForeignTable
-from testbed.recordings.importing.foreign_units import KINDS, TIMES, UNITS
-from testbed.recordings.importing.readers import open_foreign, reader_of
+from testbed.recordings.importing.foreign_units import KINDS, RAW, UNITS, Kind, plain
+from testbed.recordings.importing.likely_signals import (
+    BY_BOTH,
+    LikelySignal,
+    LikelySource,
+    likely_plate,
+    likely_signals,
+    likely_sources,
+    values_of,
+)
 
 SHOWN = 100
 """Most columns of a source that are listed."""
 
-WORDS = {
-    "position": ("pos", "angle", "enc", "/q", "q[", "joint"),
-    "velocity": ("vel", "speed", "qd", "dq"),
-    "acceleration": ("acc", "qdd", "ddq"),
-    "torque": ("torque", "tau", "effort", "cur", "trq"),
-    "wrench": ("force", "wrench", "moment", "fx", "fy", "fz", "mx", "my", "mz", "ft[", "w["),
-}
-"""Parts of names by which columns are told apart."""
-
-SYMBOLS = {
-    "q": "position", "theta": "position", "qpos": "position",
-    "qd": "velocity", "dq": "velocity", "qvel": "velocity", "qdot": "velocity",
-    "qdd": "acceleration", "ddq": "acceleration", "qacc": "acceleration",
-    "i": "torque", "tau": "torque",
-    "quat": "base", "quaternion": "base", "orientation": "base", "pose": "base", "base": "base",
-}  # fmt: skip
-"""Words of names, whole, that say more than their parts."""
-
-TIME_UNITS = {"sec": "s", "msec": "ms", "usec": "us", "nsec": "ns"} | {u: u for u in TIMES}
-"""Words of names that say the unit of a time."""
-
-EPOCH = 1e9
-"""Seconds since 1970 are one to three times as many: times of that size tell their unit."""
-
-TIME_WORDS = ("stamp", "time", "received", "sec", "t")
-"""Names of times, or parts of them; the likeliest first."""
-
 HEAD = """\
-# What {file} holds, and how it becomes a recording. Fill in what is empty or 0, then
+# What {files} {hold}, made into a recording. Fill in what is empty or 0, then
 #   testbed import THIS.toml --out recording.parquet
-# Units, the sense of the wrench and clocks have no defaults; see docs/real-recordings.md.
+# What is filled in is by the columns' names, or as said; see docs/real-recordings.md.
 """
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """One source: its name, the bag's topic, its columns, and its likely clock."""
-
-    name: str
-    topic: str | None
-    table: ForeignTable
-    time: str | None
-    rate: float
-    time_unit: str | None = None
-
-
-def guessed(path: Path, folder: Path) -> str:
-    """A mapping in TOML with comments; as it is, `read_mapping` refuses it.
+def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> str:
+    """A mapping in TOML with comments; where something is empty, `read_mapping` refuses it.
 
     Args:
-        path: A file of another program.
+        paths: Files of other programs.
         folder: Where the mapping is to stand: files are named relative to it.
+        joints: Names in the robot's model, in its order; none if that is not known.
 
     Raises:
-        RecordingError: It cannot be read, or holds no columns.
-        UnknownName: Its ending is that of no known format.
+        RecordingError: One cannot be read, or they hold no columns.
+        UnknownName: An ending is that of no known format.
     """
-    if "\0" in str(path) or not path.exists():
-        raise RecordingError(f"there is no file '{path}'")
-    seen = list(_sources(path))
-    if not seen:
-        raise RecordingError(f"'{path}' holds no columns of numbers")
-    file = json.dumps(os.path.relpath(path.resolve(), folder.resolve()))
-    rates = [each.rate for each in seen if each.rate]
-    lines = [HEAD.format(file=printable(path.name, 100))]
-    lines.append(f"rate = {max(rates, default=0.0):.6g}  # of the recording [Hz]")
-    lines.append('joints = [""]  # as in the model file, in the order of the columns below')
-    for each in seen:
-        lines += ["", *_listed(each.table), f"[sources.{each.name}]", f"file = {file}"]
-        lines += [f"topic = {json.dumps(each.topic)}"] if each.topic is not None else []
-        lines += _clock(each)
-    for kind in (*KINDS, "wrench", "base"):
-        lines += _signal(kind, seen)
-    return "\n".join(lines) + "\n"
+    for path in paths:
+        if "\0" in str(path) or not path.exists():
+            raise RecordingError(f"there is no file '{path}'")
+    sources = likely_sources(paths)
+    if not sources:
+        listed = ", ".join(f"'{path}'" for path in paths)
+        raise RecordingError(f"no columns of numbers in {listed}")
+    signals = likely_signals(sources, joints)
+    told = {each.source.name: each.source for each in signals.values()}
+    sources = [told.get(each.name, each) for each in sources]
+    plate = likely_plate(sources)
+    files = ", ".join(printable(path.name, 100) for path in paths)
+    lines = [HEAD.format(files=files, hold="holds" if len(paths) == 1 else "hold")]
+    lines += [_rate(sources, signals), _joints(signals, joints)]
+    for each in sources:
+        lines += ["", *_listed(each.table), f"[sources.{each.name}]"]
+        lines.append(f"file = {_text(os.path.relpath(each.file.resolve(), folder.resolve()))}")
+        lines += [f"topic = {_text(each.topic)}"] if each.topic is not None else []
+        lines += each.clock.lines()
+    for kind in KINDS:
+        lines += _signal_lines(kind, signals, sources)
+    return "\n".join([*lines, *_plate_lines(plate), *_base_lines(sources)]) + "\n"
 
 
-def _sources(path: Path) -> Iterator[_Seen]:
-    """A file's tables: one, or of a bag one a topic of numbers."""
-    if reader_of(path) != "ros_bag":
-        yield from _seen("log", None, open_foreign(path))
-        return
-    from testbed.recordings.importing.readers.ros_bag import topics
-
-    for number, topic in enumerate(topics(path)):
-        try:
-            table = open_foreign(path, topic)
-        except RecordingError:
-            continue  # a topic of texts or pictures
-        yield from _seen(f"topic{number}", topic, table)
+def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> str:
+    """The positions' rate, else the highest."""
+    rates = [each.clock.rate for each in sources if each.clock.rate]
+    if "position" in signals:
+        (own,) = (s.clock.rate for s in sources if s.name == signals["position"].source.name)
+        rates = [own] if own else rates
+    return f"rate = {max(rates, default=0.0):.9g}  # of the recording [Hz]"
 
 
-def _seen(name: str, topic: str | None, table: ForeignTable) -> Iterator[_Seen]:
-    """A table with its likely clock, unless it is empty."""
-    if not table.columns:
-        return
-    stamps = dict.fromkeys(sorted(table.columns, key=_like_time))
-    for column in list(stamps)[:3]:
-        values = table.read([column])[column] if _like_time(column) < len(TIME_WORDS) else None
-        if values is not None and len(values) > 1 and (np.diff(values) > 0).mean() > 0.5:
-            steps = np.diff(values)
-            step, unit = float(np.median(steps[steps > 0])), _time_unit(table, column, values)
-            known = unit is not None or step < 1  # seconds, or nobody knows
-            rate = 1 / (TIMES[unit or "s"] * step) if known else 0.0
-            yield _Seen(name, topic, table, column, rate, unit)
-            return
-    yield _Seen(name, topic, table, None, 0.0)
-
-
-def _time_unit(table: ForeignTable, column: str, values: Array) -> str | None:
-    """The file's word for a time's unit, or what its name or its size says; None for nothing."""
-    if table.unit(column) in TIMES:
-        return table.unit(column)
-    named = [TIME_UNITS[word] for word in _words(column) if word in TIME_UNITS]
-    sized = [
-        unit
-        for unit in ("s", "ms", "us", "ns")
-        if EPOCH < np.median(values) * TIMES[unit] < 3 * EPOCH
-    ]
-    return next(iter([*named[-1:], *sized]), None)
-
-
-def _words(column: str) -> list[str]:
-    """The words of a name, in small letters."""
-    return re.findall("[a-z]+", column.lower())
-
-
-def _like_time(column: str) -> int:
-    """How little a name is one of times: its place among the words."""
-    last = column.lower().rpartition("/")[2]
-    for k, word in enumerate(TIME_WORDS):
-        if word in last if len(word) > 1 else re.split(r"[^a-z0-9]", last)[0] == word:
-            return k
-    return len(TIME_WORDS)
+def _joints(signals: Mapping[Kind, LikelySignal], joints: Sequence[str]) -> str:
+    """Names, by the model or by the columns."""
+    about = "as in the model file, in the order of the columns below"
+    group = next((each.group for each in signals.values()), None)
+    if group is None:
+        return f"joints = {_text(list(joints) or [''])}  # {about}"
+    missing = [name for name in joints if name not in group.names]
+    if group.matched or not joints:
+        plain = [name for name in group.names if not re.search("[A-Za-z]", name)]
+        names = [""] if plain else list(group.names)
+        more = "" if plain or group.matched else "; these are by the columns' names"
+        more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
+        return f"joints = {_text(names)}  # {about}{printable(more, 200)}"
+    return f'joints = [""]  # {about}: {printable(", ".join(joints), 300)}'
 
 
 def _listed(table: ForeignTable) -> list[str]:
@@ -175,58 +117,98 @@ def _range(values: Array) -> str:
     return (f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing") + missing
 
 
-def _clock(seen: _Seen) -> list[str]:
-    """Keys of a source's clock."""
-    if seen.time is None:
-        return ["rate = 0  # no column looks like times: samples a second [Hz]"]
-    unit, found = seen.table.unit(seen.time), seen.time_unit
-    likely = "likely; " if found else ""
-    said = [f'time_unit = "{found or ""}"  # {likely}{", ".join(TIMES)}']
-    rate = f"  # {seen.rate:.6g} a second, by the median" if found else ""
-    return [f"time = {json.dumps(seen.time)}{rate}", *(said if unit not in TIMES else [])]
-
-
-def _signal(kind: str, seen: Sequence[_Seen]) -> list[str]:
+def _signal_lines(
+    kind: Kind, signals: Mapping[Kind, LikelySignal], sources: Sequence[LikelySource]
+) -> list[str]:
     """A signal's table, if columns look like one."""
-    for each in seen:
-        columns = [c for c in each.table.columns if _kind(c) == kind and c != each.time]
-        if not columns:
-            continue
-        lines = ["", f"[{kind}]", f'source = "{each.name}"', f"columns = {json.dumps(columns)}"]
-        if kind == "wrench":
-            forces, moments = ", ".join(UNITS["force"]), ", ".join(UNITS["moment"])
-            return [
-                *lines,
-                f'units = ["", ""]  # {forces}; {moments}',
-                'sense = ""  # on_robot (at rest upwards) or on_plate',
-                "# place = { xyz = [0, 0, 0], rpy = [0, 0, 0] }  # of the sensor [m, rad]",
-            ]
-        if kind == "base":
-            return [
-                *lines[:3],
-                f"# of these: {json.dumps(columns)}",
-                'position = ["", "", ""]',
-                'unit = ""  # m, cm, mm, inch',
-                'quaternion = ["", "", "", ""]  # w, x, y, z, in this order',
-            ]
-        raw = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
-        return [*lines, f'unit = ""  # {", ".join(UNITS[kind])}{raw}']
+    found = signals.get(kind)
+    beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
+    said = [f"# left out, by their names: {_text(beside)}"] if beside else []
+    if found is not None:
+        columns = _text([each.name for each in found.group.columns])
+        lines = ["", f"[{kind}]", f'source = "{found.source.name}"', f"columns = {columns}"]
+        lines += [f"# others that look like it: {_text(list(found.others))}"] * bool(found.others)
+        lines += [*said, *_unit_lines(kind, found)]
+        return lines + [f"sign = {list(found.sign)}  # {BY_BOTH}"] * bool(found.sign)
     if kind not in ("position", "torque"):
         return []
     more = "" if kind == "position" else ", if there are any"
     return [
         "",
         f"# [{kind}]  # no column looks like it{more}",
-        f'# source = "{seen[0].name}"',
+        *said,
+        f'# source = "{sources[0].name}"',
         "# columns = []  # one a joint",
         f'# unit = ""  # {", ".join(UNITS[kind])}',
     ]
 
 
-def _kind(column: str) -> str | None:
-    """What a column looks like, by its name."""
-    name, words = column.lower(), _words(column)
-    if found := [SYMBOLS[word] for word in words if word in SYMBOLS]:
-        return found[-1]
-    order = ("wrench", "torque", "acceleration", "velocity", "position")
-    return next((kind for kind in order if any(w in name for w in WORDS[kind])), None)
+def _unit_lines(kind: Kind, found: LikelySignal) -> list[str]:
+    """The unit of a signal's columns, if all are known, and what else it needs."""
+    known = UNITS[kind] | (RAW if kind == "torque" else {})
+    taken = [unit for unit in found.units if unit in known]
+    raw = [unit for unit in taken if unit in RAW]
+    if len(taken) < len(found.units) or 0 < len(raw) < len(taken):
+        more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
+        large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
+        more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
+        return [f'unit = ""  # {", ".join(UNITS[kind])}{more}']
+    unit = taken[0] if len(set(taken)) == 1 else taken
+    lines = [f"unit = {_text(unit)}" + f"  # {found.because}" * bool(found.because)]
+    gains = [f'gain = ""  # torque of one {each}, joint by joint [N m]' for each in raw[:1]]
+    return lines + gains
+
+
+def _plate_lines(plate: tuple[LikelySource, list[ColumnName]] | None) -> list[str]:
+    """The wrench's table."""
+    if plate is None:
+        return []
+    source, columns = plate
+    units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
+    forces, moments = ", ".join(UNITS["force"]), ", ".join(UNITS["moment"])
+    said = "" if all(units) else f"  # {forces}; {moments}"
+    lines = ["", "[wrench]", f'source = "{source.name}"']
+    lines.append(f"columns = {_text([each.name for each in columns])}")
+    if len(columns) != 6:
+        lines.append("# six are wanted: force x, y, z, moment x, y, z")
+    if at_the_hand(columns[0]):
+        lines.append("# they look like those of a sensor at the tool: leave [wrench] out then")
+    pull = [
+        f"; {_text(each.name)} is {source.table.read([each.name])[each.name].mean():.4g} on average"
+        for each in columns
+        if each.role == (0, 2)
+    ]
+    return [
+        *lines,
+        f"units = {_text(units)}{said}",
+        f'sense = ""  # on_robot (at rest upwards) or on_plate{printable("".join(pull), 200)}',
+        "# place = { xyz = [0, 0, 0], rpy = [0, 0, 0] }  # of the sensor [m, rad]",
+    ]
+
+
+def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
+    """The unit of all columns; empty if they do not say one."""
+    units = {plain(each.unit or "") for each in columns}
+    return units.pop() if len(units) == 1 and units <= UNITS[kind].keys() else ""
+
+
+def _base_lines(sources: Sequence[LikelySource]) -> list[str]:
+    """The table of a base that moves, if columns look like it."""
+    for source in sources:
+        columns = [c.name for c in source.columns if c.kind == "base"]
+        if columns:
+            return [
+                "",
+                "[base]",
+                f'source = "{source.name}"',
+                f"# of these: {_text(columns)}",
+                'position = ["", "", ""]',
+                'unit = ""  # m, cm, mm, inch',
+                'quaternion = ["", "", "", ""]  # w, x, y, z, in this order',
+            ]
+    return []
+
+
+def _text(value: object) -> str:
+    """A text or a list of texts as TOML writes it."""
+    return json.dumps(value, ensure_ascii=True)

@@ -25,6 +25,7 @@ class SignalReport:
         dropped: Samples left out as held.
         low_pass: Whether it was low-passed, the source being faster than the grid.
         notes: What else a person should know.
+        use: What the signal was held against, and what it is for; empty where that is plain.
     """
 
     source: str
@@ -32,6 +33,7 @@ class SignalReport:
     dropped: int
     low_pass: bool
     notes: tuple[str, ...] = ()
+    use: str = ""
 
 
 @dataclass(frozen=True)
@@ -115,4 +117,4 @@ def _clock(name: str, clock: ClockReport) -> str:
 def _signal(name: str, signal: SignalReport) -> str:
     filtered = "low-pass and spline" if signal.low_pass else "spline"
     dropped = f", {signal.dropped} left out" if signal.dropped else ""
-    return f"{name} of '{signal.source}': {filtered}, {signal.held:.1%} held{dropped}"
+    return f"{name} of '{signal.source}': {filtered}, {signal.held:.1%} held{dropped}{signal.use}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,9 @@ STRAY = 0.5
 
 SMOOTHED = 101
 """Stamps over which jitter is averaged out."""
+
+MINUTE = TIMES["min"]
+"""A whole number of all units of time [s]."""
 
 LONGEST, SHORTEST = 1e9, 1e-9
 """Sampling times beyond these are a mistake [s]."""
@@ -61,10 +65,50 @@ class ClockReport:
     lead: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Times:
+    """When samples were taken by a source's clock.
+
+    Seconds since 1970 with nanoseconds have more digits than floating-point numbers: they are
+    kept in two parts.
+
+    Attributes:
+        start: Whole minutes before the first sample [s].
+        since: (M,) from there [s].
+    """
+
+    start: float
+    since: Array
+
+    @staticmethod
+    def of(stamps: Array | NDArray[np.int64], unit: str) -> Times:
+        """Of stamps as they are counted, (M,), in a unit of `TIMES`."""
+        minute = round(MINUTE / TIMES[unit])  # of these units
+        minutes = int(stamps[0] // minute) if len(stamps) else 0
+        since = np.asarray(stamps - minutes * minute, dtype=np.float64)
+        return Times(MINUTE * minutes, since * TIMES[unit])
+
+
+def by_one_clock(times: Mapping[str, Times], offsets: Mapping[str, float]) -> dict[str, Array]:
+    """Times of several sources since an instant in common, (M,) each [s].
+
+    Args:
+        times: By the sources' own clocks.
+        offsets: Added to each [s].
+    """
+    starts = (each.start + MINUTE * (offsets[name] // MINUTE) for name, each in times.items())
+    start = max(0.0, min(starts))  # what all have in common costs digits and says nothing
+    return {name: t.since + (t.start - start + offsets[name]) for name, t in times.items()}
+
+
 def sample_times(
-    name: str, table: SourceTable, stamps: Array | None, samples: int, unit: str | None
-) -> Array:
-    """When samples were taken by the common clock, (M,) [s], without offset and skew.
+    name: str,
+    table: SourceTable,
+    stamps: Array | NDArray[np.int64] | None,
+    samples: int,
+    unit: str | None,
+) -> Times:
+    """When samples were taken by a source's clock, without offset and skew.
 
     Args:
         name: Of the source.
@@ -77,7 +121,7 @@ def sample_times(
         RecordingError: The times are none, or their unit is not said or another.
     """
     if stamps is None:
-        return np.arange(samples) / float(table.rate or 1.0)
+        return Times(0.0, np.arange(samples) / float(table.rate or 1.0))
     known = unit if unit in TIMES else None
     if table.time_unit is None and known is None:
         raise RecordingError(f"sources.{name}: say `time_unit`: s, ms, us, ns or min")
@@ -89,8 +133,7 @@ def sample_times(
     if not np.isfinite(stamps).all():
         bad = int(np.argmin(np.isfinite(stamps)))
         raise RecordingError(f"sources.{name}: '{table.time}' is no number at sample {bad}")
-    found: Array = stamps * TIMES[table.time_unit or known or "s"]
-    return found
+    return Times.of(stamps, table.time_unit or known or "s")
 
 
 def without_repeats(name: str, time: Array, values: Array) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.mapping import SourceTable
 from testbed.recordings.importing.source_clock import clock_report, sample_times, without_repeats
 
@@ -33,7 +34,8 @@ def test_a_unit_is_the_files_or_the_mappings(
 ) -> None:
     """What is no unit of time says nothing."""
     found = sample_times("log", source(time_unit=said), STAMPS, 10, known)
-    np.testing.assert_allclose(found, step * STAMPS, rtol=1e-15)
+    assert found.start == 0
+    np.testing.assert_allclose(found.since, step * STAMPS, rtol=1e-15)
 
 
 def test_units_that_contradict_each_other_or_are_nowhere_are_refused() -> None:
@@ -45,7 +47,20 @@ def test_units_that_contradict_each_other_or_are_nowhere_are_refused() -> None:
 
 def test_a_rate_needs_no_stamps() -> None:
     steady = SourceTable(file="log.npz", rate=50.0)
-    np.testing.assert_allclose(sample_times("log", steady, None, 4, None), [0, 0.02, 0.04, 0.06])
+    found = sample_times("log", steady, None, 4, None)
+    np.testing.assert_allclose(found.since, [0, 0.02, 0.04, 0.06])
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_whole_numbers_since_1970_keep_all_digits(unit: str) -> None:
+    """As floating-point numbers of seconds they would be a quarter of a microsecond apart."""
+    rng = np.random.default_rng(4)
+    scale = round(1 / TIMES[unit])
+    ticks = np.cumsum(rng.integers(1, 5000, 1000))
+    found = sample_times("log", source(time_unit=unit), ticks + 1_761_234_567 * scale, 1000, None)
+    assert found.start % 60 == 0
+    exact = [int(tick) + (1_761_234_567 - int(found.start)) * scale for tick in ticks]
+    np.testing.assert_allclose(found.since, np.array(exact) / scale, rtol=1e-15, atol=0)
 
 
 def test_a_time_that_is_no_number_is_named() -> None:

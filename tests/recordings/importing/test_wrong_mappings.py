@@ -213,10 +213,10 @@ def test_files_that_hold_no_log_are_refused(
 
 def test_what_is_no_log_has_no_guess(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no file"):
-        guessed(tmp_path / "none.csv", tmp_path)
+        guessed([tmp_path / "none.csv"], tmp_path)
     np.savez(tmp_path / "empty.npz", text=np.array(["a", "b"]))
-    with pytest.raises(RecordingError, match="holds no columns of numbers"):
-        guessed(tmp_path / "empty.npz", tmp_path)
+    with pytest.raises(RecordingError, match="no columns of numbers in"):
+        guessed([tmp_path / "empty.npz"], tmp_path)
 
 
 def test_endings_are_of_formats(tmp_path: Path) -> None:

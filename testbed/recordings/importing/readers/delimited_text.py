@@ -10,9 +10,12 @@ import gzip
 import io
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_table import ForeignTable, readable
 
@@ -21,6 +24,9 @@ MOST_TEXT = 500_000_000
 
 LONGEST_PREAMBLE = 1000
 """Lines before the first one of numbers."""
+
+WHOLE = 2.0**53
+"""From here on floating-point numbers leave out whole ones."""
 
 SEPARATORS = (";", "\t", ",", None)
 """Between fields, in the order of trying; None is blanks."""
@@ -48,8 +54,21 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         table = np.loadtxt(
             io.StringIO(body), delimiter=separator, usecols=wanted, comments=None, ndmin=2
         )
-    columns = {names[k]: table[:, place] for place, k in enumerate(wanted)}
+        columns: dict[str, NDArray[Any]] = {}
+        for place, k in enumerate(wanted):
+            columns[names[k]] = table[:, place]
+            if np.abs(table[:, place]).max(initial=0) >= WHOLE:
+                columns[names[k]] = _counted(body, separator, k, table[:, place])
     return ForeignTable(path, {name: c.shape for name, c in columns.items()}, columns.__getitem__)
+
+
+def _counted(body: str, separator: str | None, place: int, read: Array) -> NDArray[Any]:
+    """A column of numbers so large that floating-point ones have not all their digits."""
+    try:
+        lines = body.splitlines()
+        return np.array([int(_fields(line, separator)[place]) for line in lines], dtype=np.int64)
+    except (ValueError, OverflowError):  # no whole numbers, or more than counters hold
+        return read
 
 
 def _text(path: Path) -> str:

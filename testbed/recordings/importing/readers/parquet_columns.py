@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from testbed.arrays import Array
 from testbed.recordings.importing.foreign_table import ForeignTable, readable
-
-SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Of Parquet's units of time."""
 
 
 def read_file(path: Path, topic: str | None) -> ForeignTable:
-    """Columns of a Parquet file; instants and durations are in seconds.
+    """Columns of a Parquet file; instants and durations are in the unit of their type.
 
     Args:
         path: The file.
@@ -47,11 +45,11 @@ def _width(kind: pa.DataType) -> int:
 def _unit(field: pa.Field) -> str:
     """What the schema says of a column's unit."""
     if pa.types.is_timestamp(field.type) or pa.types.is_duration(field.type):
-        return "s"
+        return str(field.type.unit)
     return str((field.metadata or {}).get(b"unit", b"").decode("utf-8", "replace"))
 
 
-def _column(path: Path, name: str) -> Array:
+def _column(path: Path, name: str) -> NDArray[Any]:
     """A column, (M,) or (M, k)."""
     column = pq.ParquetFile(path, pre_buffer=False).read([name]).column(0)
     if column.null_count:
@@ -65,5 +63,5 @@ def _column(path: Path, name: str) -> Array:
         return np.array(values.to_numpy(zero_copy_only=False), float).reshape(-1, kind.list_size)
     if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
         whole = array.cast(pa.int64()).to_numpy()
-        return np.array(whole * SECONDS[kind.unit], dtype=np.float64)
-    return np.array(array.to_numpy(zero_copy_only=False), dtype=np.float64)
+        return np.array(whole)
+    return np.array(array.to_numpy(zero_copy_only=False))

@@ -1,6 +1,6 @@
 """ROS bags: version 1 (.bag), version 2 (.mcap, .db3, or the folder of both).
 
-The columns of a topic are the numbers of its messages, and two times in seconds since 1970:
+The columns of a topic are the numbers of its messages, and two times in nanoseconds since 1970:
 `stamp`, from the messages' headers, and `received`, when the bag got them.
 """
 
@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from testbed.arrays import Array
 from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_table import (
     MOST_NUMBERS,
@@ -44,7 +44,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
         if not known:
             raise UnknownName("topic", str(topic), sorted({c.topic for c in bag.connections}))
         columns = _columns(path, bag, known)
-    times: dict[str, str] = {name: "s" for name in ("stamp", "received") if name in columns}
+    times = {name: "ns" for name, values in columns.items() if values.dtype.kind == "i"}
     shapes = {name: values.shape for name, values in columns.items() if len(values) > 1}
     return ForeignTable(path, shapes, columns.__getitem__, times)
 
@@ -76,16 +76,18 @@ def _version(path: Path) -> int:
     return 1 if path.suffix.lower() == ".bag" else 2
 
 
-def _columns(path: Path, bag: Any, connections: list[Any]) -> dict[str, Array]:
+def _columns(path: Path, bag: Any, connections: list[Any]) -> dict[str, NDArray[Any]]:
     """Numbers of all messages by path, and their times."""
     version, definitions = _version(path), {c.id: _definitions(path, c) for c in connections}
     fields: tuple[str, ...] = ()
     rows: list[list[float]] = []
+    whole: set[str] = set()
     received: list[int] = []
     for connection, when, data in bag.messages(connections=connections):
         found = numbers_of(data, connection.msgtype, definitions[connection.id], version)
         if not rows:
             fields = tuple(found)
+            whole = {name for name, value in found.items() if isinstance(value, int)}
         if found.keys() != set(fields):
             other = sorted(set(fields) ^ found.keys())[:4]
             raise RecordingError(
@@ -95,11 +97,13 @@ def _columns(path: Path, bag: Any, connections: list[Any]) -> dict[str, Array]:
         received.append(when)
         if len(rows) * (len(fields) + 1) > MOST_NUMBERS:
             raise RecordingError(f"{path}: more than {MOST_NUMBERS:.0e} numbers")
-    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(fields))
-    columns = {name: table[:, k] for k, name in enumerate(fields)}
+    columns: dict[str, NDArray[Any]] = {}
+    for k, name in enumerate(fields):
+        kind = np.int64 if name in whole else np.float64
+        columns[name] = np.array([row[k] for row in rows], dtype=kind)
     if STAMP in columns:
         columns = {"stamp": columns.pop(STAMP)} | columns
-    return columns | {"received": np.array(received, dtype=np.float64) * 1e-9}
+    return columns | {"received": np.array(received, dtype=np.int64)}
 
 
 def _definitions(path: Path, connection: Any) -> Definitions:

@@ -1,6 +1,6 @@
 """Numbers of ROS messages, by the definitions of their types: nothing is compiled.
 
-A message becomes numbers by path: header/stamp [s], wrench/force/x, data[3]. Where a field
+A message becomes numbers by path: header/stamp [ns], wrench/force/x, data[3]. Where a field
 called `name` lists names, fields of that many numbers are named by them: position/elbow.
 
 Source    ROS 1 serialization; OMG DDS-XTypes, plain CDR of version 1, for ROS 2
@@ -84,7 +84,7 @@ class Message:
 
 
 def numbers_of(data: bytes, kind: str, definitions: Definitions, version: int) -> dict[str, float]:
-    """All numbers of a message, by path.
+    """All numbers of a message, by path; times are whole numbers of nanoseconds.
 
     Args:
         data: As the bag holds it.
@@ -102,8 +102,8 @@ def _fields(message: Message, kind: str, definitions: Definitions, before: str) 
     """Numbers of a message's part of a known type."""
     if kind in TIMES:
         second, nanosecond = definitions[kind][1]
-        whole = message.number(second[1][1][0])
-        return {before.rstrip("/"): whole + 1e-9 * message.number(nanosecond[1][1][0])}
+        whole = int(message.number(second[1][1][0])) * 1_000_000_000
+        return {before.rstrip("/"): whole + int(message.number(nanosecond[1][1][0]))}
     found: dict[str, float] = {}
     names: list[str] = []
     for name, (node, what) in definitions[kind][1]:

@@ -1,0 +1,232 @@
+"""What the columns of foreign files likely are: clocks, signals of the joints, the plate."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.importing.column_groups import (
+    Group,
+    at_the_hand,
+    best_group,
+    grouped,
+    plate_columns,
+)
+from testbed.recordings.importing.column_names import ColumnName, read_name
+from testbed.recordings.importing.derivative import SURE, slopes, unit_of
+from testbed.recordings.importing.foreign_table import ForeignTable
+from testbed.recordings.importing.foreign_units import KINDS, UNITS, Kind
+from testbed.recordings.importing.readers import open_foreign, reader_of
+from testbed.recordings.importing.stamps import Clock, clock_of
+
+BY_BOTH = "by velocity and position"
+"""How a unit or a sign is known that no name says."""
+
+
+@dataclass(frozen=True, eq=False)
+class LikelySource:
+    """A table of a foreign file.
+
+    Attributes:
+        name: In the mapping.
+        file: Where it is.
+        topic: Of a bag.
+        table: What it holds.
+        columns: What their names say, without that of the times.
+        clock: Its likely clock.
+    """
+
+    name: str
+    file: Path
+    topic: str | None
+    table: ForeignTable
+    columns: tuple[ColumnName, ...]
+    clock: Clock
+
+
+@dataclass(frozen=True, eq=False)
+class LikelySignal:
+    """The likely columns of a joints' signal.
+
+    Attributes:
+        source: Where they are.
+        group: The columns.
+        others: What looks like it, too.
+        units: Column by column; None where nothing tells.
+        sign: 1 or -1 a column; empty if all count the same way.
+        because: What tells the units, if not the columns' names.
+    """
+
+    source: LikelySource
+    group: Group
+    others: tuple[str, ...]
+    units: tuple[str | None, ...]
+    sign: tuple[int, ...] = ()
+    because: str = ""
+
+
+_Pair = tuple[str | None, str | None]
+
+
+def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
+    """Tables of foreign files with what their columns likely are.
+
+    Args:
+        paths: The files; of a bag every topic of numbers is a table.
+
+    Raises:
+        RecordingError: One cannot be read.
+        UnknownName: An ending is that of no known format.
+    """
+    found: list[LikelySource] = []
+    stems: list[str] = []
+    for path in paths:
+        stem = re.sub(r"\W+", "_", path.name.partition(".")[0], flags=re.ASCII).strip("_") or "log"
+        name = f"{stem}_{len(stems)}" if stem in stems else stem
+        stems.append(stem)
+        found += _tables(path, name if len(paths) > 1 else "")
+    return found
+
+
+def _tables(path: Path, name: str) -> Iterator[LikelySource]:
+    """A file's tables: one, or of a bag one a topic of numbers."""
+    if reader_of(path) != "ros_bag":
+        yield from _source(name or "log", path, None, open_foreign(path))
+        return
+    from testbed.recordings.importing.readers.ros_bag import topics
+
+    for number, topic in enumerate(topics(path)):
+        try:
+            table = open_foreign(path, topic)
+        except RecordingError:
+            continue  # a topic of texts or pictures
+        yield from _source(f"{name}_topic{number}".strip("_"), path, topic, table)
+
+
+def _source(
+    name: str, path: Path, topic: str | None, table: ForeignTable
+) -> Iterator[LikelySource]:
+    """A table with its likely clock, unless it is empty."""
+    if table.columns:
+        clock = clock_of(table)
+        read = (read_name(each, table.unit(each)) for each in table.columns if each != clock.column)
+        yield LikelySource(name, path, topic, table, tuple(read), clock)
+
+
+def likely_signals(
+    sources: Sequence[LikelySource], joints: Sequence[str]
+) -> Mapping[Kind, LikelySignal]:
+    """Of each kind the columns that are most likely the joints'.
+
+    Args:
+        sources: Where to look.
+        joints: Names in the robot's model, in its order; none if that is not known.
+    """
+    found: dict[Kind, LikelySignal] = {}
+    count = len(joints) or None
+    for kind in KINDS:
+        groups = [
+            (group, source)
+            for source in sources
+            for group in grouped([c for c in source.columns if _is(c, kind)], joints)
+        ]
+        best = best_group([group for group, _ in groups], count)
+        if best is None:
+            continue
+        source = next(source for group, source in groups if group is best)
+        kept = best.of(joints)
+        kept = kept.like(next(iter(found.values())).group.names) if found else kept
+        others = [c.name for c in source.columns if _is(c, kind) and c not in kept.columns]
+        units = tuple(column.unit for column in kept.columns)
+        found[kind] = LikelySignal(source, kept, tuple(others), units)
+        count = count or len(kept.columns)
+    return _with_derivatives(found)
+
+
+def _is(column: ColumnName, kind: str) -> bool:
+    return column.kind == kind and not column.beside
+
+
+def _followed(signals: Mapping[Kind, LikelySignal]) -> Array | None:
+    """Increments of positions over integrals of velocities, (n,); None if these do not follow."""
+    q, v = signals.get("position"), signals.get("velocity")
+    if q is None or v is None or q.source is not v.source or len(q.units) != len(v.units):
+        return None
+    positions = values_of(q)
+    time = q.source.clock.time(q.source.table, len(positions))
+    found = slopes(positions, values_of(v), time)
+    return np.diagonal(found.slope) if np.diagonal(found.fit).min() > SURE else None
+
+
+def _with_derivatives(signals: Mapping[Kind, LikelySignal]) -> Mapping[Kind, LikelySignal]:
+    """What velocities and positions tell of each other: signs, and a clock's unit or their own."""
+    slope = _followed(signals)
+    if slope is None:
+        return signals
+    q, v = signals["position"], signals["velocity"]
+    if slope.min() < 0:
+        v = replace(v, sign=tuple(int(each) for each in np.sign(slope)))
+    clock, ratios, units = q.source.clock, np.abs(slope), list(zip(q.units, v.units, strict=True))
+    if clock.seconds is None:
+        sizes = [
+            ratio * UNITS["position"][a] / UNITS["velocity"][b]
+            for (a, b), ratio in zip(units, ratios, strict=True)
+            if a in UNITS["position"] and b in UNITS["velocity"]
+        ]
+        clock = clock.by_velocity(float(np.median(sizes))) if sizes else clock
+    else:
+        pairs = zip(units, ratios / clock.seconds, strict=True)
+        units = [_pair(a, b, float(ratio)) for (a, b), ratio in pairs]
+    source = replace(q.source, clock=clock)
+    changed = {
+        kind: replace(each, source=source) if each.source is q.source else each
+        for kind, each in {**signals, "position": q, "velocity": v}.items()
+    }
+    changed["position"] = _in_units(changed["position"], [a for a, _ in units])
+    changed["velocity"] = _in_units(changed["velocity"], [b for _, b in units])
+    return changed
+
+
+def _pair(position: str | None, velocity: str | None, ratio: float) -> _Pair:
+    """Units of both, by what one of the velocity's is in one of the position's a second."""
+    if position in UNITS["position"] and velocity is None:
+        return position, unit_of("velocity", ratio * UNITS["position"][position])
+    if velocity in UNITS["velocity"] and position is None:
+        return unit_of("position", UNITS["velocity"][velocity] / ratio), velocity
+    if position is None and velocity is None and unit_of("position", 1 / ratio) == "deg":
+        return "deg", "rad/s"
+    return position, velocity
+
+
+def _in_units(signal: LikelySignal, units: Sequence[str | None]) -> LikelySignal:
+    same = tuple(units) == signal.units
+    return signal if same else replace(signal, units=tuple(units), because=BY_BOTH)
+
+
+def values_of(signal: LikelySignal) -> Array:
+    """A signal's columns as the file holds them, (M, n)."""
+    names = [each.name for each in signal.group.columns]
+    read = signal.source.table.read(names)
+    return np.stack([read[name] for name in names], axis=1)
+
+
+def likely_plate(sources: Sequence[LikelySource]) -> tuple[LikelySource, list[ColumnName]] | None:
+    """The plate's columns: of the first source that has six, else of the first that has any.
+
+    Args:
+        sources: Where to look.
+    """
+    found = []
+    for source in sources:
+        columns = [c for c in source.columns if c.kind == "wrench" and not c.beside]
+        own = [c for c in columns if not at_the_hand(c)]
+        if columns:
+            found.append((source, plate_columns(own or columns)))
+    whole = [each for each in found if len(each[1]) == 6 and not at_the_hand(each[1][0])]
+    return next(iter([*whole, *found]), None)
