@@ -18,6 +18,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 WIDTH = 1440
+SIZE, ZOOM = "1920x1440", 10
+"""Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
 
 
 def main() -> None:
@@ -49,10 +51,12 @@ def viewer(run: Path, folder: Path) -> None:
     for tab in ("overview", "wrench", "friction", "estimates"):
         path = folder / f"{tab}.rrd"
         write_rrd([scene], path, tab)
-        with headless_viewer(folder) as (seen, _):
+        with headless_viewer(folder, SIZE) as (seen, _):
             seen.open(str(path))
+            for _ in range(ZOOM):
+                seen.run_command("ui.zoom_in_ui")
             time.sleep(6)
-            seen.set_time("time", duration=scene.moment, play_state="paused")
+            seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
             time.sleep(4)
             seen.save_screenshot(str(HERE / f"viewer_{tab}.png"))
         smaller(HERE / f"viewer_{tab}.png")

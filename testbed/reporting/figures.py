@@ -184,6 +184,8 @@ class Panel:
             _in_rows(axis, self.names, self.log)
         else:
             (_logarithmic if self.log and positive else _linear)(axis)
+            if self.below:
+                _round(axis.yaxis, 2)
         if self.from_zero:
             axis.set_ylim(bottom=0.0)
         if self.limits is not None:

@@ -199,7 +199,7 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
     rest, run = found.unexplained_torque, found.run
     assert rest is not None  # the caller has looked
     panels, told = [], []
-    torque = next(s.measured for s in smooth.signals if s.kind == "torque")
+    measured = next(s.measured for s in smooth.signals if s.kind == "torque")
     unexplained = smooth.unexplained_torque
     assert unexplained is not None
     for j, joint in enumerate(run.tree.joints):
@@ -211,7 +211,7 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         model = found.friction(grid)
         if model is not None:
             curves["internal"] = grid[:, j], model[:, j]
-        told.append(float(unexplained[:, j].std()) / max(float(torque[:, j].std()), 1e-12))
+        told.append(float(unexplained[:, j].std()) / max(float(measured[:, j].std()), 1e-12))
         bands = {}
         if run.drives is not None:
             nodes, torque, sigma = curve_lines(run.drives.curves[j])
