@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -141,7 +142,8 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
             torque = rows
     views.append(_joints(at, torque, scene.window))
     if scene.predictions.unexplained_torque is not None:
-        views.append(rrb.Grid(*_friction(scene, at), name="friction"))
+        across = math.ceil(math.sqrt(scene.run.tree.n))
+        views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
     views += [*_drives(scene, at), *_plate(scene, at)]
     if scene.growth:
         columns = [_stack(_growth(scene, at, method), method) for method in scene.growth]

@@ -89,3 +89,12 @@ def test_of_what_left_no_clear_trace_only_the_chance_is_told(chance: float, said
     assert rows[said] == [kind.said, said, *last]
     for table in tables:
         assert {len(row) for row in table["rows"]} == {len(table["heads"])}
+
+
+def test_the_period_that_is_told_is_the_motions() -> None:
+    """Of a long recording, in which every third sample is looked at: 10 s are not 9.999 s."""
+    tree = robot("puma")
+    run = assemble_run(tree, measured(tree, duration=60.0, rate=1000.0), name="long",
+                       settings=tb.Settings(zeros=True))  # fmt: skip
+    repeated = instrument_tables(run)[-1]
+    assert "every 10 s:" in repeated["caption"]
