@@ -1,7 +1,8 @@
 """The pictures of the README and the documents, made anew: `python -m docs.pictures`.
 
-Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen,
-and draws the robot's portrait. Needs Mesa's software Vulkan driver, Chromium with its
+Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen, carries
+out the campaign over noise and friction, five minutes of one processor, and draws the robot's
+portrait. Needs Mesa's software Vulkan driver, Chromium with its
 driver and EGL: on Debian mesa-vulkan-drivers, chromium, chromium-driver.
 """
 
@@ -18,6 +19,8 @@ from pathlib import Path
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
 WIDTH = 1440
+SIZE, ZOOM = "1920x1440", 10
+"""Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
 
 
 def main() -> None:
@@ -28,6 +31,7 @@ def main() -> None:
         testbed("run", "experiments/table6.toml", "--out", str(run))
         viewer(run, Path(folder))
         report(run, Path(folder))
+        campaign(Path(folder) / "campaign")
     portrait()
 
 
@@ -49,33 +53,55 @@ def viewer(run: Path, folder: Path) -> None:
     for tab in ("overview", "wrench", "friction", "estimates"):
         path = folder / f"{tab}.rrd"
         write_rrd([scene], path, tab)
-        with headless_viewer(folder) as (seen, _):
+        with headless_viewer(folder, SIZE) as (seen, _):
             seen.open(str(path))
+            for _ in range(ZOOM):
+                seen.run_command("ui.zoom_in_ui")
             time.sleep(6)
-            seen.set_time("time", duration=scene.moment, play_state="paused")
+            seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
             time.sleep(4)
             seen.save_screenshot(str(HERE / f"viewer_{tab}.png"))
         smaller(HERE / f"viewer_{tab}.png")
 
 
 def report(run: Path, folder: Path) -> None:
-    """The report's head and its map of what can be told."""
+    """The report's head."""
     from tests.helpers.browser import browser
 
     page = folder / "report.html"
     testbed("report", str(run), "--out", str(page))
-    for name, anchor, height in (("report", "", 1100), ("map", "map", 520)):
-        with browser(folder / name, 1000) as seen:
-            seen.open(page)
-            top = seen.run(
-                f"const e = document.getElementById('{anchor}');"
-                "return e ? e.getBoundingClientRect().top + window.scrollY : 0"
-            )
-            clip = {"x": 0, "y": top, "width": 1000, "height": height, "scale": 1}
-            shot = seen.command(
-                "Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True}
-            )
-            (HERE / f"{name}.png").write_bytes(base64.b64decode(shot["data"]))
+    with browser(folder / "report", 1000) as seen:
+        seen.open(page)
+        clip = {"x": 0, "y": 0, "width": 1000, "height": 1100, "scale": 1}
+        shot = seen.command("Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True})
+        (HERE / "report.png").write_bytes(base64.b64decode(shot["data"]))
+
+
+def campaign(folder: Path) -> None:
+    """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
+    from docs.pictures.drawing import CELL, LEFT, save, table, words
+    from testbed.campaign.campaign_summary import read_campaign, summarise
+    from testbed.reporting.campaign_page import campaign_contents
+
+    if not folder.exists():
+        file = "experiments/campaigns/noise_friction.toml"
+        testbed("campaign", file, "--out", str(folder))
+    wide, top, parts = 62, 24.0, []
+    found = campaign_contents(summarise(read_campaign(folder)))
+    for heat in found["heats"]:
+        rows = {name: [cell["text"] for cell in cells] for name, cells in heat["rows"]}
+        for k, (_, cells) in enumerate(heat["rows"]):
+            for c, cell in enumerate(cells):
+                parts.append(
+                    f'<rect x="{LEFT + wide * c}" y="{top + 6 + CELL * (k + 1)}" width="{wide}" '
+                    f'height="{CELL}" fill="var(--external)" opacity="{cell["share"] / 100}"/>'
+                )
+        parts += table(top, f"{heat['caption']} [%]", heat["names"], rows, wide)
+        top += 26 + CELL * (len(rows) + 1) + 12
+    rows, columns = found["factors"]
+    parts.append(words(8, top, f"Rows: {rows}. Columns: {columns}.", "start", "", "faint"))
+    says = "Rms relative error of both methods over friction that the model lacks and plate noise"
+    save("campaign", LEFT + wide * 5 + 8, top + 14, parts, says)
 
 
 def smaller(path: Path) -> None:
@@ -84,7 +110,7 @@ def smaller(path: Path) -> None:
 
     picture = Image.open(path).convert("RGB")
     size = (WIDTH, round(picture.height * WIDTH / picture.width))
-    picture.resize(size, Image.Resampling.LANCZOS).quantize(200).save(path, optimize=True)
+    picture.resize(size, Image.Resampling.LANCZOS).quantize(256, kmeans=3).save(path, optimize=True)
 
 
 def portrait() -> None:

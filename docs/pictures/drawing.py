@@ -15,6 +15,8 @@ COLOURS = re.compile(
 )
 ROW = 22
 """Height of a line of a plot [pixels]."""
+CELL = 28
+"""Height of a row of a table [pixels]."""
 LEFT, LONG = 120, 440
 """Where a plot's scale begins, and how long it is [pixels]."""
 
@@ -121,6 +123,29 @@ def turn(x: float, y: float, radius: float, ends: tuple[float, float], colour: s
         f'{before[1]:.1f}" fill="none" stroke="var(--{colour})" stroke-width="3"/>'
         + arrow(*before, x1, y1, colour)
     )
+
+
+def table(
+    y: float, title: str, columns: Sequence[str], rows: Mapping[str, Sequence[str]], wide: float
+) -> list[str]:
+    """Words in rows and columns.
+
+    Args:
+        y: Of its first line [pixels].
+        title: Above it.
+        columns: Their names.
+        rows: Words, by the row's name.
+        wide: Of a column [pixels].
+    """
+    places = [LEFT + wide * (k + 0.5) for k in range(len(columns))]
+    parts = [words(8, y, title, "start", "font-weight: 600")]
+    parts += [words(x, y + 26, name, "middle") for x, name in zip(places, columns, strict=True)]
+    for k, (name, cells) in enumerate(rows.items()):
+        level = y + 26 + CELL * (k + 1)
+        parts.append(line((8, level - 20, LEFT + wide * len(columns), level - 20), "line", 1))
+        parts.append(words(8, level, name))
+        parts += [words(x, level, cell, "middle") for x, cell in zip(places, cells, strict=True)]
+    return parts
 
 
 def error_dots(

@@ -11,9 +11,23 @@ from typing import Any
 import numpy as np
 
 import testbed as tb
-from docs.pictures.drawing import arrow, dot, error_dots, line, placed, save, turn, words
+from docs.pictures.drawing import (
+    CELL,
+    LEFT,
+    arrow,
+    dot,
+    error_dots,
+    line,
+    placed,
+    save,
+    table,
+    turn,
+    words,
+)
 from testbed.instruments.chain import measured_again
 from testbed.parameters.barycentric import STANDARD
+from testbed.parameters.identifiability import identifiability
+from testbed.reporting.contents import GLYPHS
 from testbed.reporting.figures import Panel
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
@@ -32,6 +46,7 @@ def main() -> None:
     save_forces()
     save_augmented()
     save_same_forces()
+    save_map()
     save_errors()
     save_sigma()
 
@@ -119,6 +134,25 @@ def save_same_forces() -> None:
     parts += [line((580, 284, 610, 284), "external", 2), words(618, 289, "the other one")]
     save("same_forces", 820, 310, parts, "Two robots whose second links have other masses, first "
          "moments and inertias, and whose shoulder torques are one curve")  # fmt: skip
+
+
+def save_map() -> None:
+    """What torques and plate tell of every parameter of the PUMA, its zeros taken as known."""
+    tree = tb.load_tree(MODEL)
+    parts: list[str] = []
+    top = 24.0
+    names = {"torques": "Joint torques", "bedplate": "Plate"}
+    for seen in identifiability(tree, zeros=True)[:2]:
+        rows = {
+            name: [GLYPHS[k] for k in codes]
+            for name, codes in zip(tree.names, seen.standard, strict=True)
+        }
+        title = f"{names[seen.instrument]}: {seen.count} combinations"
+        parts += table(top, title, STANDARD, rows, 40)
+        top += 26 + CELL * (tree.n + 1) + 12
+    parts.append(words(8, top, "#: alone; +: only in combination; ·: never", "start", "", "faint"))
+    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "What joint torques and the plate "
+         "tell of the ten parameters of each link")  # fmt: skip
 
 
 def fourier(tree: tb.Tree) -> tb.Motion:

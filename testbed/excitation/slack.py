@@ -47,6 +47,8 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
     found = [Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()]
     if rules.collision is not None and rules.collision.pairs:
         meter = DistanceMeter(rules.collision)
-        nearest = [(meter.measure(q).values - rules.clearance).min() for q in here.q]
+        wanted = rules.clearance.max()
+        whole = rules.clearance == wanted  # others are built nearer, and would hide all else
+        nearest = [meter.measure(q).values[whole].min() - wanted for q in here.q]
         found.append(Slack("clearances", "mm", 1000 * np.array(nearest)))
     return found

@@ -266,7 +266,8 @@ def _repetition_sums(passes: Passes, noise: Autoregression) -> RepetitionSums | 
         return None
     samples = (period_of(surveyor.survey().position) or 0) * surveyor.stride
     rows = round(samples / plan.step)
-    return RepetitionSums(noise, rows, samples / plan.source.rate) if rows > HIGHEST else None
+    period = rows * plan.step / plan.source.rate  # what is compared is so long apart
+    return RepetitionSums(noise, rows, period) if rows > HIGHEST else None
 
 
 def _chance(square: float, count: int) -> float:

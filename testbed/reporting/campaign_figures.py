@@ -10,15 +10,15 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
 from testbed.identification.estimate import METHODS
-from testbed.reporting.figures import Panel
+from testbed.reporting.figures import Panel, named_panels
 
 LEGEND = {"external": "by the plate", "internal": "by joint torques"}
 
+ENOUGH = 20
+"""Runs without which no distribution of errors is drawn."""
+
 BINS = np.linspace(-4.0, 4.0, 33)
 """Of scores, in sigmas; what is beyond counts in the outermost ones."""
-
-PANELS = 24
-"""Most plots of one kind."""
 
 
 def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] | None:
@@ -32,25 +32,23 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] 
     for k, factor in enumerate(summary.factors):
         levels = list(dict.fromkeys(cell[k] for cell in summary.cells.values()))
         named = any(isinstance(level, str) for level in levels)
-        curves: dict[str, tuple[Array, Array]] = {}
+        curves: dict[str, Array] = {}
         for metric in metrics:
             own = [each for each in summary.figures if each.metric == metric]
             means = [_mean([f for f in own if summary.cells[f.cell][k] == x]) for x in levels]
             if own:
-                at = np.arange(1.0, len(levels) + 1) if named else np.array(levels, dtype=float)
-                curves[metric.partition("_")[0]] = at, 100 * np.array(means)
+                curves[metric.partition("_")[0]] = 100 * np.array(means)
                 rows += [
                     [factor, str(level), metric.replace("_", " "), f"{100 * mean:.3g}"]
                     for level, mean in zip(levels, means, strict=True)
                 ]
-        log = not named and all(level > 0 for level in levels)
-        label = factor
-        if named:
-            label = ", ".join(f"{n}: {level}" for n, level in enumerate(levels, 1))
         title = "rms relative error [%]"
-        bars = {kind: np.zeros(len(levels)) for kind in curves}  # larger points
-        shown = tuple(curves)
-        panels.append(Panel(title, curves, label, log, shown, bars, whole=named))
+        if named:
+            panels += named_panels(factor, [str(level) for level in levels], curves, title)
+        else:
+            at, log = np.array(levels, dtype=float), all(level > 0 for level in levels)
+            drawn = {kind: (at, means) for kind, means in curves.items()}
+            panels.append(Panel(title, drawn, factor, log, tuple(curves)))
     if not panels:
         return None
     return {
@@ -76,31 +74,33 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> dict[str, Any] | None:
     Args:
         every: Errors of all cells together.
     """
-    panels, rows = [], []
+    names = list(dict.fromkeys(each.parameter for each in every))
+    shares: dict[str, Array] = {}
+    bars: dict[str, tuple[Array, Array]] = {}
+    rows = []
     for method in METHODS:
-        own = [each for each in every if each.method == method]
+        own = {each.parameter: each for each in every if each.method == method}
         if not own:
             continue
-        number = np.arange(1.0, len(own) + 1)
-        bounds = 100 * np.array([each.bounds for each in own])
-        middle, half = bounds.mean(axis=1), np.diff(bounds, axis=1)[:, 0] / 2
-        wanted = np.array([0.5, len(own) + 0.5]), np.array([95.0, 95.0])
-        title = f"{method}: bounds of the coverage [%]"
-        label = f"parameter, 1 ({own[0].parameter}) to {len(own)} ({own[-1].parameter})"
-        curves = {"measured": wanted, method: (number, middle)}
-        panels.append(
-            Panel(title, curves, label, points=(method,), bars={method: half}, whole=True)
-        )
+        found = np.full((3, len(names)), np.nan)
+        for k, name in enumerate(names):
+            if name in own:
+                found[:, k] = own[name].coverage, *own[name].bounds
+        shares[method], *ends = 100 * found
+        bars[method] = ends[0], ends[1]
         rows += [
-            [each.parameter, method, str(each.runs), f"{100 * each.coverage:.1f}"] for each in own
+            [each.parameter, method, str(each.runs), f"{100 * each.coverage:.1f}"]
+            for each in own.values()
         ]
-    if not panels:
+    if not rows:
         return None
+    title = "share that hold the truth"
+    panels = named_panels(title, names, shares, "coverage [%]", bars=bars, line=95.0)
     return {
         "id": "coverage",
         "title": "Do intervals of 95 % hold the truth?",
-        "says": "A bar for each parameter: the coverage that the number of runs allows, with a "
-        "certainty of 95 %. One bar in twenty may miss the line.",
+        "says": "Points are the share of intervals that hold the truth; bars, the coverage that so "
+        "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line.",
         "legend": {"measured": "95 %"} | LEGEND,
         "panels": panels,
         "caption": "Bounds of Clopper and Pearson.",
@@ -110,7 +110,7 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> dict[str, Any] | None:
 
 
 def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
-    """Errors over sigmas beside the normal law, parameter by parameter.
+    """Errors over sigmas of all parameters beside the normal law; None of fewer than ENOUGH runs.
 
     Args:
         z: By method and parameter.
@@ -119,16 +119,21 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
     rows: list[list[str]] = []
     middle = (BINS[1:] + BINS[:-1]) / 2
     normal = np.exp(-(middle**2) / 2) / np.sqrt(2 * np.pi)
-    for method, scores in z.items():
-        for name, values in scores.items():
-            inside = np.clip(values, BINS[0], BINS[-1])
-            share = np.histogram(inside, BINS)[0] / len(values) / np.diff(BINS)
-            rms = float(np.sqrt(np.mean(values**2)))
-            rows.append([name, method, f"{values.mean():.2f}", f"{rms:.2f}"])
-            if len(panels) < PANELS:
-                stairs = np.repeat(BINS, 2)[1:-1], np.repeat(share, 2)
-                curves = {"measured": (middle, normal), method: stairs}
-                panels.append(Panel(f"{name}, {method}: rms {rms:.2f}", curves, "error / sigma"))
+    for method, every in z.items():
+        scores = {name: values for name, values in every.items() if len(values) >= ENOUGH}
+        if not scores:
+            continue
+        rows += [
+            [name, method, f"{values.mean():.2f}", f"{_rms(values):.2f}"]
+            for name, values in scores.items()
+        ]
+        pooled = np.concatenate(list(scores.values()))
+        inside = np.clip(pooled, BINS[0], BINS[-1])
+        share = np.histogram(inside, BINS)[0] / len(pooled) / np.diff(BINS)
+        stairs = np.repeat(BINS, 2)[1:-1], np.repeat(share, 2)
+        title = f"{LEGEND[method]}: density of {len(pooled)} errors, rms {_rms(pooled):.2f}"
+        curves = {"measured": (middle, normal), method: stairs}
+        panels.append(Panel(title, curves, "error / sigma", from_zero=True))
     if not panels:
         return None
     return {
@@ -137,10 +142,14 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
         "says": "If sigma is honest, errors over sigmas follow the normal law.",
         "legend": {"measured": "normal law"} | LEGEND,
         "panels": panels,
-        "caption": f"The first {len(panels)} of {len(rows)} parameters.",
+        "caption": "All parameters and runs; the table has them one by one.",
         "heads": ["parameter", "method", "mean of z", "rms of z"],
         "rows": rows,
     }
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def sigma_figure(parts: Sequence[ParameterErrors]) -> dict[str, Any] | None:

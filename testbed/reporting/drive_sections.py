@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions
 from testbed.identification.drive_findings import DriveFindings
 from testbed.identification.friction_curves import FrictionCurve
-from testbed.reporting.figures import Panel, thinned
+from testbed.reporting.figures import Panel, named_panels, thinned
 
 BAND = 2.0
 """Sigmas to either side of a curve."""
@@ -23,9 +23,9 @@ def drive_section(
     """Torque constants with error bars, and over time what of each torque friction is.
 
     Args:
-        found: Predictions for the recording that is drawn.
+        found: Predictions for the recording that is drawn, through a low-pass.
         drives: What the plate says of the drives.
-        cutoff: Of the low-pass on signals that are drawn [Hz].
+        cutoff: Of the low-pass [Hz].
         seconds: How much of the recording is drawn.
     """
     return {
@@ -36,7 +36,8 @@ def drive_section(
         "the torque that was measured; in colour, what of it is friction at that instant, by the "
         "friction curve.",
         "legend": {"measured": "torque, as it is", "external": "constant; friction"},
-        "panels": [_constants(drives), *_torques(found, drives, cutoff, seconds)],
+        "panels": [*_constants(drives), *_torques(found, drives, seconds)],
+        "shown": 3,
         "caption": f"Bars and bands are {BAND:g} sigma to either side. Torques over "
         f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants.",
         "heads": ["joint", "torque constant", "sigma", "terms", "left over"],
@@ -44,31 +45,27 @@ def drive_section(
     }
 
 
-def _constants(drives: DriveFindings) -> Panel:
-    place = np.arange(1.0, len(drives.estimates) + 1)
+def _constants(drives: DriveFindings) -> list[Panel]:
     off = np.array([100 * (each.constant - 1) for each in drives.estimates])
     sigma = np.array([100 * each.sigma for each in drives.estimates])
-    return Panel(
-        "torque constants: reported over true, less one [%]",
-        {"external": (place, off)},
-        f"joint, 1 ({drives.estimates[0].joint}) to {len(place)} ({drives.estimates[-1].joint})",
-        points=("external",),
-        bars={"external": BAND * sigma},
-        whole=True,
+    return named_panels(
+        "torque constants",
+        [each.joint for each in drives.estimates],
+        {"external": off},
+        "reported over true, less one [%]",
+        bars={"external": (off - BAND * sigma, off + BAND * sigma)},
+        line=0.0,
     )
 
 
-def _torques(
-    found: Predictions, drives: DriveFindings, cutoff: float, seconds: float
-) -> Iterator[Panel]:
+def _torques(found: Predictions, drives: DriveFindings, seconds: float) -> Iterator[Panel]:
     """Each joint's torque over time, and its friction."""
-    smooth = found.smoothed(cutoff)
-    shown = smooth.motion.t <= smooth.motion.t[0] + seconds
-    time = smooth.motion.t[shown]
-    torque = next(signal for signal in smooth.signals if signal.kind == "torque")
+    shown = found.motion.t <= found.motion.t[0] + seconds
+    time = found.motion.t[shown]
+    torque = next(signal for signal in found.signals if signal.kind == "torque")
     for j, curve in enumerate(drives.curves):
         own = torque.measured[shown, j] / drives.estimates[j].constant
-        rubbed = curve.at(smooth.motion.qd[shown, j])
+        rubbed = curve.at(found.motion.qd[shown, j])
         lines = {"measured": thinned(time, own), "external": thinned(time, rubbed)}
         yield Panel(f"{curve.joint}: torque, friction in it [{curve.unit}]", lines, "time [s]")
 

@@ -21,7 +21,9 @@ from testbed.identification.estimate_text import ROUNDING
 from testbed.identification.influence import by_influence
 from testbed.reporting.figures import (
     COLOURS,
+    COLUMNS,
     FAINT,
+    MOST_ROWS,
     STYLE,
     WIDER,
     WIDTH,
@@ -32,9 +34,6 @@ from testbed.reporting.figures import (
 
 MOST = 60
 """Parameters drawn; of more, those that add most to the predicted signals."""
-
-SPLIT = 8
-"""Parameters from which they stand in two panels."""
 
 LEAST = 1e-12
 """Share of the largest below which a dot stands at the edge, as an error of nothing does."""
@@ -172,13 +171,15 @@ def draw(
 
 
 def dot_panels(dots: ErrorDots) -> list[dict[str, str]]:
-    """The drawing as one or two elements of a page, on one scale.
+    """The drawing as elements of a page, on one scale.
 
     Args:
         dots: What is drawn.
     """
     count = len(dots.names)
-    parts = [dots.part(k) for k in np.array_split(np.arange(count), 2 if count >= SPLIT else 1)]
+    parts = [
+        dots.part(k) for k in np.array_split(np.arange(count), COLUMNS if count > MOST_ROWS else 1)
+    ]
     left = max(labels_room(*_figure(part, dots.range, 0.2)) for part in parts)
     return [_panel(part, dots.range, min(0.6, WIDER * left)) for part in parts]
 

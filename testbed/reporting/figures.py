@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
@@ -23,10 +24,11 @@ INK, FAINT = "#010203", "#010204"
 """Stand for the page's text colour and a fainter one."""
 COLOURS = {
     "measured": "#010205",
+    "unexplained": "#010205",
     "external": "#010206",
     "internal": "#010207",
-    "unexplained": "#010205",
 }
+"""By what curves are; later ones are drawn over earlier ones."""
 _VARIABLES = {
     INK: "var(--ink)",
     FAINT: "var(--faint)",
@@ -63,10 +65,26 @@ STYLE: dict[Any, Any] = {
 }
 WIDTH, HEIGHT = 4.1, 1.85
 """Of a plot [inches]."""
-_MARGINS = {"left": 0.115, "right": 0.985, "bottom": 0.245, "top": 0.89}  # parts of it
+LEFT, RIGHT, BOTTOM, TOP = 0.47, 0.06, 0.45, 0.2
+"""Around its axes [inches]."""
+LOWER = 0.68
+"""Height of axes that stand below others [inches]."""
+ROW = 0.19
+"""Height of a named row [inches]."""
+MOST_ROWS = 9
+"""Named rows from which they stand in several plots."""
+COLUMNS = 3
+"""Plots beside each other on a wide page."""
 WIDER = 1.05
 """Room for labels in a font wider than the one they are measured in."""
-_WIDTHS = {"measured": 2.6}  # what hides behind the predictions
+THIN, THICKER = 1.0, 1.2
+"""Width of the line on top, and by how much each one below is wider: it is seen on both sides."""
+DOT, SMALL = 7.0, 2.0
+"""Size of points."""
+FEW = 200
+"""Points of a curve, more than which are small."""
+APART = 0.32
+"""Of points in one row, in rows."""
 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -75,17 +93,20 @@ Curves = Mapping[str, tuple[Array, Array]]  # x and y by what they are: measured
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One small plot.
+    """One small plot, or several below each other over one horizontal axis.
 
     Attributes:
         title: What it shows, with unit.
         curves: By what they are: "measured", "external", "internal" or "unexplained".
         x_label: With unit.
-        log: Both axes logarithmic.
+        log: Both axes logarithmic; of named rows the horizontal one.
         points: Which curves are drawn as points.
-        bars: Half the length of the error bars of points, by curve.
+        bars: Ends of the bars of points, by curve.
         bands: Half the width of the band around a line, by curve.
-        whole: Whether the horizontal axis counts.
+        names: Of the rows 0, 1, ... from above, where points stand in such.
+        limits: Of the horizontal axis; None for what the curves need.
+        from_zero: The vertical axis begins at zero.
+        below: Curves of further plots, by their titles.
     """
 
     title: str
@@ -93,41 +114,139 @@ class Panel:
     x_label: str
     log: bool = False
     points: tuple[str, ...] = ()
-    bars: Mapping[str, Array] = field(default_factory=dict)
+    bars: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     bands: Mapping[str, Array] = field(default_factory=dict)
-    whole: bool = False
+    names: tuple[str, ...] = ()
+    limits: tuple[float, float] | None = None
+    from_zero: bool = False
+    below: Mapping[str, Curves] = field(default_factory=dict)
 
     @property
     def svg(self) -> str:
         """The plot as an element of a page."""
-        with rc_context(STYLE | {"svg.hashsalt": f"{self.title} {self.x_label}"}):
-            figure = Figure(figsize=(WIDTH, HEIGHT))
-            axis = figure.subplots()
-            figure.subplots_adjust(**_MARGINS)
-            for label, (x, y) in self.curves.items():
-                style: dict[str, Any] = {"color": COLOURS[label]}
-                if label in self.points:
-                    size = 7 if label in self.bars else 2
-                    style |= {"linestyle": "none", "marker": ".", "markersize": size}
-                else:
-                    style |= {"linewidth": _WIDTHS.get(label, 1.1)}
-                axis.plot(x, y, **style)
-                if label in self.bars:
-                    at, height = np.asarray(x), np.asarray(self.bars[label])
-                    axis.vlines(at, y - height, y + height, color=COLOURS[label], linewidth=1.1)
-                if label in self.bands:
-                    wide = np.asarray(self.bands[label])
-                    colour = COLOURS[label]
-                    axis.fill_between(x, y - wide, y + wide, color=colour, alpha=0.3, linewidth=0)
-            axis.set_title(self.title, loc="left")
-            axis.set_xlabel(self.x_label, labelpad=3)
-            drawn = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)
-            (_logarithmic if self.log and drawn else _linear)(axis)
-            if self.whole:
-                axis.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-                axis.margins(x=0.1, y=0.1)
-            figure.subplots_adjust(left=max(_MARGINS["left"], WIDER * labels_room(figure, axis)))
-            return as_svg(figure, self.title)
+        with rc_context(STYLE | {"svg.hashsalt": self.says}):
+            return as_svg(self.drawn(), self.says)
+
+    @property
+    def says(self) -> str:
+        """What it shows, for those who do not see it."""
+        rows = [f"{self.names[0]} to {self.names[-1]}"] if self.names else []
+        return f"{', '.join([self.title, *rows, *self.below])} over {self.x_label}"
+
+    def drawn(self) -> Figure:
+        """The plot as matplotlib's."""
+        heights = [HEIGHT - BOTTOM - TOP, *(LOWER for _ in self.below)]
+        if self.names:
+            heights[0] = ROW * len(self.names)
+        total = sum(heights) + TOP * len(heights) + BOTTOM
+        with rc_context(STYLE):
+            figure = Figure(figsize=(WIDTH, total))
+            every = {self.title: self.curves, **self.below}
+            high = total
+            axes: list[Axes] = []
+            for height, (title, curves) in zip(heights, every.items(), strict=True):
+                high -= height + TOP
+                place = (LEFT / WIDTH, high / total, 1 - (LEFT + RIGHT) / WIDTH, height / total)
+                axes.append(figure.add_axes(place, sharex=axes[0] if axes else None))
+                self._draw(axes[-1], title, curves)
+                axes[-1].tick_params(labelbottom=len(axes) == len(heights))
+            axes[-1].set_xlabel(self.x_label, labelpad=3)
+            room = WIDER * max(labels_room(figure, axis) for axis in axes)
+            left = min(max(LEFT / WIDTH, room), 0.6)
+            for axis in axes:
+                box = axis.get_position()
+                axis.set_position((left, box.y0, 1 - RIGHT / WIDTH - left, box.height))
+        return figure
+
+    def _draw(self, axis: Axes, title: str, curves: Curves) -> None:
+        drawn = [label for label in COLOURS if label in curves]
+        lines = [label for label in drawn if label not in self.points]
+        for label in drawn:
+            x, y = curves[label]
+            style: dict[str, Any] = {"color": COLOURS[label]}
+            if label in lines:
+                style["linewidth"] = THIN + THICKER * (len(lines) - 1 - lines.index(label))
+            else:
+                size = SMALL if len(x) > FEW else DOT
+                style |= {"linestyle": "none", "marker": ".", "markersize": size}
+            axis.plot(x, y, **style)
+            if label in self.bars:
+                ends = self.bars[label]
+                (axis.hlines if self.names else axis.vlines)(
+                    y if self.names else x, *ends, color=COLOURS[label], linewidth=THIN
+                )
+            if label in self.bands:
+                wide, colour = np.asarray(self.bands[label]), COLOURS[label]
+                axis.fill_between(x, y - wide, y + wide, color=colour, alpha=0.3, linewidth=0)
+        axis.set_title(title, loc="left")
+        positive = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)
+        if self.names:
+            _in_rows(axis, self.names, self.log)
+        else:
+            (_logarithmic if self.log and positive else _linear)(axis)
+            if self.below:
+                _round(axis.yaxis, 2)
+        if self.from_zero:
+            axis.set_ylim(bottom=0.0)
+        if self.limits is not None:
+            axis.set_xlim(self.limits)
+
+
+def named_panels(
+    title: str,
+    names: Sequence[str],
+    values: Mapping[str, Array],
+    x_label: str,
+    *,
+    bars: Mapping[str, tuple[Array, Array]] | None = None,
+    line: float | None = None,
+    log: bool = False,
+) -> list[Panel]:
+    """Values by name, a row each; many in several plots on one scale.
+
+    Args:
+        title: What is shown.
+        names: (p,).
+        values: By what they are, (p,).
+        x_label: Of the values, with unit.
+        bars: Ends of bars, by what they are of, (p,) each.
+        line: What the values are held against.
+        log: Logarithmic; values that are no numbers above zero are not drawn.
+    """
+    bars = bars or {}
+    every = np.concatenate([*values.values(), *(end for pair in bars.values() for end in pair)])
+    every = np.append(every, [] if line is None else line)
+    every = every[np.isfinite(every) & ((every > 0) | (not log))]
+    low, high = (float(every.min()), float(every.max())) if every.size else (0.1, 1.0)
+    if log:
+        low, high = 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
+        limits = (low, max(high, 10 * low))
+    else:
+        room = 0.04 * (high - low) or 1.0
+        limits = (low - room, high + room)
+    panels = []
+    count = COLUMNS if len(names) > MOST_ROWS else 1
+    for part in np.array_split(np.arange(len(names)), count):
+        rows = np.arange(len(part), dtype=float)
+        curves = {
+            kind: (each[part], rows + APART * (k - (len(values) - 1) / 2))
+            for k, (kind, each) in enumerate(values.items())
+        }
+        if line is not None:
+            curves["measured"] = np.array([line, line]), np.array([-0.5, len(part) - 0.5])
+        panels.append(
+            Panel(
+                title,
+                curves,
+                x_label,
+                log=log,
+                points=tuple(values),
+                bars={kind: (low[part], high[part]) for kind, (low, high) in bars.items()},
+                names=tuple(names[k] for k in part),
+                limits=limits,
+            )
+        )
+    return panels
 
 
 def labels_room(figure: Figure, axis: Axes) -> float:
@@ -137,11 +256,28 @@ def labels_room(figure: Figure, axis: Axes) -> float:
     return 0.0 if box is None else float((axis.bbox.x0 - box.x0) / figure.bbox.width)
 
 
+def _in_rows(axis: Axes, names: Sequence[str], log: bool) -> None:
+    """A row a name, from above."""
+    if log:
+        axis.set_xscale("log")
+        _powers(axis.xaxis, 6)
+    else:
+        _round(axis.xaxis, 6)
+    axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set_yticks(range(len(names)), names)
+    axis.tick_params(axis="y", length=0)
+    axis.grid(False, axis="y")
+
+
 def _linear(axis: Axes) -> None:
     """Few round ticks."""
-    for scale, most in ((axis.xaxis, 6), (axis.yaxis, 4)):
-        scale.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
-        scale.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
+    _round(axis.xaxis, 6)
+    _round(axis.yaxis, 4)
+
+
+def _round(scale: Axis, most: int) -> None:
+    scale.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
+    scale.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
 
 
 def _logarithmic(axis: Axes) -> None:
@@ -152,10 +288,14 @@ def _logarithmic(axis: Axes) -> None:
     positive = np.concatenate([np.asarray(y)[np.asarray(y) > 0] for y in shown])
     low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
     axis.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
-    for scale, most in ((axis.xaxis, 6), (axis.yaxis, 4)):
-        scale.set_major_locator(LogLocator(numticks=most))
-        scale.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
-        scale.set_minor_formatter(NullFormatter())
+    _powers(axis.xaxis, 6)
+    _powers(axis.yaxis, 4)
+
+
+def _powers(scale: Axis, most: int) -> None:
+    scale.set_major_locator(LogLocator(numticks=most))
+    scale.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
+    scale.set_minor_formatter(NullFormatter())
 
 
 def tick_label(value: float) -> str:

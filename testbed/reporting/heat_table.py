@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-DARKEST = 75
-"""Part of the colour in the darkest cell [%]."""
+DARKEST = 48
+"""Part of the colour in the darkest cell, on which text can still be read [%]."""
 
 
 def heat_table(

@@ -19,6 +19,8 @@ from testbed.reporting.contents import contents
 
 _SIGNS = {"+-": "±", "^2": "²", " %": "\u00a0%"}
 
+_HEAD = re.compile(r'<h2 id="([^"]+)">(.*?)</h2>')
+
 _EXPONENT = re.compile(r"[-+]?\d[\d.]*e-\d+")
 """A number that a browser would break at its second sign."""
 
@@ -83,7 +85,10 @@ def rendered(template: str, content: dict[str, Any]) -> str:
     )
     environment.filters |= {"typeset": typeset, "breakable": breakable, "drawing": Markup}
     style = (pages / "style.css").read_text("utf-8")
-    return environment.get_template(template).render(content, style=style)
+    text = environment.get_template(template).render(content, style=style)
+    heads = _HEAD.findall(text)
+    links = " ".join(f'<a href="#{place}">{title}</a>' for place, title in heads)
+    return text.replace("<nav></nav>", f'<nav aria-label="Contents">{links}</nav>')
 
 
 def typeset(text: str) -> Markup:

@@ -19,6 +19,8 @@ CLEAR = 1e-3
 def instrument_tables(run: Run) -> list[dict[str, Any]]:
     """Tables, each with its caption, heads and rows of words; none without the plate's estimate.
 
+    Those are traced that hold what is no chance.
+
     Args:
         run: The run.
     """
@@ -28,6 +30,7 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
             tables.append(
                 {
                     "caption": "Estimated with the parameters",
+                    "traced": True,
                     "heads": ["what", "unit", "value", "sigma"],
                     "rows": [
                         [n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"]
@@ -37,15 +40,26 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
             )
         if estimate.trace_tests:
             tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
-            heads = ["fault", "chance", "would move", "size"]
-            shown = len(heads) if any(t.chance <= CLEAR for t in estimate.trace_tests) else 2
-            tables.append(
-                {
-                    "caption": "Faults whose traces were looked for, the clearest first",
-                    "heads": heads[:shown],
-                    "rows": [_test(test)[:shown] for test in tested],
-                }
-            )
+            clear = [test for test in tested if test.chance <= CLEAR]
+            others = tested[len(clear) :]
+            if clear:
+                tables.append(
+                    {
+                        "caption": "Faults that left a trace, the clearest first",
+                        "traced": True,
+                        "heads": ["fault", "chance", "would move", "size"],
+                        "rows": [_test(test) for test in clear],
+                    }
+                )
+            if others:
+                tables.append(
+                    {
+                        "caption": "Faults without a clear trace",
+                        "traced": False,
+                        "heads": ["fault", "chance"],
+                        "rows": [[t.nuisance.said, _chance(t.chance)] for t in others],
+                    }
+                )
         if estimate.noise is not None and estimate.noise.repetition is not None:
             tables.append(_repetition(estimate.noise.repetition, estimate.channels))
     return tables
@@ -55,6 +69,7 @@ def _repetition(found: Repetition, channels: Sequence[str]) -> dict[str, Any]:
     return {
         "caption": f"Part of the residuals that repeats with the motion, every {found.period:.4g} "
         f"s: chance {_chance(found.chance)} in mere noise",
+        "traced": found.chance <= CLEAR,
         "heads": ["channel", "part"],
         "rows": [
             [channel, f"{max(0.0, share):.0%}"]
@@ -68,8 +83,5 @@ def _chance(chance: float) -> str:
 
 
 def _test(test: TraceTest) -> list[str]:
-    chance = _chance(test.chance)
-    if test.chance > CLEAR:
-        return [test.nuisance.said, chance, "", ""]
     shift = f"{test.parameter} by {test.shift:.2g} sigma"
-    return [test.nuisance.said, chance, shift, "; ".join(test.largest(LARGEST))]
+    return [test.nuisance.said, _chance(test.chance), shift, "; ".join(test.largest(LARGEST))]

@@ -8,9 +8,7 @@ from testbed.arrays import Array
 from testbed.experiment.matrix_errors import SAID, matrix_errors
 from testbed.experiment.run import Run
 from testbed.recordings.columns import AXES
-
-DARKEST = 70
-"""Part of the colour in the darkest cell [%]."""
+from testbed.reporting.heat_table import DARKEST
 
 
 def matrix_maps(run: Run) -> list[dict[str, Any]]:

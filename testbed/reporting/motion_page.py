@@ -11,11 +11,14 @@ from testbed.arrays import Array
 from testbed.excitation.slack import slack
 from testbed.experiment.excite import Excitation
 from testbed.files import replacing
-from testbed.reporting.figures import Panel
+from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.html import rendered
 
 INSTANTS = 400
 """Of a period that are drawn."""
+
+SHOWN = 6
+"""Joints that are not folded away."""
 
 
 def write_motion_page(path: Path, found: Excitation) -> None:
@@ -50,20 +53,9 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
 
 def _sigma_figure(found: Excitation) -> dict[str, Any]:
     names, promised = found.predicted.names, found.predicted.relative
-    number = np.arange(1.0, len(names) + 1)
-    curves = {"external": (number, np.log10(100 * promised))}
     random = None if found.gain is None else found.random_predicted
-    if random is not None:
-        curves = {"measured": (number, np.log10(100 * random.relative))} | curves
-    label = f"parameter, 1 ({names[0]}) to {len(names)} ({names[-1]})"
-    panel = Panel(
-        "log10 of sigma as % of the value",
-        curves,
-        label,
-        points=tuple(curves),
-        bars={kind: np.zeros(len(names)) for kind in curves},  # larger points
-        whole=True,
-    )
+    values = {} if random is None else {"measured": 100 * random.relative}
+    values["external"] = 100 * promised
     others = [""] * len(names) if random is None else [f"{v:.3%}" for v in random.relative]
     return {
         "id": "sigma",
@@ -73,8 +65,9 @@ def _sigma_figure(found: Excitation) -> dict[str, Any]:
         "legend": {"measured": "random motion", "external": "this motion"}
         if random is not None
         else {"external": "this motion"},
-        "panels": [panel],
-        "caption": f"A recording of {found.experiment.motion.duration:g} s, its filters' ends off.",
+        "panels": named_panels("sigma", names, values, "sigma, part of the value [%]", log=True),
+        "caption": f"A recording of {found.experiment.motion.duration:g} s, its filters' ends off. "
+        "Logarithmic; further to the left is better.",
         "heads": ["parameter", "sigma", "of its value", "random motion"],
         "rows": [
             [name, f"{found.predicted.sigma[k]:.2g}", f"{promised[k]:.3%}", others[k]]
@@ -93,9 +86,12 @@ def _motion_figure(found: Excitation) -> dict[str, Any]:
     for j, joint in enumerate(found.tree.joints):
         q, qd, qdd = (motion.derivative(times, order)[:, j] for order in range(3))
         unit = "rad" if joint.revolute else "m"
-        title = f"{joint.name} [{unit}]"
-        curves = {"internal": (times, qdd), "external": (times, qd), "measured": (times, q)}
-        panels.append(Panel(title, curves, "time [s]"))
+        below = {
+            f"velocity [{unit}/s]": {"external": (times, qd)},
+            f"acceleration [{unit}/s²]": {"external": (times, qdd)},
+        }
+        title = f"{joint.name}: position [{unit}]"
+        panels.append(Panel(title, {"external": (times, q)}, "time [s]", below=below))
         rows.append(
             [
                 joint.name,
@@ -109,9 +105,10 @@ def _motion_figure(found: Excitation) -> dict[str, Any]:
         "id": "motion",
         "title": "How it moves",
         "says": "One period, joint by joint; it repeats as often as the recording lasts.",
-        "legend": {"measured": "position", "external": "velocity", "internal": "acceleration"},
+        "legend": {},
         "panels": panels,
-        "caption": "rad or m, and per s, per s^2.",
+        "shown": SHOWN,
+        "caption": "",
         "heads": ["joint", "position", "allowed", "largest velocity", "largest acceleration"],
         "rows": rows,
     }
@@ -120,7 +117,12 @@ def _motion_figure(found: Excitation) -> dict[str, Any]:
 def _limit_figure(found: Excitation) -> dict[str, Any]:
     times = _times(found)
     panels = [
-        Panel(f"left of {kind.label} [{kind.unit}]", {"external": (times, kind.left)}, "time [s]")
+        Panel(
+            f"left of {kind.label} [{kind.unit}]",
+            {"external": (times, kind.left)},
+            "time [s]",
+            from_zero=bool((kind.left >= 0).all()),
+        )
         for kind in slack(found.design.motion, found.rules, times)
     ]
     return {
@@ -128,7 +130,7 @@ def _limit_figure(found: Excitation) -> dict[str, Any]:
         "title": "What it leaves of its limits",
         "says": "At every instant, what the nearest limit of each kind leaves of what may be used. "
         "The table holds what is proven, between the instants too.",
-        "legend": {"external": "left"},
+        "legend": {},
         "panels": panels,
         "caption": _allowed(found),
         "heads": ["limit on", "left", "at t [s]"],
@@ -148,4 +150,6 @@ def _allowed(found: Excitation) -> str:
             f" Distances are of shapes that no joint joins. {least:g} mm are to be kept; what is "
             "left of a clearance is beyond these."
         )
+        if rules.clearance.min() < rules.clearance.max():
+            said += " Pairs that keep less are not drawn; the table has them."
     return " ".join([said, *rules.notes])

@@ -23,6 +23,8 @@ EYE = np.array([0.9, -1.6, 0.65])
 """Where the picture is taken from; parallel rays."""
 LIGHT = np.array([0.5, -0.2, 0.85])
 """Where the light comes from."""
+EDGE = 1.5
+"""Of the page's colour around arrows, which a robot may have the colour of [pixels]."""
 ARROW = 0.4
 """Length of the force's and the moment's arrow, as part of the robot's reach."""
 
@@ -140,9 +142,13 @@ def _arrow(ends: Array, colour: str, thickness: float, label: str) -> str:
     anchor = "end" if along[0] < -0.3 else "start" if along[0] > 0.3 else "middle"
     if anchor == "middle":
         place = tip + np.array([0.0, -8.0 if along[1] < 0 else 22.0])
+    line = f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{base[0]:.1f}" y2="{base[1]:.1f}" '
     return (
-        f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{base[0]:.1f}" y2="{base[1]:.1f}" '
-        f'stroke="{colour}" stroke-width="{thickness}"/><polygon points="{head}" fill="{colour}"/>'
-        f'<text x="{place[0]:.1f}" y="{place[1]:.1f}" fill="{colour}" text-anchor="{anchor}">'
+        f'{line}stroke="var(--paper)" stroke-width="{thickness + 2 * EDGE}"/>'
+        f'{line}stroke="{colour}" stroke-width="{thickness}"/>'
+        f'<polygon points="{head}" fill="{colour}" stroke="var(--paper)" stroke-width="{EDGE}" '
+        'paint-order="stroke"/>'
+        f'<text x="{place[0]:.1f}" y="{place[1]:.1f}" fill="var(--ink)" text-anchor="{anchor}" '
+        'stroke="var(--paper)" stroke-width="5" stroke-linejoin="round" paint-order="stroke">'
         f"{escape(label)}</text>"
     )

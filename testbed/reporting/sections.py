@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,8 @@ CUTOFF = 10.0
 """Of the low-pass on signals that are drawn [Hz]."""
 SLOW = 5.0
 """Frequency below which the motion is, and above which noise [Hz]."""
+SHOWN_CHANNELS, SHOWN_OTHERS = 6, 3
+"""Plots of the signals, and of other figures, that are not folded away."""
 
 
 def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
@@ -31,14 +34,15 @@ def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
         found: Predictions for the unseen recording, or for the one that was identified.
         unseen: Which of the two.
     """
-    drawn = [_measured(found, unseen)]
+    smooth = found.smoothed(CUTOFF)
+    drawn = [_measured(found, smooth, unseen)]
     if any(_told(signal) for signal in found.signals):
         drawn.append(_spectra(found))
     if found.unexplained_torque is not None:
-        drawn.append(_friction(found))
+        drawn.append(_friction(found, smooth))
         if found.run.drives is not None:
             seconds = seconds_shown(found.motion.t)
-            drawn.append(drive_section(found, found.run.drives, CUTOFF, seconds))
+            drawn.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
     if found.run.consistent is not None:
         drawn.append(bodies_section(found.run, found.run.consistent))
     return drawn
@@ -64,8 +68,7 @@ def seconds_shown(time: Array) -> float:
     return min(SHOWN, float(time[-1] - time[0]))
 
 
-def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
-    smooth = found.smoothed(CUTOFF)
+def _measured(found: Predictions, smooth: Predictions, unseen: bool) -> dict[str, Any]:
     time = smooth.motion.t
     shown = time <= time[0] + SHOWN
     panels, rows = [], []
@@ -74,10 +77,12 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
         lines: dict[str, Array] = {"measured": signal.measured[:, c]}
         lines |= {m: signal.predicted[m][:, c] for m in reversed(METHODS) if m in signal.predicted}
         rest: dict[str, Array] = {m: signal.residual(m)[:, c] for m in _told(signal)}
-        for title, curves in ((f"{name} [{unit}]", lines), (f"{name}: residual [{unit}]", rest)):
-            drawn = {label: thinned(time[shown], line[shown]) for label, line in curves.items()}
-            if drawn:
-                panels.append(Panel(title, drawn, "time [s]"))
+        above, below = (
+            {label: thinned(time[shown], line[shown]) for label, line in curves.items()}
+            for curves in (lines, rest)
+        )
+        parts = {f"residual [{unit}]": below} if below else {}
+        panels.append(Panel(f"{name} [{unit}]", above, "time [s]", below=parts))
         rows.append(
             [name, unit, *_residual_cells(smooth, signal, c), *_ratio_cells(found, signal, c)]
         )
@@ -86,7 +91,7 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
     return {
         "id": "prediction",
         "title": f"Measured and predicted, on {motion}",
-        "says": "What was measured, grey, and what the estimates predict; beside it, or below, "
+        "says": "What was measured, grey, and what the estimates predict; below it, "
         "what is left over. The external estimate knows no friction, so its joint torques are "
         "those of a robot without; the internal one takes from the external what joint torques "
         "cannot tell."
@@ -97,6 +102,7 @@ def _measured(found: Predictions, unseen: bool) -> dict[str, Any]:
         ),
         "legend": {label: label for label in ("measured", *methods)},
         "panels": panels,
+        "shown": SHOWN_CHANNELS,
         "caption": f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
         "heads": [
             "channel", "unit", "spread (rms)",
@@ -141,23 +147,19 @@ def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
 
 def _spectra(found: Predictions) -> dict[str, Any]:
     rate = found.recording.rate
-    panels, rows = [], []
+    panels, rows, told = [], [], []
     for signal, c in _channels(found):
         name, unit = signal.channels[c], signal.units[c]
         spectra: dict[str, tuple[Array, Array]] = {
             m: spectrum(signal.residual(m)[:, c], rate) for m in _told(signal)
         }
         panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
-        rows += [
-            [
-                name,
-                unit,
-                method,
-                f"{rms_within(*each, 0.0, SLOW):.3g}",
-                f"{rms_within(*each, SLOW, np.inf):.3g}",
-            ]
+        sizes = {
+            method: (rms_within(*each, 0.0, SLOW), rms_within(*each, SLOW, np.inf))
             for method, each in spectra.items()
-        ]
+        }
+        rows += [[name, unit, m, f"{slow:.3g}", f"{fast:.3g}"] for m, (slow, fast) in sizes.items()]
+        told.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
     return {
         "id": "spectra",
         "title": "What is left over, by frequency",
@@ -165,8 +167,9 @@ def _spectra(found: Predictions) -> dict[str, Any]:
         "of the encoders rises until the filter on positions ends it; what stands at the motion's "
         "frequencies is a part of the robot, or of its friction, that the model lacks.",
         "legend": {method: method for method in found.run.estimates},
-        "panels": panels,
-        "caption": "Welch's method, segments of at most 2048 samples.",
+        "panels": telling_first(panels, told),
+        "shown": SHOWN_OTHERS,
+        "caption": f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",
         "heads": [
             "channel", "unit", "estimate", f"rms below {SLOW:g} Hz", f"rms above {SLOW:g} Hz",
         ],
@@ -174,10 +177,31 @@ def _spectra(found: Predictions) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _friction(found: Predictions) -> dict[str, Any]:
+def telling_first(panels: Sequence[Panel], told: Sequence[float]) -> list[Panel]:
+    """Plots, those that say most first where some are to be folded away.
+
+    Args:
+        panels: In their own order.
+        told: How much each says.
+    """
+    if len(panels) <= SHOWN_OTHERS:
+        return list(panels)
+    return [panels[k] for k in np.argsort(-np.asarray(told), kind="stable")]
+
+
+def _ordered(panels: Sequence[Panel]) -> str:
+    if len(panels) <= SHOWN_OTHERS:
+        return "one plot a channel."
+    return f"first the channels with most below {SLOW:g} Hz beside the rest."
+
+
+def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
     rest, run = found.unexplained_torque, found.run
     assert rest is not None  # the caller has looked
-    panels = []
+    panels, told = [], []
+    measured = next(s.measured for s in smooth.signals if s.kind == "torque")
+    unexplained = smooth.unexplained_torque
+    assert unexplained is not None
     for j, joint in enumerate(run.tree.joints):
         units = ("rad/s", "N m") if joint.revolute else ("m/s", "N")
         speed = found.motion.qd[:, j]
@@ -187,6 +211,7 @@ def _friction(found: Predictions) -> dict[str, Any]:
         model = found.friction(grid)
         if model is not None:
             curves["internal"] = grid[:, j], model[:, j]
+        told.append(float(unexplained[:, j].std()) / max(float(measured[:, j].std()), 1e-12))
         bands = {}
         if run.drives is not None:
             nodes, torque, sigma = curve_lines(run.drives.curves[j])
@@ -211,7 +236,8 @@ def _friction(found: Predictions) -> dict[str, Any]:
         "legend": {"unexplained": "unexplained torque"}
         | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
-        "panels": panels,
+        "panels": telling_first(panels, told),
+        "shown": SHOWN_OTHERS,
         "caption": _friction_caption(modelled=modelled, curves=run.drives is not None),
         "heads": ["joint", "term", "unit", "found", "true"],
         "rows": _term_rows(run),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -16,9 +17,9 @@ from testbed.robot.tree import Tree
 from testbed.viewer.constant_bars import TALL
 from testbed.viewer.drive_notes import BAND
 from testbed.viewer.heat_map import CELL, TITLES
-from testbed.viewer.overview import learned
+from testbed.viewer.overview import learned, scale_of
 from testbed.viewer.robot_drawing import CLOCK
-from testbed.viewer.scene import CUTOFF, Scene, root, safe
+from testbed.viewer.scene import Scene, root, safe
 
 MOST_ROWS = 8
 """Plots one below the other that can still be read."""
@@ -27,6 +28,9 @@ RATES = ("position", "velocity", "acceleration")
 """What is plotted of a motion's joints."""
 
 Range = tuple[float, float]
+
+ROOM = 1.2
+"""Of an axis, beyond the ends that its title says."""
 
 SETTLED = 1 / 3
 """Growing errors are scaled by those after this part of the recording."""
@@ -131,14 +135,15 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
     views: list[rrb.Container | rrb.View] = [*_overview(scene, at)]
     torque = []
     for signal in scene.predictions.signals:
-        rows = _rows(signal, at, scene.window)
+        rows = _rows(scene, signal, at)
         if signal.kind == "wrench":
             views.append(_stack(rows, "wrench"))
         else:
             torque = rows
     views.append(_joints(at, torque, scene.window))
     if scene.predictions.unexplained_torque is not None:
-        views.append(rrb.Grid(*_friction(scene, at), name="friction"))
+        across = math.ceil(math.sqrt(scene.run.tree.n))
+        views.append(rrb.Grid(*_friction(scene, at), grid_columns=across, name="friction"))
     views += [*_drives(scene, at), *_plate(scene, at)]
     if scene.growth:
         columns = [_stack(_growth(scene, at, method), method) for method in scene.growth]
@@ -151,20 +156,24 @@ def _tabs(scene: Scene, at: str, tab: str) -> rrb.Tabs:
 
 def _overview(scene: Scene, at: str) -> Iterator[rrb.Container]:
     """What is learned of a few parameters, and beside it what is left over of the signals."""
+    shown = learned(scene)
+    most = scale_of(shown) if shown else 0.0
+    time = scene.run.recording.time
     plots = [
         _plot(
             f"{at}/overview/{k}",
-            f"{each.name} [{each.unit.replace('^2', '²')}] as the data grow",
-            legend=k == 0,
-            axis_y=rrb.ScalarAxis(range=each.scale),
+            f"{each.name}: error [%], ±{most:g}",
+            (float(time[0]), float(time[-1])),
+            k == 0,
+            _within(most),
         )
-        for k, each in enumerate(learned(scene))
+        for k, each in enumerate(shown)
     ]
     rest = [
         view
         for signal in scene.predictions.signals[:1]
         for k in range(min(len(signal.channels), MOST_ROWS))
-        for view in _residual(signal, k, at, scene.window)
+        for view in _residual(scene, signal, k, at)
     ]
     if plots:
         columns = [rrb.Vertical(*views) for views in (plots, rest) if views]
@@ -187,22 +196,29 @@ def _stack(rows: Sequence[rrb.View | rrb.Container], name: str) -> rrb.Container
     return rrb.Grid(*rows, grid_columns=-(-len(rows) // MOST_ROWS), name=name)
 
 
-def _rows(signal: Signal, at: str, window: Range) -> list[rrb.Horizontal]:
+def _rows(scene: Scene, signal: Signal, at: str) -> list[rrb.Horizontal]:
     """A channel a row: measured and predicted, and beside it what is left over."""
     rows = []
     for k, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
         path = f"{at}/{signal.kind}/{safe(channel)}"
-        plots = [_plot(path, f"{channel} [{unit}]", window, k == 0)]
-        rows.append(rrb.Horizontal(*plots, *_residual(signal, k, at, window)))
+        plots = [_plot(path, f"{channel} [{unit}]", scene.window, k == 0)]
+        rows.append(rrb.Horizontal(*plots, *_residual(scene, signal, k, at)))
     return rows
 
 
-def _residual(signal: Signal, k: int, at: str, window: Range) -> Iterator[rrb.TimeSeriesView]:
-    """What is left over of a channel, where anything foretells it."""
+def _residual(scene: Scene, signal: Signal, k: int, at: str) -> Iterator[rrb.TimeSeriesView]:
+    """What is left over of a channel, where anything foretells it; channels of a unit alike."""
     if signal.predicted:
         channel, unit = signal.channels[k], signal.units[k]
-        title = f"{channel}: residual below {CUTOFF:g} Hz [{unit}]"
-        yield _plot(f"{at}/residual/{signal.kind}/{safe(channel)}", title, window, k == 0)
+        most = scene.reach(signal.kind, k)
+        title = f"{channel}: residual [{unit}], ±{most:g}"
+        path = f"{at}/residual/{signal.kind}/{safe(channel)}"
+        yield _plot(path, title, scene.window, k == 0, _within(most))
+
+
+def _within(most: float) -> rrb.ScalarAxis:
+    """An axis with a little room beyond its ends."""
+    return rrb.ScalarAxis(range=(-ROOM * most, ROOM * most))
 
 
 def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:

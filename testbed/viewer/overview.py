@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
+from testbed.experiment.score import relative_errors
 from testbed.identification.estimate import METHODS, Method
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import series
 from testbed.viewer.robot_drawing import clock
-from testbed.viewer.scene import Scene
+from testbed.viewer.scene import Scene, rounded_up
 
 MOST = 6
 """Parameters shown: as many as a plate has channels."""
 
 SETTLED = 1 / 3
-"""The scale is that of the values after this part of the recording."""
-
-ROOM = 1.3
-"""Of the scale, beyond what is farthest from the middle."""
+"""The scale is that of the errors after this part of the recording."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,28 +29,29 @@ class Learned:
 
     Attributes:
         name: Of it.
-        unit: Its unit.
-        truth: Its true value; None where that is not known.
         time: Until when, (k,) [s].
-        values: By method, (k,); not a number where the data did not suffice.
+        errors: By method: distance from the true value, or where that is not known from the first
+            method's last one, as `Errors.relative` takes it, (k,) [%]; not a number where the data
+            did not suffice.
     """
 
     name: str
-    unit: str
-    truth: float | None
     time: Array
-    values: Mapping[Method, Array]
+    errors: Mapping[Method, Array]
 
-    @property
-    def scale(self) -> tuple[float, float]:
-        """Values between which the plot opens: the truth, or the last value, is in the middle."""
-        late = self.time >= self.time[0] + SETTLED * (self.time[-1] - self.time[0])
-        last = [values[-1] for values in self.values.values()]
-        middle = float(last[0]) if self.truth is None else self.truth
-        off = np.concatenate([values[late] - middle for values in self.values.values()])
-        widest = float(np.nanmax(np.abs(off), initial=0.0))
-        half = ROOM * max(widest, 1e-6 * abs(middle), 1e-12)
-        return middle - half, middle + half
+
+def scale_of(shown: Sequence[Learned]) -> float:
+    """Error at which all plots end, so that one may be compared with the other [%].
+
+    Args:
+        shown: At least one.
+    """
+    widest = 0.0
+    for each in shown:
+        late = each.time >= each.time[0] + SETTLED * (each.time[-1] - each.time[0])
+        off = np.concatenate([np.abs(errors[late]) for errors in each.errors.values()])
+        widest = max(widest, float(np.nanmax(off, initial=0.0)))
+    return rounded_up(widest)
 
 
 def learned(scene: Scene) -> tuple[Learned, ...]:
@@ -75,30 +74,34 @@ def learned(scene: Scene) -> tuple[Learned, ...]:
     differ = np.abs(last[methods[-1]] - last[methods[0]])
     doubt = first.sigma[places[methods[0]]]
     rank = np.argsort(-differ / np.maximum(doubt, np.finfo(float).tiny), kind="stable")
+    units = [first.units[k] for k in places[methods[0]]]
+    truths = scene.run.truths
+    aims = [truths.get(n, value) for n, value in zip(names, last[methods[0]], strict=True)]
+    errors = {
+        m: 100 * relative_errors(grown[m].values[:, places[m]], np.array(aims), units)
+        for m in methods
+    }
     return tuple(
         Learned(
             name=names[k],
-            unit=first.units[places[methods[0]][k]],
-            truth=scene.run.truths.get(names[k]),
             time=grown[methods[0]].time,
-            values={m: grown[m].values[:, places[m][k]] for m in methods},
+            errors={m: errors[m][:, k] for m in methods},
         )
         for k in sorted(rank[:MOST].tolist())
     )
 
 
 def log_overview(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
-    """A plot a parameter: its truth, and what each method has learned of it so far."""
+    """A plot a parameter: zero, and how far off each method has been so far."""
+    zero = "truth" if scene.run.truths else "last value"
     for k, each in enumerate(learned(scene)):
-        labels = list(each.values)
-        columns = list(each.values.values())
-        there = np.isfinite(np.column_stack(columns)).any(axis=1)
+        values = np.column_stack(list(each.errors.values()))
+        there = np.isfinite(values).any(axis=1)
         if not there.any():
             continue
         path, index = f"{at}/{k}", clock(each.time[there])
-        if each.truth is not None:
-            truth = np.full((int(there.sum()), 1), each.truth)
-            series(stream, f"{path}/truth", index, truth, ["truth"], [COLOURS["measured"]], [3.0])
-        values = np.column_stack(columns)[there]
+        line = np.zeros((int(there.sum()), 1))
+        series(stream, f"{path}/aim", index, line, [zero], [COLOURS["measured"]], [3.0])
+        labels = list(each.errors)
         colours = [COLOURS[label] for label in labels]
-        series(stream, path, index, values, labels, colours, [2.0] * len(labels))
+        series(stream, path, index, values[there], labels, colours, [2.0] * len(labels))

@@ -26,8 +26,10 @@ PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""
 POSES = 50.0
 """Poses shown a second [Hz]; the eye sees no more."""
-WINDOW = 5.0
-"""What is seen first: so long before and after the moment that tells most [s]."""
+WINDOW = 10.0
+"""What is seen first [s]."""
+STEPS = (1, 1.5, 2, 3, 4, 5, 6, 8, 10)
+"""Between which axes end."""
 CUTOFF = 10.0
 """Of the low-pass on residuals: motions are slower [Hz]."""
 
@@ -84,31 +86,25 @@ class Scene:
         """How far from the bedplate's origin the robot reached [m]; at least 0.3."""
         return span_of(self.appearance, self.motion.q[self.frames])
 
-    @cached_property
+    @property
     def window(self) -> tuple[float, float]:
-        """The seconds seen first: around the moment at which the estimates differ most."""
-        time = self.motion.t
-        first, last = float(time[0]), float(time[-1])
-        length = min(2 * WINDOW, last - first)
-        start = min(max(first, self.moment - length / 2), last - length)
-        return start, start + length
+        """The seconds seen first: those in which the viewer's clock begins."""
+        time = self.run.recording.time
+        return float(time[0]), float(min(time[0] + WINDOW, time[-1]))
 
-    @cached_property
-    def moment(self) -> float:
-        """When a prediction of the wrench is farthest off, in parts of its channel's spread [s].
+    def reach(self, kind: str, channel: int) -> float:
+        """Where the axis of a channel's residual ends: those of all forces at one, or all moments.
 
-        Without a plate, of the torques; without predictions, when a channel is farthest from
-        its mean.
+        Args:
+            kind: Of the signal.
+            channel: Its place there.
         """
-        signals = self.smooth.signals
-        if not signals:
-            return float(self.motion.t[0])
-        signal = signals[0]
-        spread = np.maximum(signal.measured.std(axis=0), 1e-12)
-        rest = [signal.residual(method) for method in signal.predicted]
-        off = rest or [signal.measured - signal.measured.mean(axis=0)]
-        worst = np.max([(np.abs(each) / spread).max(axis=1) for each in off], axis=0)
-        return float(self.smooth.motion.t[worst.argmax()])
+        signal = next(each for each in self.smooth.signals if each.kind == kind)
+        alike = np.arange(len(signal.units)) == channel
+        if kind == "wrench":
+            alike = np.array([unit == signal.units[channel] for unit in signal.units])
+        rest = [np.abs(signal.residual(m)[:, alike]).max(initial=0.0) for m in signal.predicted]
+        return rounded_up(float(max(rest)))
 
     def bodies(self, method: Method) -> dict[int, list[int]]:
         """Which of a method's minimal parameters belong to which body, -1 for the bedplate."""
@@ -165,6 +161,13 @@ def span_of(look: Appearance, q: Array) -> float:
     far = [position for _, position in placed]
     far += [placed[j][1] + placed[j][0] @ tip for j, tip in look.tips.items()]
     return max(0.3, *(float(np.linalg.norm(points, axis=1).max()) for points in far))
+
+
+def rounded_up(end: float) -> float:
+    """The smallest number of one digit or 1.5, 15, ... that is not below a number; above zero."""
+    end = max(end, 1e-9)
+    power = 10.0 ** np.floor(np.log10(end))
+    return float(min(step * power for step in STEPS if step * power >= end * (1 - 1e-9)))
 
 
 def root(k: int, count: int) -> str:

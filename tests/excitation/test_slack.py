@@ -21,7 +21,7 @@ def test_every_kind_of_limit_has_its_nearest(seed: int, puma: tb.Tree) -> None:
     limits = limits_of(puma)
     motion = random_motion(puma, limits, 0.1, 4, np.random.default_rng(seed))
     collision = collision_model(puma, load_appearance(puma).shapes)
-    least = np.linspace(0.01, 0.05, len(collision.pairs))
+    least = np.where(np.arange(len(collision.pairs)) % 3 == 0, 0.004, 0.02)
     terms = (EffortTerm(puma, limits, 0.9),)
     times = np.linspace(0, motion.period, 60)
     found = slack(motion, Rules(puma, limits, 0.9, terms, collision, least), times)
@@ -40,7 +40,7 @@ def test_every_kind_of_limit_has_its_nearest(seed: int, puma: tb.Tree) -> None:
         100 * (0.9 - (np.abs(at.qd) / limits.velocity).max(axis=1)),
         100 * (0.9 - (np.abs(at.qdd) / limits.acceleration).max(axis=1)),
         None,
-        [1000 * (meter.measure(q).values - least).min() for q in at.q],
+        [1000 * (meter.measure(q).values - least)[least == 0.02].min() for q in at.q],
     ]
     for each, expected in zip(found, wanted, strict=True):
         if expected is not None:

@@ -67,8 +67,8 @@ def free_port() -> int:
 
 
 @contextmanager
-def headless_viewer(folder: Path) -> Iterator[tuple[Any, int]]:
-    """The real viewer, drawing without a screen, and its port.
+def headless_viewer(folder: Path, size: str = "1920x1080") -> Iterator[tuple[Any, int]]:
+    """The real viewer, drawing without a screen of that size, and its port.
 
     A test is skipped where there is no driver that draws.
     """
@@ -81,12 +81,17 @@ def headless_viewer(folder: Path) -> Iterator[tuple[Any, int]]:
         "XDG_RUNTIME_DIR": str(folder),
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
     }
+    program = folder / "rerun-of-a-size"
+    program.write_text(f'#!/bin/sh\nexec rerun "$@" --window-size {size}\n')
+    program.chmod(0o700)
     before = {name: os.environ.get(name) for name in wanted}
     os.environ.update(wanted)
     port = free_port()
     spawn = experimental.ViewerClient.spawn
     try:
-        with spawn(headless=True, port=port, hide_welcome_screen=True) as viewer:
+        with spawn(
+            headless=True, port=port, hide_welcome_screen=True, executable_path=str(program)
+        ) as viewer:
             yield viewer, port
     finally:
         for name, value in before.items():

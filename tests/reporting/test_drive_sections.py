@@ -17,6 +17,7 @@ from testbed.experiment.run import Run, assemble_run
 from testbed.identification.nuisances.estimates import NuisanceEstimate
 from testbed.reporting.contents import contents
 from testbed.reporting.drive_sections import curve_lines
+from testbed.reporting.heat_table import DARKEST
 from testbed.reporting.matrix_map import matrix_maps
 from testbed.reporting.sections import sections
 from testbed.viewer.drive_notes import log_curve, notes_of_drives, notes_of_plate
@@ -111,7 +112,7 @@ def test_the_matrix_is_shown_before_and_after(run: Run) -> None:
     assert float(cells["Fy"][1]["text"]) == pytest.approx(1.0, rel=0.06)
     assert cells["Fx"][0] == {"text": "0", "share": 0}
     shares = [cell["share"] for _, row in (*before["rows"], *after["rows"]) for cell in row]
-    assert max(shares) == 70
+    assert max(shares) == DARKEST
     assert "crosstalk/Mx/Fz" in "\n".join(notes_of_plate(known))
 
 

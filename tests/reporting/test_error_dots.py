@@ -15,6 +15,7 @@ from testbed.experiment.run_folder import write_recorded, write_result
 from testbed.identification.estimate import METHODS
 from testbed.identification.influence import by_influence
 from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
+from testbed.reporting.figures import COLUMNS, MOST_ROWS
 
 
 @pytest.mark.slow
@@ -51,7 +52,7 @@ def test_without_the_truth_there_are_sigmas(puma_run: Run) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 7, 8, 41, MOST])
+@pytest.mark.parametrize("count", [1, MOST_ROWS, MOST_ROWS + 1, 41, MOST])
 def test_any_number_of_parameters_is_drawn_on_one_scale(count: int) -> None:
     rng = np.random.default_rng(count)
     errors = 10 ** rng.uniform(-9, 2, count)
@@ -62,7 +63,7 @@ def test_any_number_of_parameters_is_drawn_on_one_scale(count: int) -> None:
     assert low < high
     assert high >= errors.max()
     panels = dot_panels(dots)
-    assert len(panels) == (2 if count >= 8 else 1)
+    assert len(panels) == (COLUMNS if count > MOST_ROWS else 1)
     drawn = "".join(panel["svg"] for panel in panels)
     for name in names:
         assert f">{name}<" in drawn

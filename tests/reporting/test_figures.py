@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ET
+from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
 from testbed.arrays import Array
-from testbed.reporting.figures import HEIGHT, WIDTH, Panel, power_of_ten, thinned, tick_label
+from testbed.reporting.figures import (
+    COLOURS,
+    HEIGHT,
+    WIDTH,
+    Panel,
+    named_panels,
+    power_of_ten,
+    thinned,
+    tick_label,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -118,6 +130,55 @@ def test_colours_are_the_pages_and_ids_are_not_doubled() -> None:
     other = Panel("b", {"measured": (x, x)}, "t").svg
     ids = [set(re.findall(r' id="([^"]+)"', each)) for each in (svg, other)]
     assert not ids[0] & ids[1]
+
+
+@pytest.mark.parametrize("kind", ["line", "noise", "spectrum"])
+def test_curves_that_agree_are_all_seen(kind: str) -> None:
+    """The same curve by every name: of none, the others leave nothing."""
+    x = np.linspace(1.0, 100.0, 600)
+    noise = np.random.default_rng(0).normal(size=600)
+    y = {"line": np.sin(x / 9), "noise": noise, "spectrum": np.exp(noise / 4) / x}[kind]
+    names = ("measured", "external", "internal")
+    curves = dict.fromkeys(reversed(names), (x, y))
+    figure = Panel("a [N]", curves, "time [s]", log=kind == "spectrum").drawn()
+    for line in figure.axes[0].lines:
+        line.set_antialiased(False)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[..., :3].reshape(-1, 3)
+    count = [np.sum((pixels == np.array(to_rgb(COLOURS[n])) * 255).all(axis=1)) for n in names]
+    assert min(count) > 0.08 * sum(count)
+
+
+def test_values_by_name_have_all_their_names_and_one_scale() -> None:
+    names = [f"K{k}yy" for k in range(41)]
+    values = {kind: 10 ** np.random.default_rng(k).uniform(-3, 1, 41) for k, kind in
+              enumerate(("measured", "external"))}  # fmt: skip
+    found = named_panels("sigma", names, values, "part of the value [%]", log=True)
+    assert [name for panel in found for name in panel.names] == names
+    assert len({panel.limits for panel in found}) == 1
+    for panel in found:
+        assert set(panel.names) <= set(texts(panel.svg))
+        for at, _ in panel.curves.values():
+            assert panel.limits is not None
+            assert panel.limits[0] <= at.min() <= at.max() <= panel.limits[1]
+    for kind, wanted in values.items():
+        drawn = np.concatenate([panel.curves[kind][0] for panel in found])
+        np.testing.assert_array_equal(drawn, wanted)
+
+
+def test_plots_below_each_other_share_their_time_and_keep_their_units() -> None:
+    x = np.linspace(0, 5, 50)
+    below = {"velocity [rad/s]": {"external": (x, 2 * x)}}
+    figure = Panel("a: position [rad]", {"external": (x, x)}, "time [s]", below=below).drawn()
+    upper, lower = figure.axes
+    assert upper.get_xlim() == lower.get_xlim()
+    assert upper.get_position().x0 == lower.get_position().x0
+    assert upper.get_position().y0 > lower.get_position().y1
+    assert [axis.get_title(loc="left") for axis in (upper, lower)] == [
+        "a: position [rad]", "velocity [rad/s]"
+    ]  # fmt: skip
+    assert (upper.get_xlabel(), lower.get_xlabel()) == ("", "time [s]")
 
 
 def test_the_same_bits_every_time() -> None:

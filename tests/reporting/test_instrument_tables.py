@@ -34,7 +34,8 @@ def turned(**settings: object) -> Run:
 
 
 def test_a_clear_trace_is_shown_with_its_size() -> None:
-    table, repeated = instrument_tables(turned())
+    table, others, repeated = instrument_tables(turned())
+    assert [each["traced"] for each in (table, others, repeated)] == [True, False, True]
     assert repeated["caption"].startswith("Part of the residuals that repeats with the motion")
     assert repeated["heads"] == ["channel", "part"]
     assert [row[0] for row in repeated["rows"]] == list(AXES)
@@ -73,16 +74,27 @@ def test_predictions_are_held_against_the_corrected_wrench() -> None:
     ("chance", "said"), [(0.31, "0.31"), (2e-30, "2e-30"), (0.0, "below 1e-99")]
 )
 def test_of_what_left_no_clear_trace_only_the_chance_is_told(chance: float, said: str) -> None:
-    """Beside it stands one that is clear, and all rows have as many cells as there are heads."""
+    """What is no chance stands in a table of its own; rows have as many cells as heads."""
     kind = next(each for each in NUISANCES if each.kind == "pose")
     parts = ("pose/rx", "pose/ry"), ("rad", "rad"), (0.02, -0.5)
     clear = TraceTest(kind, 1e-80, 50.0, *parts, shift=12.0, parameter="mb2x")
     other = replace(clear, chance=chance, parameter="mb3x", shift=-3.0)
     estimate = SimpleNamespace(nuisances=(), trace_tests=(clear, other), noise=None)
     run: Any = SimpleNamespace(estimates={"external": estimate})
-    (table,) = instrument_tables(run)
-    assert table["heads"] == ["fault", "chance", "would move", "size"]
-    rows = {row[1]: row for row in table["rows"]}
+    tables = instrument_tables(run)
+    assert [table["traced"] for table in tables] == ([True, False] if chance > 0.1 else [True])
+    rows = {row[1]: row for table in tables for row in table["rows"]}
     assert rows["1e-80"][2] == "mb2x by 12 sigma"
-    last = ["", ""] if chance > 0.1 else ["mb3x by -3 sigma", rows["1e-80"][3]]
+    last = [] if chance > 0.1 else ["mb3x by -3 sigma", rows["1e-80"][3]]
     assert rows[said] == [kind.said, said, *last]
+    for table in tables:
+        assert {len(row) for row in table["rows"]} == {len(table["heads"])}
+
+
+def test_the_period_that_is_told_is_the_motions() -> None:
+    """Of a long recording, in which every third sample is looked at: 10 s are not 9.999 s."""
+    tree = robot("puma")
+    run = assemble_run(tree, measured(tree, duration=60.0, rate=1000.0), name="long",
+                       settings=tb.Settings(zeros=True))  # fmt: skip
+    repeated = instrument_tables(run)[-1]
+    assert "every 10 s:" in repeated["caption"]

@@ -21,6 +21,7 @@ from testbed.recordings.recording import Recording
 from testbed.reporting.contents import LONGEST, contents
 from testbed.reporting.facts import asked
 from testbed.reporting.html import breakable, typeset, write_report
+from testbed.reporting.sections import sections
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, experiment, judged_run, noisy, robot, run_of, without
 
@@ -98,12 +99,21 @@ def test_tables_say_what_the_figures_show(page: Path, puma_run: Run, other: Reco
         assert float(terms[joint.name, "viscous"][4]) == pytest.approx(joint.viscous, rel=1e-3)
 
 
-def test_signals_stand_beside_what_is_left_over(page: Path) -> None:
-    numbers = json.loads(page.with_suffix(".json").read_text())
-    (figure,) = (f for f in numbers["figures"] if f["id"] == "prediction")
-    titles = [panel["title"] for panel in figure["panels"]]
-    assert titles[:4] == ["Fx [N]", "Fx: residual [N]", "Fy [N]", "Fy: residual [N]"]
-    assert len(titles) == 2 * 9
+def test_signals_stand_above_what_is_left_over(puma_run: Run, other: Recording) -> None:
+    found = predict(puma_run, other)
+    figure = sections(found, True)[0]
+    smooth = found.smoothed(10.0)
+    panels = iter(figure["panels"])
+    for signal in smooth.signals:
+        for c, (channel, unit) in enumerate(zip(signal.channels, signal.units, strict=True)):
+            panel = next(panels)
+            assert panel.title == f"{channel} [{unit}]"
+            ((title, below),) = panel.below.items()
+            assert title == f"residual [{unit}]"
+            for method, (time, rest) in below.items():
+                at = np.searchsorted(smooth.motion.t, time)
+                np.testing.assert_allclose(rest, signal.residual(method)[at, c])
+    assert next(panels, None) is None
 
 
 def test_units_are_written_as_people_write_them(page: Path) -> None:

@@ -118,7 +118,11 @@ def test_an_arrow_has_a_head_as_wide_as_it_is_thick_and_its_label_ahead(angle: f
     ends = np.zeros((2, 3))
     ends[0, :2], ends[1, :2] = (200.0, 150.0), np.array([200.0, 150.0]) + 90 * along
     root = parsed(f"<svg>{_arrow(ends, 'red', 4.0, '3 < 4 N')}</svg>")
-    line, head, label = root
+    edge, line, head, label = root
+    assert {k: edge.attrib[k] for k in ("x1", "y1", "x2", "y2")} == {
+        k: line.attrib[k] for k in ("x1", "y1", "x2", "y2")
+    }
+    assert float(edge.attrib["stroke-width"]) > float(line.attrib["stroke-width"])
     corners = np.array([word.split(",") for word in head.attrib["points"].split()], dtype=float)
     np.testing.assert_allclose(corners[0], ends[1, :2], atol=0.06)
     size = 3 * 4.0 + 2

@@ -14,7 +14,7 @@ from testbed.experiment.growth import growth
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS
 from testbed.viewer.log import write_rrd
-from testbed.viewer.overview import MOST, Learned, learned
+from testbed.viewer.overview import MOST, Learned, learned, scale_of
 from testbed.viewer.scene import scene_of
 from tests.helpers.viewer import columns, entities
 
@@ -34,13 +34,12 @@ def test_what_both_tell_and_differ_in_is_shown(puma_run: Run) -> None:
     left = [away[name] for name in internal.names if name not in {e.name for e in shown}]
     assert min(away[each.name] for each in shown) >= max(left)
     for each in shown:
-        assert each.truth == puma_run.truths[each.name]
-        low, high = each.scale
-        assert low < each.truth < high
+        truth = puma_run.truths[each.name]
         for method in METHODS:
             base = puma_run.estimates[method].base
-            assert each.values[method][-1] == base.values[base.names.index(each.name)]
-            assert low < each.values[method][-1] < high
+            off = base.values[base.names.index(each.name)] - truth
+            assert each.errors[method][-1] == pytest.approx(100 * off / abs(truth))
+            assert abs(each.errors[method][-1]) <= scale_of(shown)
 
 
 @pytest.mark.slow
@@ -49,26 +48,24 @@ def test_one_method_and_no_truth_are_enough(puma_run: Run, tmp_path: Path) -> No
         alone = replace(puma_run, estimates={method: puma_run.estimates[method]}, score=None)
         scene = scene_of(alone, growth(alone))
         shown = learned(scene)
-        assert [set(each.values) for each in shown] == [{method}] * MOST
-        assert all(each.truth is None for each in shown)
+        assert [set(each.errors) for each in shown] == [{method}] * MOST
+        assert [each.errors[method][-1] for each in shown] == [0.0] * MOST
         write_rrd([scene], tmp_path / "run.rrd")
         there = entities(tmp_path / "run.rrd")
         assert {f"/overview/{k}" for k in range(MOST)} <= there
-        assert "/overview/0/truth" not in there
         drawn = columns(tmp_path / "run.rrd", "/overview/0", "Scalars:scalars")
-        np.testing.assert_allclose(drawn.ravel()[-1], shown[0].values[method][-1])
+        told = shown[0].errors[method]
+        np.testing.assert_allclose(drawn.ravel(), told[np.isfinite(told)])
     assert learned(scene_of(puma_run, {})) == ()
 
 
 def test_the_plots_scale_does_not_depend_on_when_the_clock_was_set() -> None:
     """The first third of a recording, of which little is known, sets no scale."""
-    time, values = np.linspace(0.0, 10.0, 21), np.append(np.full(6, 1e6), np.linspace(1.2, 1.0, 15))
+    time, errors = np.linspace(0.0, 10.0, 21), np.append(np.full(6, 1e6), np.linspace(11, 0, 15))
     scales = [
-        Learned("m", "kg", 1.0, time + shift, {"external": values}).scale for shift in (0, -3, 1e4)
+        scale_of([Learned("m", time + shift, {"external": errors})]) for shift in (0, -3, 1e4)
     ]
-    assert len(set(scales)) == 1
-    low, high = scales[0]
-    assert low < 1.0 < high < 2.0
+    assert scales == [15.0] * 3
 
 
 def test_methods_that_share_no_name_are_shown_by_the_first() -> None:
@@ -91,4 +88,4 @@ def test_methods_that_share_no_name_are_shown_by_the_first() -> None:
     found = learned(scene)
     first = METHODS[0]
     assert tuple(each.name for each in found) == estimates[first].base.names
-    assert all(set(each.values) == {first} for each in found)
+    assert all(set(each.errors) == {first} for each in found)

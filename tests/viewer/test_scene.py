@@ -9,7 +9,7 @@ import pytest
 
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS
-from testbed.viewer.scene import Scene, means, plain, pressure, scene_of
+from testbed.viewer.scene import Scene, means, plain, pressure, rounded_up, scene_of
 from tests.helpers.ideal import ideal
 from tests.helpers.runs import ROBOTS, noisy, robot, run_of
 
@@ -35,31 +35,21 @@ def test_means_of_blocks_keep_every_sample(samples: int) -> None:
     np.testing.assert_allclose(found, expected)
 
 
-@pytest.mark.parametrize("at", [0.3, 4.0, 9.7])
-@pytest.mark.parametrize("channel", [0, 4])
-def test_the_first_look_is_at_the_moment_when_a_prediction_is_farthest_off(
-    at: float, channel: int
-) -> None:
+@pytest.mark.parametrize(("duration", "length"), [(30.0, 10.0), (4.0, 4.0)])
+def test_the_first_look_is_at_where_the_clock_begins(duration: float, length: float) -> None:
+    """The viewer opens at the first instant of all: a line there is within every plot."""
     tree = robot("puma")
-    recording = ideal(tree)
-    run = run_of(tree, recording)
-    wrench = recording.measured("wrench").copy()
-    bump = np.exp(-(((recording.time - at) / 0.1) ** 2))
-    wrench[:, channel] += 0.1 * wrench[:, channel].std() * bump
-    scene = scene_of(replace(run, recording=replace(recording, wrench=wrench)))
-    assert scene.moment == pytest.approx(at, abs=0.1)
+    scene = scene_of(run_of(tree, noisy(ideal(tree, duration=duration))))
     start, end = scene.window
-    assert start <= scene.moment <= end
-    assert recording.time[0] <= start
-    assert end <= recording.time[-1] + 1e-9
+    assert start == scene.run.recording.time[0] <= scene.motion.t[0]
+    assert end - start == pytest.approx(length, abs=0.01)
 
 
-def test_the_window_is_ten_seconds_where_there_are_ten() -> None:
-    tree = robot("puma")
-    scene = scene_of(run_of(tree, noisy(ideal(tree, duration=30.0))))
-    start, end = scene.window
-    assert end - start == pytest.approx(10.0)
-    assert start == pytest.approx(np.clip(scene.moment - 5, 0.0, scene.motion.t[-1] - 10), abs=1e-9)
+@pytest.mark.parametrize("end", [1e-6, 0.11, 0.15, 0.99, 1.0, 1.01, 7.0, 8.1, 123.0])
+def test_axes_end_at_round_numbers(end: float) -> None:
+    found = rounded_up(end)
+    assert end <= found * (1 + 1e-9) < 1.51 * end
+    assert float(f"{found:.1e}") == pytest.approx(found)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
