@@ -97,7 +97,7 @@ GUESTS = {
     "subprocess": ("viewer/show.py",),  # Rerun's viewer, and nothing else
 }
 FORBIDDEN = ("pickle", "shelve", "marshal", "requests", "urllib", "http")
-LONGEST_MODULE = 330
+LONGEST_MODULE = 500
 LONGEST_FUNCTION = 45  # statements and comments; signature and docstring aside
 
 
