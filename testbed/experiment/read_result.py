@@ -70,6 +70,7 @@ class _Estimate(_Part):
     gravity: tuple[Finite, Finite, Finite]
     residual: tuple[Finite, ...]
     nuisances: tuple[_Nuisance, ...]
+    unidentifiable: tuple[str, ...] = ()
 
 
 def read_result(path: Path, model: Path | None = None, settings: Sequence[str] = ()) -> KeptResult:
@@ -144,6 +145,7 @@ def _stated(content: Any, method: Method, source: str) -> Stated:
         gravity=np.array(kept.gravity),
         residual=np.array(kept.residual),
         nuisances={each.name: each.value for each in kept.nuisances},
+        zero_unknown=bool(kept.unidentifiable),
     )
 
 

@@ -130,7 +130,7 @@ def _measured(run: Run) -> list[str]:
     for method, found in run.validation.items():
         rows = np.sqrt(np.array(found.rows, dtype=float))
         signal, left, allowed = (
-            np.nan_to_num(rows * x) for x in (found.signal, found.residual, found.allowed)
+            np.nan_to_num(rows * x) for x in (found.signal, found.error, found.allowed)
         )
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:

@@ -32,6 +32,7 @@ class Stated:
         gravity: That was assumed, (3,) [m/s^2], bedplate frame.
         residual: Rms of the estimate's own residuals, (channels,) [N, N m].
         nuisances: Numbers of the instrument that were estimated, by name, such as "pose/rx".
+        zero_unknown: Whether some parameters are not identifiable, the plate's zero being unknown.
     """
 
     method: Method
@@ -41,6 +42,7 @@ class Stated:
     gravity: Array
     residual: Array
     nuisances: Mapping[str, float]
+    zero_unknown: bool = False
 
     def __post_init__(self) -> None:
         p = len(self.names)
@@ -68,6 +70,7 @@ def stated(estimate: Estimate) -> Stated:
         gravity=estimate.gravity,
         residual=estimate.residual,
         nuisances={each.name: each.value for each in estimate.nuisances},
+        zero_unknown=bool(estimate.unidentifiable),
     )
 
 

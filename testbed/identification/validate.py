@@ -60,6 +60,7 @@ class Validation:
             shows here, (C,) [N, N m].
         noise: Rms of what the estimate left of its own recording, (C,) [N, N m].
         spread: Rms of what the parameters' covariance makes of the rows, (C,) [N, N m].
+        zero_unknown: Whether the plate's zero is not known: means are then no errors.
     """
 
     method: Method
@@ -71,6 +72,7 @@ class Validation:
     mean: Array
     noise: Array
     spread: Array
+    zero_unknown: bool = False
 
     def __post_init__(self) -> None:
         for name in ("signal", "residual", "mean", "noise", "spread"):
@@ -89,8 +91,13 @@ class Validation:
 
     @property
     def ratio(self) -> Array:
-        """Residual over what is allowed, (C,): about one, or less."""
-        return _over(self.residual, self.allowed)
+        """Error over what is allowed, (C,): about one, or less."""
+        return _over(self.error, self.allowed)
+
+    @property
+    def error(self) -> Array:
+        """Residual that is the estimate's, (C,) [N, N m]: about its mean if the zero is unknown."""
+        return self.scatter if self.zero_unknown else self.residual
 
     @property
     def scatter(self) -> Array:
@@ -100,7 +107,7 @@ class Validation:
     @property
     def matters(self) -> tuple[bool, ...]:
         """Whether each channel's residual is large enough to matter among like channels."""
-        return matters(self.residual, self.signal, self.units)
+        return matters(self.error, self.signal, self.units)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -187,6 +194,7 @@ def _validation(
         mean=total / used,
         noise=np.where(np.isnan(used), np.nan, said.residual),
         spread=np.sqrt(added / used),
+        zero_unknown=said.zero_unknown,
     )
     numbers = [found.signal, found.residual, found.mean, found.spread]
     if not np.isfinite(numbers)[:, equations.used > 0].all():
@@ -196,7 +204,7 @@ def _validation(
 
 def _findings(found: Validation) -> Iterator[Finding]:
     """Channels that are foretold worse than is said."""
-    steady = _over(found.scatter, found.allowed) <= LIMIT
+    steady = _over(found.scatter, found.allowed) <= LIMIT  # never, if the zero is unknown
     for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
         if not (ratio > LIMIT and found.matters[c]):
             continue

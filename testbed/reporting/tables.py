@@ -150,7 +150,7 @@ def _cells(
     estimate: Estimate, name: str, truths: Mapping[str, float], short: bool
 ) -> tuple[str, ...]:
     """Value with sigma, and, where truths are known, the error in sigmas."""
-    value = with_sigma(estimate, name, short=short)
+    value = with_sigma(estimate, name, short=short or name in estimate.unidentifiable)
     if not truths:
         return (value,)
     if name not in estimate.names or name not in truths:

@@ -11,6 +11,7 @@ from rich.console import Console
 from testbed.errors import printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
 from testbed.identification.cross_check import findings_of
+from testbed.identification.estimate_text import OPEN_ZERO
 from testbed.identification.finding import folded
 from testbed.reporting.choice_table import choice_lines
 from testbed.reporting.consistent_table import consistent_lines, consistent_tables
@@ -88,6 +89,8 @@ def _print_parameters(
     most = None if everything else ROWS
     for table in result_tables(out, estimates, truths, title, most):
         out.print(table)
+    for name in (name for e in estimates for name in e.unidentifiable):
+        out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
     count = len({name for e in estimates for name in e.names}) - ROWS
     if not everything and count > 0:
         out.print(f"({count} more that add less to what is predicted: --all)", soft_wrap=True)

@@ -186,8 +186,8 @@ def test_the_summary_says_what_a_reader_asks_first() -> None:
     assert torques.wrench is None
     assert "assumed" not in headline(run)
     errors = [f"measurement.torque_constant_error.{x}" for x in ("waist=0.05", "elbow=-0.08")]
-    said = replace(run, experiment=tb.Experiment.of_model(MODELS["puma"], errors))
-    assert "torque constants assumed 5 to 8 % off" in headline(said)
+    assumed = replace(run, experiment=tb.Experiment.of_model(MODELS["puma"], errors))
+    assert "torque constants assumed 5 to 8 % off" in headline(assumed)
     said = verdict(run)
     assert said.startswith("The claim does not hold: external max z is ")
     assert "claimed at most 1e-09" in said

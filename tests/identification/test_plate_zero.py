@@ -66,6 +66,19 @@ def test_a_known_mass_makes_the_plate_s_zero_known() -> None:
     assert np.abs(scores(tree, found)[0]).max() < 5
 
 
+def test_an_unknown_zero_is_no_fault_of_a_prediction() -> None:
+    """The same plate shows it along another motion, too."""
+    tree = tb.load_tree(ROBOTS["puma"])
+    found = tb.identify(tree, off(tree, 5.0))
+    other = measured(tree, 1)
+    other = replace(other, wrench=other.measured("wrench") + [5.0, -3.0, 8.0, 1.0, 1.0, 0.5])
+    held = tb.validate(tree, other, found)
+    assert held.findings == ()
+    assert np.nanmax(held.ratio) < 2
+    known = tb.validate(tree, other, tb.identify(tree, measured(tree)))
+    assert {each.code for each in known.findings} == {"prediction"}
+
+
 def test_what_is_not_identifiable_is_said_everywhere() -> None:
     tree = tb.load_tree(ROBOTS["puma"])
     found = tb.identify(tree, off(tree, 5.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -51,19 +52,19 @@ def test_a_run_fits_one_screen(
     claim = runs.experiment(expect=expect).model_copy(update={"claim": "All is well. " * 12})
     run = validated(runs.run_of(tree, weak, claim), runs.noisy(ideal(tree, seed=8), 4))
     assert len(run.warnings) > 1
-    for show in (
-        lambda everything: print_run(run, Path("folder"), everything=everything),
-        lambda everything: print_estimates(
-            list(run.estimates.values()), run.warnings, everything=everything
-        ),
-    ):
-        show(False)
+    estimates = list(run.estimates.values())
+    shows: tuple[Callable[..., None], ...] = (
+        partial(print_run, run, Path("folder")),
+        partial(print_estimates, estimates, run.warnings),
+    )
+    for show in shows:
+        show(everything=False)
         short = capsys.readouterr().out
-        show(True)
+        show(everything=True)
         whole = capsys.readouterr().out
         rows = sum(max(1, -(-len(line) // 100)) for line in short.splitlines())
         assert rows <= 40, short
-        names = {name for e in run.estimates.values() for name in e.names}
+        names = {name for e in estimates for name in e.names}
         shown = [{n for n in names if f" {n} " in text} for text in (short, whole)]
         assert len(shown[0]) >= min(10, len(names))
         assert shown[1] == names
