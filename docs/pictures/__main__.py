@@ -1,15 +1,14 @@
 """The pictures of the README and the documents, made anew: `python -m docs.pictures`.
 
-Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen, carries
-out the campaign over noise and friction, five minutes of one processor, and draws the robot's
-portrait. Needs Mesa's software Vulkan driver, Chromium with its
-driver and EGL: on Debian mesa-vulkan-drivers, chromium, chromium-driver.
+Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen, and
+carries out the campaign over noise and friction, five minutes of one processor. Needs Mesa's
+software Vulkan driver and Chromium with its driver: on Debian mesa-vulkan-drivers, chromium,
+chromium-driver.
 """
 
 from __future__ import annotations
 
 import base64
-import os
 import subprocess
 import sys
 import tempfile
@@ -32,7 +31,6 @@ def main() -> None:
         viewer(run, Path(folder))
         report(run, Path(folder))
         campaign(Path(folder) / "campaign")
-    portrait()
 
 
 def testbed(*words: str) -> None:
@@ -61,20 +59,24 @@ def viewer(run: Path, folder: Path) -> None:
             seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
             time.sleep(4)
             seen.save_screenshot(str(HERE / f"viewer_{tab}.png"))
-        smaller(HERE / f"viewer_{tab}.png")
+        smaller(HERE / f"viewer_{tab}.png", WIDTH)
 
 
 def report(run: Path, folder: Path) -> None:
-    """The report's head."""
+    """The report's head, light and dark."""
     from tests.helpers.browser import browser
 
     page = folder / "report.html"
     testbed("report", str(run), "--out", str(page))
-    with browser(folder / "report", 1000) as seen:
-        seen.open(page)
-        clip = {"x": 0, "y": 0, "width": 1000, "height": 1100, "scale": 1}
-        shot = seen.command("Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True})
-        (HERE / "report.png").write_bytes(base64.b64decode(shot["data"]))
+    for name, dark in (("report", False), ("report_dark", True)):
+        with browser(folder / name, 1000, dark) as seen:
+            seen.open(page)
+            clip = {"x": 0, "y": 0, "width": 1000, "height": 1100, "scale": 1}
+            shot = seen.command(
+                "Page.captureScreenshot", {"clip": clip, "captureBeyondViewport": True}
+            )
+            (HERE / f"{name}.png").write_bytes(base64.b64decode(shot["data"]))
+        smaller(HERE / f"{name}.png", 1000)
 
 
 def campaign(folder: Path) -> None:
@@ -104,20 +106,13 @@ def campaign(folder: Path) -> None:
     save("campaign", LEFT + wide * 5 + 8, top + 14, parts, says)
 
 
-def smaller(path: Path) -> None:
-    """A picture as wide as a page needs."""
+def smaller(path: Path, width: int) -> None:
+    """A picture as wide as a page needs [pixels]."""
     from PIL import Image
 
     picture = Image.open(path).convert("RGB")
-    size = (WIDTH, round(picture.height * WIDTH / picture.width))
+    size = (width, round(picture.height * width / picture.width))
     picture.resize(size, Image.Resampling.LANCZOS).quantize(256, kmeans=3).save(path, optimize=True)
-
-
-def portrait() -> None:
-    """The robot with the reaction at rest."""
-    command = [sys.executable, str(HERE / "portrait.py"), "models/puma562.xml"]
-    environment = os.environ | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "egl")}
-    subprocess.run([*command, str(HERE / "puma562.png")], cwd=ROOT, env=environment, check=True)
 
 
 if __name__ == "__main__":

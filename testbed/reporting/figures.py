@@ -185,7 +185,7 @@ class Panel:
         else:
             (_logarithmic if self.log and positive else _linear)(axis)
             if self.below:
-                _round(axis.yaxis, 2)
+                _two_or_three(axis)
         if self.from_zero:
             axis.set_ylim(bottom=0.0)
         if self.limits is not None:
@@ -273,6 +273,15 @@ def _linear(axis: Axes) -> None:
     """Few round ticks."""
     _round(axis.xaxis, 6)
     _round(axis.yaxis, 4)
+
+
+def _two_or_three(axis: Axes) -> None:
+    """Ticks of a low plot: every second of those that do not leave room for their labels."""
+    _round(axis.yaxis, 2)
+    low, high = axis.get_ylim()
+    ticks = [tick for tick in axis.get_yticks() if low <= tick <= high]
+    if len(ticks) > 3:
+        axis.set_yticks(ticks[::2])
 
 
 def _round(scale: Axis, most: int) -> None:

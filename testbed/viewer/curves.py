@@ -17,6 +17,9 @@ from testbed.viewer.scene import Scene, safe
 MOST_POINTS = 2000
 """Points of a friction plot."""
 
+THIN, THICKER = 1.0, 1.4
+"""Width of a curve on top, and by how much one below another is wider [points]."""
+
 
 def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     """Positions; torques and wrench, measured and predicted, every sample; residuals, smoothed."""
@@ -28,7 +31,7 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     )  # fmt: skip
     for signal in scene.predictions.signals:
         labels = ["measured", *signal.predicted]
-        colours, widths = [COLOURS[label] for label in labels], [3.0] + [1.2] * len(labels[1:])
+        colours, widths = [COLOURS[label] for label in labels], layered(len(labels))
         for c, channel in enumerate(signal.channels):
             columns = [signal.measured[:, c], *(each[:, c] for each in signal.predicted.values())]
             path = f"{at}/{signal.kind}/{safe(channel)}"
@@ -45,7 +48,17 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
             rest = np.column_stack([signal.residual(m)[:, c] for m in signal.predicted])
             path = f"{at}/residual/{signal.kind}/{safe(channel)}"
             colours = [COLOURS[method] for method in signal.predicted]
-            series(stream, path, index, rest, list(signal.predicted), colours)
+            methods = list(signal.predicted)
+            series(stream, path, index, rest, methods, colours, layered(len(methods)))
+
+
+def layered(count: int) -> list[float]:
+    """Widths of curves that may lie on each other: each is wider than those over it.
+
+    Args:
+        count: Of curves.
+    """
+    return [THIN + THICKER * over for over in reversed(range(count))]
 
 
 def series(

@@ -174,6 +174,55 @@ def test_no_page_scrolls_sideways_or_complains(site: Path, tmp_path: Path, width
             assert seen.complaints() == [], page
 
 
+ODD = """
+const article = document.querySelector('article'), found = [];
+for (const e of article.querySelectorAll('pre > code, .md-typeset__scrollwrap, .formula')) {
+  const more = e.scrollWidth > e.clientWidth + 1;
+  if (more && !getComputedStyle(e).backgroundAttachment.includes('local'))
+    found.push('no hint: ' + e.textContent.slice(0, 40));
+}
+for (const e of document.querySelectorAll('*')) {
+  const style = getComputedStyle(e), box = e.getBoundingClientRect();
+  if (['fixed', 'sticky'].includes(style.position) && box.width && style.visibility == 'visible'
+      && +style.opacity
+      && !e.closest('.md-header, .md-tabs, .md-sidebar') && box.top < innerHeight && box.bottom > 0
+      && box.left < innerWidth && box.right > 0)
+    found.push('floats: ' + e.className);
+}
+return found"""
+"""Of what is wider than its place, that of which nobody is told; and what floats over the text."""
+
+
+@pytest.mark.slow
+def test_on_a_phone_what_is_wider_says_so_and_nothing_floats_over_it(
+    site: Path, tmp_path: Path
+) -> None:
+    with browser(tmp_path, 390) as seen:
+        for page in nav():
+            seen.open((site / page).with_suffix(".html"))
+            seen.run("window.scrollTo(0, 600)")
+            seen.run("window.scrollTo(0, 500)")
+            assert seen.run(ODD) == [], page
+        seen.open(site / "index.html")
+        wide = (
+            "return [...document.querySelectorAll('.md-typeset__scrollwrap')]"
+            ".map(e => [e.scrollWidth, e.clientWidth])"
+        )
+        assert all(inner <= outer for inner, outer in seen.run(wide))
+
+
+def width_of(drawing: str) -> float:
+    return float(re.findall(r'viewBox="0 0 ([\d.]+)', drawing)[0])
+
+
+@pytest.mark.parametrize("name", ["map", "campaign"])
+def test_words_of_a_drawing_can_be_read_on_a_phone(name: str) -> None:
+    """No smaller than nine pixels where it is as wide as the page, which has 350."""
+    drawing = (ROOT / f"docs/pictures/{name}.svg").read_text()
+    assert "prefers-color-scheme: dark" in drawing
+    assert 14 * min(1.0, 350 / width_of(drawing)) > 9
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("width", "dark"), [(1440, False), (1440, True), (390, False)], ids=["light", "dark", "phone"]

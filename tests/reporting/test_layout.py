@@ -29,6 +29,7 @@ from tests.helpers.campaigns import NOISES, Odd, campaign_file
 from tests.helpers.ideal import ideal
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import experiment, noisy, run_of
+from tests.reporting.test_page_in_a_browser import OVERLAPS
 
 pytestmark = pytest.mark.slow
 
@@ -200,4 +201,5 @@ def test_nothing_ends_outside_of_the_window(any_page: Path, width: int, tmp_path
         assert tall <= TALLEST[width]
         window.run("document.querySelectorAll('details').forEach(d => d.open = true)")
         assert window.run(WIDER) == []
+        assert window.run(OVERLAPS) == []
         assert window.run("return document.documentElement.scrollWidth") <= width

@@ -42,6 +42,16 @@ def test_every_sample_of_the_signals_is_in_the_file(scene: Scene, rrd: Path) -> 
     np.testing.assert_array_equal(position, scene.run.recording.position)
 
 
+def test_curves_that_agree_are_all_seen(scene: Scene, rrd: Path) -> None:
+    """One over the other, each is wider than those above it."""
+    paths = [f"/{kind}{s.kind}/{c}" for s in scene.smooth.signals for c in s.channels
+             for kind in ("", "residual/")]  # fmt: skip
+    for path in paths:
+        widths = columns(rrd, path, "SeriesLines:widths", static=True)
+        assert len(widths) >= 2
+        assert (np.diff(widths) <= -1.0).all()
+
+
 def test_residuals_are_the_smoothed_ones(scene: Scene, rrd: Path) -> None:
     for signal in scene.smooth.signals:
         for c, channel in enumerate(signal.channels):
