@@ -82,7 +82,8 @@ def view(
     check_writable(log)
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
-        warnings = _write_motion(runs[0], settings or [], log)
+        with output.Progress("looking"):
+            warnings = _write_motion(runs[0], settings or [], log)
         _show(log, warnings, serve, save is None, port)
         return
     _check_said(runs, model, reading)
@@ -92,7 +93,7 @@ def view(
             progress(k, len(runs))
             run = _run_at(path, model, reading, unchecked=unchecked)
             scenes.append(scene_of(run, growth(run)))
-    write_rrd(scenes, log)
+        write_rrd(scenes, log)
     _show(log, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
 
 
@@ -171,15 +172,17 @@ def report(
     check_writable(path, path.with_suffix(".json"))
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
-    done = _run_at(run, model, reading, unchecked=unchecked)
-    if consistent:
-        done = _with_bodies(done, reading)
-    if validate is None:
-        with output.Progress("simulating an unseen motion") as progress:
+    with output.Progress("identifying") as progress:
+        done = _run_at(run, model, reading, unchecked=unchecked)
+        if consistent:
+            done = _with_bodies(done, reading)
+        if validate is None:
+            progress.say(0, 0, "simulating an unseen motion")
             done, other = checked_elsewhere(done, progress)
-    else:
-        done, other = _judged_on(done, validate, reading, unchecked=unchecked)
-    beside = write_report(done, path, other)
+        else:
+            done, other = _judged_on(done, validate, reading, unchecked=unchecked)
+        progress.say(0, 0, "drawing")
+        beside = write_report(done, path, other)
     output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)
 
 
