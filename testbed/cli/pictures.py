@@ -71,15 +71,22 @@ def view(
 
     Example: testbed view recording.parquet --model robot.urdf
     """
+    from testbed.errors import ViewerError
     from testbed.experiment.growth import growth
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
+    from testbed.viewer.show import has_screen
 
     reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
     check_writable(log)
+    if save is None and not serve and not has_screen():
+        raise ViewerError(
+            f"there is no screen to open the viewer on: --save {log.name} writes a file for "
+            "another machine, --serve shows it in a browser"
+        )
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
         with output.Progress("looking"):
@@ -221,6 +228,8 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
     if path.is_dir():
+        if (path / "campaign.toml").is_file():
+            raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")

@@ -16,7 +16,7 @@ SHORT = 26
 """Letters of parts of a sentence."""
 NO_WARNINGS = {
     "_accuracy", "_causes", "_fit", "_flaws", "_found", "_head", "_robot", "_signal", "guessed",
-    "provenance", "validation_lines",
+    "_plate_lines", "_signal_lines", "provenance", "validation_lines",
 }  # fmt: skip
 """Functions that return sentences of another kind: of errors, summaries, files to start from."""
 
