@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import threading
 from typing import Any
 
 import hypothesis
@@ -23,10 +24,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 import testbed as tb
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.run import Run
+from testbed.reporting import output
 from tests.helpers.paths import GOLDEN, ROOT
 
 hypothesis.settings.register_profile("patient", deadline=None)  # machines are noisy
 hypothesis.settings.load_profile("patient")
+
+
+@pytest.fixture(autouse=True)
+def no_lines_of_progress(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How long something takes must not show in what it says."""
+    monkeypatch.setattr(output, "BETWEEN", float(threading.TIMEOUT_MAX))
 
 
 @pytest.fixture(scope="session")

@@ -191,8 +191,9 @@ def payload(
     sources = [reading.source(path, tree) for path in (without, loaded)]
     if at_rest:
         tree = in_its_gravity(tree, sources[0], gravity)
-        alone, carrying = (poses_at_rest(tree, source) for source in sources)
-        weighed = weigh_payload(tree, alone, carrying, joint)
+        with output.Progress("weighing"):
+            alone, carrying = (poses_at_rest(tree, source) for source in sources)
+            weighed = weigh_payload(tree, alone, carrying, joint)
         words = payload_table.weighed_as_json(weighed, weigh(tree, alone))
         lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
         output.print_json(words) if as_json else output.print_lines(lines, tree.warnings)

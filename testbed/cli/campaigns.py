@@ -80,7 +80,7 @@ def campaign(
         return
     tls = _tls(tls_ca, tls_cert, tls_key)
     with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
-        found = conduct(asked, folder, engine, limit, throughput)
+        found = conduct(asked, folder, engine, limit, throughput.of)
     failures = print_conducted(output.console(), found)
     raise typer.Exit(1 if failures else 0)
 
@@ -95,17 +95,21 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     from testbed.reporting.campaign_page import write_campaign_page
 
     check_writable(rrd)
-    found = summarise(read_campaign(folder))
+    with output.Progress("summarising"):
+        found = summarise(read_campaign(folder))
     out, place = output.console(), folder if folder.is_dir() else folder.parent
     if against is not None:
-        print_changes(out, list(changes(summarise(read_campaign(against)), found)))
+        with output.Progress("summarising"):
+            lines = list(changes(summarise(read_campaign(against)), found))
+        print_changes(out, lines)
         return
     page = place / "summary.html"
-    write_campaign_page(page, found)
-    if rrd is not None:
-        from testbed.viewer.campaign_log import write_campaign_rrd
+    with output.Progress("drawing"):
+        write_campaign_page(page, found)
+        if rrd is not None:
+            from testbed.viewer.campaign_log import write_campaign_rrd
 
-        write_campaign_rrd(found, rrd)
+            write_campaign_rrd(found, rrd)
     print_summary(out, found, [page, *write_summary(found, place)])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +17,7 @@ from testbed.installation import own_or_shipped
 if TYPE_CHECKING:
     from testbed.arrays import Array
     from testbed.experiment.experiment import Experiment
+    from testbed.reporting.output import Progress
 
 
 @app.command()
@@ -76,20 +78,52 @@ def excite(
     check_writable(out, trajectory, page)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
+    note([_budget(experiment)])
     with output.Progress("searching") as progress, _interrupt() as interrupted:
-        found = excited(experiment, progress.with_best, known, interrupted)
-    if trajectory is not None:
-        write_trajectory(trajectory, found, rate)
-    write_motion(out, found)
-    if page is not None:
-        from testbed.reporting.motion_page import write_motion_page
+        found = excited(experiment, _Searching(progress), known, interrupted)
+    with output.Progress("writing"):
+        if trajectory is not None:
+            write_trajectory(trajectory, found, rate)
+        write_motion(out, found)
+        if page is not None:
+            from testbed.reporting.motion_page import write_motion_page
 
-        write_motion_page(page, found)
+            write_motion_page(page, found)
     if as_json:
         output.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
         note([*found.tree.warnings, *found.rules.notes, *found.warnings])
         print_excitation(output.console(), found, out)
+
+
+def _budget(experiment: Experiment) -> str:
+    """What the search may take."""
+    from testbed.excitation.barrier_search import STEPS
+
+    table = experiment.excitation
+    searches = f"{table.starts} searches of at most {STEPS} steps"
+    if table.seconds is None:
+        return (
+            f"{searches}; Ctrl-C goes on with the best so far, excitation.seconds or fewer "
+            "excitation.starts end sooner"
+        )
+    return f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
+
+
+class _Searching:
+    """Shows the best so far, and how long all steps of all searches would take."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress, self._steps, self._began = progress, 0, time.monotonic()
+
+    def __call__(self, done: int, total: int, best: float) -> None:
+        from testbed.excitation.barrier_search import STEPS
+
+        self._steps += 1
+        most = (time.monotonic() - self._began) / self._steps * STEPS * total
+        self._progress.say(
+            done, total, f"searching, at most {most:.0f} s, best sigma so far {best:.3g}"
+        )
 
 
 @contextmanager
@@ -135,7 +169,8 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
     from testbed.reporting import output
     from testbed.reporting.motion_tables import print_proof
 
-    found = checked_motion(file, settings)
+    with output.Progress("proving"):
+        found = checked_motion(file, settings)
     proof = found.proof
     if as_json:
         output.print_json(proof_as_json(proof))

@@ -78,9 +78,11 @@ def import_(
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines, warnings = [], []
     if tree is None:
-        made, cuts = pieces(mapping)
+        with output.Progress("importing"):
+            made, cuts = pieces(mapping)
     else:
-        made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
+        with output.Progress("importing, holding it against the robot"):
+            made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
         warnings = [*tree.warnings, *found.warnings]
@@ -112,13 +114,15 @@ def _guess(files: list[Path], out: Path | None, joints: Sequence[str]) -> None:
     """A mapping file to start from, on standard output or where it is wanted."""
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
+    from testbed.reporting import output
 
-    if out is None:
-        typer.echo(guessed(files, Path(), joints), nl=False)
-        return
-    if out.exists():
+    if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
-    text = guessed(files, out.parent, joints)
+    with output.Progress("reading"):
+        text = guessed(files, out.parent if out else Path(), joints)
+    if out is None:
+        typer.echo(text, nl=False)
+        return
     with replacing(out) as fresh:
         fresh.write_text(text, encoding="utf-8")
     typer.echo(f"{out}: fill in what is empty")

@@ -99,15 +99,16 @@ def minimal(
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
-    dynamic = minimal_set(tree, "dynamic", gravity, known)
-    reaction = minimal_set(tree, "reaction", gravity, known, tared)
-    drives = drive_set(tree, dynamic, terms) if terms else None
-    seen = _map(tree, gravity, known) if show_map or as_json else ()
-    found = Findings(tree, dynamic, reaction, drives, seen)
-    if check:
-        drives_agree = None if drives is None else verify_drives(tree, drives)
-        both = [verify(tree, each) for each in (dynamic, reaction)]
-        found = replace(found, agreements=both, drives_agree=drives_agree)
+    with output.Progress("deriving"):
+        dynamic = minimal_set(tree, "dynamic", gravity, known)
+        reaction = minimal_set(tree, "reaction", gravity, known, tared)
+        drives = drive_set(tree, dynamic, terms) if terms else None
+        seen = _map(tree, gravity, known) if show_map or as_json else ()
+        found = Findings(tree, dynamic, reaction, drives, seen)
+        if check:
+            drives_agree = None if drives is None else verify_drives(tree, drives)
+            both = [verify(tree, each) for each in (dynamic, reaction)]
+            found = replace(found, agreements=both, drives_agree=drives_agree)
     lengths: Literal["symbols", "numbers"] = "numbers" if numbers else "symbols"
     if as_json:
         _print_minimal_json(found, matrices)
@@ -172,6 +173,7 @@ def equations(
     Example: testbed equations models/puma562.xml --zeros --form reduced
     """
     from testbed.files import check_writable, fingerprint, replacing
+    from testbed.reporting import output
     from testbed.symbolic.angles import right_angles
     from testbed.symbolic.budget import MAX_TERMS
     from testbed.symbolic.equations import equations as derived
@@ -194,16 +196,15 @@ def equations(
         _compare(tree, against, form, gravity, known, most)
     wanted = what or [_What.joint_forces]
     names = list(KINDS) if _What.all in wanted else [each.value for each in wanted]
-    listing = derived(tree, names, form.value, gravity, known, numbers, most)
-    text = write_equations(
-        listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
-    )
+    with output.Progress("deriving"):
+        listing = derived(tree, names, form.value, gravity, known, numbers, most)
+        text = write_equations(
+            listing, language.value, f"{model.name}, SHA-256 {fingerprint(model)[:16]}"
+        )
     if out is not None:
         with replacing(out) as fresh:
             fresh.write_text(text, encoding="utf-8")
     if as_json:
-        from testbed.reporting import output
-
         output.print_json(as_document(listing, text))
     elif out is None:
         sys.stdout.write(text)
@@ -231,12 +232,14 @@ def _compare(
 ) -> NoReturn:
     """Say where a listing differs; exit code 1 if it does."""
     from testbed.files import read_text
+    from testbed.reporting import output
     from testbed.symbolic.compare import compare_equations
     from testbed.symbolic.languages.paper import line
     from testbed.symbolic.parse import TERM_LENGTH
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
-    found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
+    with output.Progress("deriving"):
+        found = compare_equations(tree, text, form.value, gravity, zeros, max_terms)
     for name, difference in found.items():
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")

@@ -69,18 +69,26 @@ def view(
 
     Example: testbed view recording.parquet --model robot.urdf
     """
+    from testbed.errors import ViewerError
     from testbed.experiment.growth import growth
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
+    from testbed.viewer.show import has_screen
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
     check_writable(log)
+    if save is None and not serve and not has_screen():
+        raise ViewerError(
+            f"there is no screen to open the viewer on: --save {log.name} writes a file for "
+            "another machine, --serve shows it in a browser"
+        )
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
-        warnings = _write_motion(runs[0], settings or [], log)
+        with output.Progress("looking"):
+            warnings = _write_motion(runs[0], settings or [], log)
         _show(log, warnings, serve, save is None, port)
         return
     _check_said(runs, model, reading)
@@ -90,7 +98,7 @@ def view(
             progress(k, len(runs))
             run = _run_at(path, model, reading, unchecked=unchecked)
             scenes.append(scene_of(run, growth(run)))
-    write_rrd(scenes, log)
+        write_rrd(scenes, log)
     _show(log, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
 
 
@@ -168,15 +176,17 @@ def report(
     check_writable(path, path.with_suffix(".json"))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
-    done = _run_at(run, model, reading, unchecked=unchecked)
-    if consistent:
-        done = _with_bodies(done, reading)
-    if validate is None:
-        with output.Progress("simulating an unseen motion") as progress:
+    with output.Progress("identifying") as progress:
+        done = _run_at(run, model, reading, unchecked=unchecked)
+        if consistent:
+            done = _with_bodies(done, reading)
+        if validate is None:
+            progress.say(0, 0, "simulating an unseen motion")
             done, other = checked_elsewhere(done, progress)
-    else:
-        done, other = _judged_on(done, validate, reading, unchecked=unchecked)
-    beside = write_report(done, path, other)
+        else:
+            done, other = _judged_on(done, validate, reading, unchecked=unchecked)
+        progress.say(0, 0, "drawing")
+        beside = write_report(done, path, other)
     output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)
 
 
@@ -215,6 +225,8 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
     if path.is_dir():
+        if (path / "campaign.toml").is_file():
+            raise ExperimentError(f"'{path}' is a campaign: testbed campaign --summary {path}")
         return read_run(path)
     if model is None:
         raise ExperimentError(f"'{path}' is no run folder; a recording needs --model")

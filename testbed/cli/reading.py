@@ -73,8 +73,10 @@ class Reading:
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""
         from testbed.recordings.measured_base import on_its_base
+        from testbed.reporting import output
 
-        return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
+        with output.Progress("reading"):
+            return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
 
     def joined(
         self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
@@ -88,14 +90,16 @@ class Reading:
         """
         from testbed.recordings.joined import joined
         from testbed.recordings.measured_base import on_its_base
+        from testbed.reporting import output
 
         _require_different(paths)
         several, sources, warnings = len(paths) > 1, [], []
         for path in paths:
-            pieces, said = opened_pieces(path)
-            made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
-            longest = max(made, key=lambda source: source.samples)
-            said += self.accepted(longest, tree, unchecked=unchecked)
+            with output.Progress("holding the recording against the robot"):
+                pieces, said = opened_pieces(path)
+                made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
+                longest = max(made, key=lambda source: source.samples)
+                said += self.accepted(longest, tree, unchecked=unchecked)
             warnings += [f"{path.name}: {line}" if several else line for line in said]
             sources += made
         return joined(sources), warnings

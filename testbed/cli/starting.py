@@ -45,13 +45,15 @@ def new(
     if path.exists():
         raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
     from testbed.files import check_writable, replacing
+    from testbed.reporting import output
 
     check_writable(path)
-    text = (
-        _mapping(recording, robot, path.parent)
-        if recording
-        else _experiment(source, path.parent, strict)
-    )
+    with output.Progress("reading"):
+        text = (
+            _mapping(recording, robot, path.parent)
+            if recording
+            else _experiment(source, path.parent, strict)
+        )
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     further = (

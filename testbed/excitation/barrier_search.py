@@ -25,6 +25,8 @@ LAST = 3e-3
 """Of the barrier's weight in all: what it may still cost of the criterion."""
 INNER = 12
 """Steps at most for one weight."""
+STEPS = 100
+"""Of a search at most."""
 NEAREST = 0.005
 """Part of the way to a limit that a step must leave."""
 
@@ -86,7 +88,7 @@ class Search(Protocol):
 
 
 def minimise(
-    search: Search, x: Array, iterations: int = 100, stop: Callable[[float], bool] | None = None
+    search: Search, x: Array, iterations: int = STEPS, stop: Callable[[float], bool] | None = None
 ) -> Point:
     """A point strictly inside the limits where the function is small.
 

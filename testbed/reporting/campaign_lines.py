@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import math
-import sys
-import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
 from rich.table import Table
 
 from testbed.campaign.campaign import Campaign
@@ -21,6 +17,7 @@ from testbed.campaign.estimated_cost import bytes_of, seconds_of
 from testbed.campaign.summary_files import Change
 from testbed.errors import printable
 from testbed.identification.estimate import METHODS
+from testbed.reporting.output import Progress
 
 LISTED = 20
 """Cells or failures that are listed one by one."""
@@ -33,9 +30,6 @@ SHOWN_METRICS = (
     ("consistent error", "consistent_rms_relative_error"),
 )
 """Heads of columns and what stands in them, means over a cell."""
-
-BETWEEN = 30.0
-"""Seconds between two lines where no bar can be shown."""
 
 
 def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
@@ -55,35 +49,19 @@ def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[st
             yield f"Of {runs} intervals of 95 %, {method}, {inside / runs:.1%} hold the truth."
 
 
-class Throughput:
-    """How far a campaign is, on standard error: a bar on a terminal, else a line now and then."""
+class Throughput(Progress):
+    """How far a campaign is."""
 
     def __init__(self) -> None:
         """Nothing done yet."""
-        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
-        self._bar.disable = not sys.stderr.isatty()
-        self._task = self._bar.add_task("runs")
-        self._said = time.monotonic()
+        super().__init__("runs")
 
-    def __enter__(self) -> Throughput:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, standing: Standing) -> None:
+    def of(self, standing: Standing) -> None:
         """Show how far it is."""
         failed = f", {standing.failed} failed" if standing.failed else ""
         words = f"{standing.done} of {standing.total} runs{failed}, {standing.rate:.3g} a second"
-        self._bar.update(
-            self._task, completed=standing.done, total=standing.total, description=words
-        )
-        if self._bar.disable and time.monotonic() - self._said > BETWEEN:
-            self._said = time.monotonic()
-            left = (standing.total - standing.done) / max(standing.rate, 1e-9)
-            sys.stderr.write(f"{words}, {duration(left)} left\n")
+        left = (standing.total - standing.done) / max(standing.rate, 1e-9)
+        self.say(standing.done, standing.total, f"{words}, {duration(left)} left")
 
 
 def print_plan(out: Console, campaign: Campaign, folder: Path, limit: int | None) -> None:

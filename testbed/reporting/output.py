@@ -6,7 +6,9 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from typing import Any
+from contextlib import suppress
+from threading import Event, Thread
+from typing import Any, ClassVar, Self
 
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
@@ -14,32 +16,84 @@ from rich.progress import Progress as Bar
 
 from testbed.errors import printable
 
+BETWEEN = 10.0
+"""Seconds between two lines where no bar can be shown."""
+
 
 class Progress:
-    """A progress bar on standard error, if that is a terminal."""
+    """How far something is, on standard error: a bar on a terminal, else a line now and then.
+
+    Of blocks in one another the inner one is shown.
+    """
+
+    _shown: ClassVar[list[Progress]] = []
 
     def __init__(self, label: str) -> None:
-        """A bar with a label in front."""
-        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-        self._bar = Bar(*shown, console=Console(stderr=True), transient=True)
-        self._bar.disable = not sys.stderr.isatty()
-        self._task = self._bar.add_task(label)
+        """Nothing is done yet.
 
-    def __enter__(self) -> Progress:
-        self._bar.start()
+        Args:
+            label: What is going on.
+        """
+        shown = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+        self._bar = Bar(  # what goes to standard output stays there
+            *shown,
+            console=Console(stderr=True),
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        self._bar.disable = not sys.stderr.isatty()
+        self._task = self._bar.add_task(label, total=None)
+        self._label, self._part, self._ended = label, "", Event()
+        self._lines: Thread | None = None
+
+    @property
+    def line(self) -> str:
+        """What is going on and how far it is."""
+        return f"{self._label}{self._part} ..."
+
+    def __enter__(self) -> Self:
+        if self._shown:
+            self._shown[-1]._pause()
+        self._shown.append(self)
+        self._show()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        self._pause()
+        self._shown.remove(self)
+        if self._shown:
+            self._shown[-1]._show()
 
     def __call__(self, done: int, total: int) -> None:
         """Show how much is done."""
-        self._bar.update(self._task, completed=done, total=total)
+        self.say(done, total, self._label)
 
-    def with_best(self, done: int, total: int, best: float) -> None:
-        """Show how much is done, and the relative sigma of the best motion so far."""
-        said = f"searching, best sigma so far {best:.3g}" if done else "searching"
-        self._bar.update(self._task, completed=done, total=total, description=said)
+    def say(self, done: int, total: int, label: str) -> None:
+        """Show how much is done, and in other words what is going on."""
+        self._label, self._part = label, f", {done / total:.0%}" if total else ""
+        self._bar.update(self._task, completed=done, total=total or None, description=label)
+
+    def _show(self) -> None:
+        if not self._bar.disable:
+            self._bar.start()
+            return
+        self._ended.clear()
+        self._lines = Thread(target=self._write_lines, daemon=True)
+        self._lines.start()
+
+    def _pause(self) -> None:
+        self._ended.set()
+        if self._lines is not None:
+            self._lines.join()
+        self._bar.stop()
+
+    def _write_lines(self) -> None:
+        """A line whenever `BETWEEN` has passed."""
+        while not self._ended.wait(BETWEEN):
+            with suppress(OSError, ValueError):  # nobody is left to be told
+                sys.stderr.write(f"{printable(self.line)}\n")
+                sys.stderr.flush()
 
 
 def console() -> Console:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -22,20 +20,12 @@ from testbed.reporting.campaign_lines import (
 from tests.helpers.console import printed
 
 
-def test_where_there_is_no_terminal_a_line_comes_now_and_then(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Every half a minute at most, beginning half a minute after the start."""
-    clock = itertools.chain([0.0, 10.0, 31.0, 31.0, 40.0, 62.0, 62.0])
-    monkeypatch.setattr(time, "monotonic", lambda: next(clock))
+def test_a_campaigns_line_says_runs_failures_rate_and_time_left() -> None:
     shown = Throughput()
-    for done, failed in ((1, 0), (2, 0), (3, 1), (4, 1)):
-        shown(Standing(done, 100, failed, 0.5))
-    said = capsys.readouterr().err.splitlines()
-    assert said == [
-        f"2 of 100 runs, 0.5 a second, {duration(98 / 0.5)} left",
-        f"4 of 100 runs, 1 failed, 0.5 a second, {duration(96 / 0.5)} left",
-    ]
+    shown.of(Standing(2, 100, 0, 0.5))
+    assert shown.line == f"2 of 100 runs, 0.5 a second, {duration(98 / 0.5)} left, 2% ..."
+    shown.of(Standing(4, 100, 1, 0.5))
+    assert shown.line.startswith("4 of 100 runs, 1 failed, 0.5 a second")
 
 
 @pytest.mark.parametrize(("count", "more"), [(0, None), (20, None), (21, 1), (45, 25)])
