@@ -11,23 +11,22 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import joint_forces
-from testbed.dynamics.motion import Motion
 from testbed.errors import FreeRootError, MimicError
-from testbed.excitation.limits import CALM, Limits, limits_of
+from testbed.excitation.limits import Limits, limits_of
+from testbed.experiment.assumptions import (
+    PLATE_NOISE,
+    STEPS,
+    TORQUE_NOISE,
+    Assumptions,
+    assumptions,
+)
 from testbed.experiment.experiment import run_name
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.load import mimic_joints
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.tree import Tree
 
-POSTURES = 200
-"""Random postures in which joints are loaded."""
-DRY, VISCOUS = 0.05, 0.03
-"""Assumed friction, as shares of a joint's load: dry, and viscous at its velocity there."""
-OF_MOTOR = 0.05
-"""Most of the motor's effort that dry friction is assumed to take."""
 COLUMN = 56
 """Where comments begin."""
 MANY = 12
@@ -44,8 +43,25 @@ class _Reading:
     lock: Mapping[str, float]
 
 
-def new_experiment(model: Path, folder: Path) -> str:
-    """The text of an experiment file that runs as it is.
+@dataclass(frozen=True)
+class Needs:
+    """What a trial of an experiment showed that it needs.
+
+    Attributes:
+        exclude: Pairs of bodies that cannot be kept apart, by name.
+        nothing_clear: Whether no motion keeps clear.
+        step: With which the simulation is stable [s]; None for the one assumed.
+    """
+
+    exclude: tuple[tuple[str, str], ...] = ()
+    nothing_clear: bool = False
+    step: float | None = None
+
+
+def new_experiment(
+    model: Path, folder: Path, needs: Needs | None = None, *, exact_torque_constants: bool = False
+) -> str:
+    """The text of an experiment file.
 
     What the model file does not say is assumed, and marked so.
 
@@ -53,14 +69,27 @@ def new_experiment(model: Path, folder: Path) -> str:
         model: MJCF or URDF. A floating root is welded, joints that follow others are held, and
             grippers with them.
         folder: Where the file will be.
+        needs: What a trial showed (`tried_experiment`).
+        exact_torque_constants: Leave their error out.
 
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = _read(model)
-    tree = found.tree
-    lines = [*_head(model, folder, found), *_robot(found), *_motion(tree), *_instrument(tree)]
-    return "\n".join([*lines, *_claims(tree), ""])
+    found, needs = _read(model), needs or Needs()
+    tree, assumed = found.tree, assumptions(found.tree)
+    return "\n".join(
+        [
+            *_head(model, folder, found),
+            *_robot(found, assumed),
+            *_motion(tree),
+            *_apart(tree, assumed, needs),
+            *_instrument(assumed),
+            *([] if exact_torque_constants else _torque_constants(tree)),
+            *_further(assumed, needs),
+            *_claims(),
+            "",
+        ]
+    )
 
 
 def _read(model: Path) -> _Reading:
@@ -117,8 +146,8 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
     ]
 
 
-def _robot(found: _Reading) -> list[str]:
-    """Friction where the model file has none, and how it is read."""
+def _robot(found: _Reading, assumed: Assumptions) -> list[str]:
+    """How the model file is read, and what is assumed of its joints."""
     tree = found.tree
     lines = ["", "[robot]"]
     if found.lock_mimic:
@@ -132,43 +161,36 @@ def _robot(found: _Reading) -> list[str]:
         lines.append(
             "# lock = { JOINT = 0.0 }".ljust(COLUMN) + "  # joints that do not move [rad or m]"
         )
-    bare = [j for j in range(tree.n) if not (tree.joints[j].coulomb or tree.joints[j].viscous)]
-    if bare:
-        calm = _calm(tree)
-        load = _load(tree, calm)
-        lines += ["", "[robot.joint]  # ASSUMED friction: the model file has none for these"]
-        lines += [_friction(tree.joints[j], load[j], calm[j]) for j in bare]
+    return lines + _joints(tree, assumed)
+
+
+def _joints(tree: Tree, assumed: Assumptions) -> list[str]:
+    """What is assumed of joints: friction, rotors, efforts."""
+    said = {key for values in assumed.joints.values() for key in values}
+    reasons = [reason for key, reason in _REASONS.items() if key in said]
+    if not reasons:
+        return []
+    lines = ["", f"[robot.joint]  # ASSUMED {reasons[0]}"]
+    lines += [f"# ASSUMED {reason}" for reason in reasons[1:]]
+    for name, values in assumed.joints.items():
+        words = ", ".join(f"{key} = {value!r}" for key, value in values.items())
+        revolute = tree.joints[tree.index(name)].revolute
+        units = ", ".join(_UNITS[key][0 if revolute else 1] for key in values)
+        lines.append(f"{_key(name)} = {{ {words} }}".ljust(COLUMN) + f"  # {units}")
     return lines
 
 
-def _friction(joint: Joint, load: float, speed: float) -> str:
-    load = min(load, OF_MOTOR / DRY * joint.max_effort)
-    dry, viscous = _short(DRY * load), _short(VISCOUS * load / speed)
-    units = "N m, N m s/rad" if joint.revolute else "N, N s/m"
-    said = f"{_key(joint.name)} = {{ coulomb = {dry}, viscous = {viscous} }}"
-    return f"{said.ljust(COLUMN)}  # {units}"
-
-
-def _calm(tree: Tree) -> Array:
-    """Velocities of a calm motion inside the limits, (n,) [rad/s or m/s]."""
-    usual = np.array([CALM[joint.kind][1] for joint in tree.joints])
-    return np.asarray(np.minimum(limits_of(tree).velocity, usual))
-
-
-def _load(tree: Tree, speed: Array) -> Array:
-    """Rms of the joint forces in random motion up to a speed, (n,) [N m or N]."""
-    limits, rng = limits_of(tree), np.random.default_rng(0)
-
-    def within(size: Array) -> Array:
-        return rng.uniform(-1, 1, (POSTURES, tree.n)) * size
-
-    motion = Motion(
-        np.arange(float(POSTURES)),
-        limits.middle + within(limits.half),
-        within(speed),
-        within(limits.acceleration),
-    )
-    return np.asarray(np.sqrt(np.mean(joint_forces(tree, motion) ** 2, axis=0)))
+_REASONS = {
+    "coulomb": "friction: the model file has none for these",
+    "rotor_inertia": "rotors: without one next to nothing resists these in some posture",
+    "max_effort": "max_effort: the model file's holds the robot in no posture",
+}
+_UNITS = {
+    "coulomb": ("N m", "N"),
+    "viscous": ("N m s/rad", "N s/m"),
+    "rotor_inertia": ("kg m^2", "kg"),
+    "max_effort": ("N m", "N"),
+}
 
 
 def _motion(tree: Tree) -> list[str]:
@@ -181,16 +203,35 @@ def _motion(tree: Tree) -> list[str]:
         _said("fundamental", 0.1, "Hz; it repeats after its inverse"),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
-    return lines + _limits(tree, limits) + (_APART if many else [])
+    return lines + _limits(tree, limits)
 
 
-_APART = [
-    "",
-    "[excitation]",
+def _apart(tree: Tree, assumed: Assumptions, needs: Needs) -> list[str]:
+    """What clearance is kept, where it is not the usual one."""
+    if tree.n > MANY or needs.nothing_clear:
+        return [
+            "",
+            "[excitation]",
+            *(_MANY_JOINTS if tree.n > MANY else _NOTHING_CLEAR),
+            'clearance = "off"',
+        ]
+    lines = []
+    if assumed.clearance is not None:
+        lines.append(_said("clearance", assumed.clearance, "m; ASSUMED: the robot is small"))
+    if needs.exclude:
+        lines.append("# ASSUMED: these touch, or come too near, in the posture that is freest")
+        lines.append(f"exclude = {[list(pair) for pair in needs.exclude]}".replace("'", '"'))
+    return ["", "[excitation]", *lines] if lines else []
+
+
+_MANY_JOINTS = (
     "# ASSUMED: random motions of so many joints that keep clear of the robot are tiny. In the",
     "# simulation nothing collides; for a real robot take the line out, or use testbed excite.",
-    'clearance = "off"',
-]
+)
+_NOTHING_CLEAR = (
+    "# ASSUMED: no random motion keeps clear of the robot, whatever pairs are left out. In the",
+    "# simulation nothing collides; for a real robot give limits of the joints.",
+)
 
 
 def _limits(tree: Tree, limits: Limits) -> list[str]:
@@ -205,32 +246,55 @@ def _limits(tree: Tree, limits: Limits) -> list[str]:
     return lines
 
 
-def _instrument(tree: Tree) -> list[str]:
+def _instrument(assumed: Assumptions) -> list[str]:
     """A cheap plate and encoder (docs/instruments.md)."""
+    share = f"ASSUMED, {PLATE_NOISE:.1%} of what the robot makes there"
     return [
         "",
         "[measurement]  # ASSUMED: a cheap plate and encoder (docs/instruments.md); put your own",
         _said("rate", 1000.0, "Hz"),
         _said("encoder_resolution", 1e-4, "rad or m, joint side: 16 bits a turn"),
         _said("encoder_noise", 1e-4, "rad or m"),
-        _said("force_noise", 0.5, "N, of Fx Fy Fz"),
-        _said("moment_noise", 0.1, "N m, of Mx My Mz"),
-        _said("torque_noise", 0.5, "N m or N"),
+        _said("force_noise", assumed.force_noise, f"N, of Fx Fy Fz; {share}"),
+        _said("moment_noise", assumed.moment_noise, f"N m, of Mx My Mz; {share}"),
+        _said(
+            "torque_noise",
+            assumed.torque_noise,
+            f"N m or N; ASSUMED, {TORQUE_NOISE:.1%} of the joints' load",
+        ),
+    ]
+
+
+def _torque_constants(tree: Tree) -> list[str]:
+    return [
         "",
         "[measurement.torque_constant_error]  # ASSUMED, as data sheets allow: 0.05 shows 5 % more",
         *(
             _said(name, error, "")
             for name, error in zip(tree.names, _alternating(tree.n), strict=True)
         ),
+    ]
+
+
+def _further(assumed: Assumptions, needs: Needs) -> list[str]:
+    """More faults, the simulation, the identification."""
+    usual = "s; half of it is twice as exact and half as fast"
+    step = needs.step or assumed.step
+    small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
+    rotors = [
+        f"rotor/{name}" for name, values in assumed.joints.items() if "rotor_inertia" in values
+    ]
+    return [
         "",
         "# [[measurement.fault]]  # more that may be wrong: testbed faults",
         '# kind = "plate_pose"',
         "",
         "[simulation]",
-        _said("step", 5e-4, "s; half of it is twice as exact and half as fast"),
+        _said("step", step, usual if step == STEPS[0] else small),
         "",
         "[identification]",
         _said("zeros", False, "true: what is zero in the model file is known to be zero"),
+        *([_said("terms", ["coulomb", "viscous", *rotors], "")] if rotors else []),
     ]
 
 
@@ -238,7 +302,7 @@ def _alternating(count: int) -> list[float]:
     return [0.05 if k % 2 == 0 else -0.05 for k in range(count)]
 
 
-def _claims(tree: Tree) -> list[str]:
+def _claims() -> list[str]:
     return [
         "",
         "[expect]  # the claim; exit code 1 if a bound fails. Take the # off and put your own",
@@ -260,10 +324,6 @@ def _key(name: str) -> str:
 
 def _list(numbers: Sequence[float] | Array) -> str:
     return f"[{', '.join(repr(float(x)) for x in numbers)}]"
-
-
-def _short(value: float) -> str:
-    return repr(float(f"{value:.2g}"))
 
 
 def _float(value: float) -> float:
