@@ -50,6 +50,20 @@ def minimal(
 
 
 @app.command()
+def robots(
+    seconds: Annotated[float, typer.Option(help="Of motion.")] = 6.0,
+    only: Annotated[str, typer.Option(help="Only files whose paths hold this.")] = "",
+) -> None:
+    """`new` and a run of every URDF of example-robot-data; exit code 1 if one is refused."""
+    from benchmarks.robot_files import runs
+
+    line: dict[str, Any] = {}
+    for line in runs(only, seconds):
+        _print(line)
+    raise typer.Exit(int(line.get("runs", 0) + line.get("no robot", 0) < line["files"]))
+
+
+@app.command()
 def regressor(rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 60) -> None:
     """Rows, and sums of their products, against Pinocchio in a loop and lstsq."""
     from benchmarks.regressor import cases, compare

@@ -70,7 +70,7 @@ def robots(zeros: bool) -> dict[str, Any]:
     for path in sorted(REAL.rglob("*.urdf")):
         try:
             followers = dict.fromkeys(mimic_joints(path))
-            tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=followers)
+            tree = tb.load_tree(path, weld_root=True, lock=followers)
         except tb.TestbedError:  # refused with a reason, as tests/parameters checks
             continue
         read += 1

@@ -32,7 +32,6 @@ class Robot:
         file: Of the project; of the package example-robot-data if it begins with "robots/".
         posture: Positions of the first joints; the rest is in the middle of its range.
         weld: Weld its floating root.
-        accept: Take impossible inertias.
         lock: Words of --lock.
         mimic: Hold joints that follow others.
     """
@@ -42,14 +41,13 @@ class Robot:
     file: str
     posture: tuple[float, ...] = ()
     weld: bool = False
-    accept: bool = False
     lock: tuple[str, ...] = ()
     mimic: bool = False
 
     @property
     def command(self) -> str:
         """What counts its parameters."""
-        said = ["--weld-root"] * self.weld + ["--accept-inertia"] * self.accept
+        said = ["--weld-root"] * self.weld
         said += [f"--lock {word}" for word in self.lock] + ["--lock-mimic"] * self.mimic
         shown = self.file.rpartition("/")[2] if self.file.startswith("robots/") else self.file
         return " ".join(["testbed minimal", shown, *said])
@@ -66,9 +64,7 @@ ROBOTS = (
         lock=("panda_finger_joint1=0",),
         mimic=True,
     ),
-    Robot(
-        "tx40", "Staubli TX40", "examples/tx40/tx40.urdf", (0.4, 0.5, 1.2, 0.2, 0.6), accept=True
-    ),
+    Robot("tx40", "Staubli TX40", "examples/tx40/tx40.urdf", (0.4, 0.5, 1.2, 0.2, 0.6)),
     Robot(
         "gantry",
         "A gantry with a wrist",
@@ -81,14 +77,12 @@ ROBOTS = (
         "robots/anymal_b_simple_description/robots/anymal.urdf",
         (-0.1, 0.7, -1.0, -0.1, -0.7, 1.0, 0.1, 0.7, -1.0, 0.1, -0.7, 1.0),
         weld=True,
-        accept=True,
     ),
     Robot(
         "talos_arm",
         "Talos's left arm",
         "robots/talos_data/robots/talos_left_arm.urdf",
         (0.3, 0.4, 0.2, -1.2),
-        accept=True,
     ),
     Robot(
         "g1",

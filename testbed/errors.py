@@ -69,8 +69,8 @@ class InertiaError(ModelError):
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
         super().__init__(
-            f"{source}: {'; '.join(flaws)}. Correct the file; where only the kinematics matter, "
-            "`minimal` and `identify` take it with --accept-inertia (accept_inertia=True)"
+            f"{source}: {'; '.join(flaws)}. Correct the file, or take the nearest bodies that can "
+            "be: `testbed new` writes them into an experiment file ([robot.repair])"
         )
 
 

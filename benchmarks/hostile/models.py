@@ -22,7 +22,7 @@ _ATTRIBUTE = re.compile(r'(\s[\w:]+)="([^"]*)"')
 
 COMMANDS = (
     ("minimal",), ("minimal", "--zeros", "--map"), ("minimal", "--json"), ("minimal", "--latex"),
-    ("minimal", "--accept-inertia", "--weld-root", "--lock-mimic"), ("minimal", "--verify"),
+    ("minimal", "--weld-root", "--lock-mimic"), ("minimal", "--verify"),
     ("equations", "--form", "recursive"), ("equations", "--zeros", "--form", "reduced"),
     ("equations", "--language", "c", "--form", "recursive", "--what", "all"),
     ("equations", "--language", "python", "--numbers", "--right-angles"),

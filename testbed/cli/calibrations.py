@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from testbed.cli.options import (
-    Accept,
     Gravity,
     Json,
     Lock,
@@ -49,7 +48,6 @@ def calibrate(
     zeros: Zeros = False,
     gravity: Gravity = None,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     threads: Threads = None,
@@ -71,7 +69,7 @@ def calibrate(
     from testbed.reporting import output, terminal
     from testbed.reporting.plate_tables import plate_as_json
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
     tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
         raise SettingsError("--joint says what carries the payload of --loaded: give both")
@@ -101,7 +99,6 @@ def drives(
     zeros: Zeros = False,
     gravity: Gravity = None,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
@@ -124,7 +121,7 @@ def drives(
     from testbed.identification.identify import identify
     from testbed.reporting import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
     source = reading.source(recording, tree)
     with output.Progress("identifying, external") as progress:
@@ -169,7 +166,6 @@ def payload(
     settings: RecordingSet = None,
     gravity: Gravity = None,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
@@ -188,7 +184,7 @@ def payload(
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
     from testbed.reporting import output, payload_table, terminal
 
-    reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic, plate)
+    reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
     sources = [reading.source(path, tree) for path in (without, loaded)]
     if at_rest:

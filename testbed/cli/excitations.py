@@ -109,11 +109,14 @@ def _interrupt() -> Iterator[Callable[[], bool]]:
 
 def _experiment(file: Path, settings: list[str]) -> Experiment:
     """An experiment file, or one that says only which model."""
+    from testbed.experiment.evaluate import with_nearest_bodies
     from testbed.experiment.experiment import Experiment
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
-    return Experiment.of_model(file, settings)
+    experiment, notes = with_nearest_bodies(Experiment.of_model(file, settings))
+    note(notes)
+    return experiment
 
 
 def _require_nothing(options: Mapping[str, Path | None]) -> None:

@@ -17,7 +17,6 @@ from testbed.cli.consistent_files import (
     Writing,
 )
 from testbed.cli.options import (
-    Accept,
     Gravity,
     Json,
     Lock,
@@ -57,7 +56,6 @@ def identify(
     zeros: Zeros = False,
     gravity: Gravity = None,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
@@ -87,7 +85,7 @@ def identify(
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     writing = Writing(consistent, write, fixed, in_place)
     writing.check(reading, model)
     table, tree = reading.tables().identification, reading.tree(model)

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from testbed.cli.options import (
-    Accept,
     Json,
     Lock,
     LockMimic,
@@ -47,7 +46,6 @@ def import_(
     unchecked: Unchecked = False,
     settings: RecordingSet = None,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     as_json: Json = False,
@@ -74,7 +72,7 @@ def import_(
     if model is None:
         made, cuts = pieces(mapping)
     else:
-        reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic)
+        reading = Reading(settings, False, weld_root, lock, lock_mimic)
         tree = reading.tree(model)
         made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
         taken = " (taken back)" if align else ""

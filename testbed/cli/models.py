@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 import typer
 
 from testbed.cli.options import (
-    Accept,
     Gravity,
     Json,
     Lock,
@@ -86,7 +85,6 @@ def minimal(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
-    accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
     """Print what joint torques and what the bedplate can tell about a robot.
@@ -99,7 +97,7 @@ def minimal(
     from testbed.reporting import output
     from testbed.reporting.minimal_tables import Findings, print_latex, print_sets
 
-    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
+    tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
     dynamic = minimal_set(tree, "dynamic", gravity, known)
     reaction = minimal_set(tree, "reaction", gravity, known, tared)
@@ -167,7 +165,6 @@ def equations(
     weld_root: Weld = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
-    accept_inertia: Accept = False,
     as_json: Json = False,
 ) -> None:
     """Write a robot's literal equations: motion, reaction, regressors.
@@ -181,7 +178,7 @@ def equations(
     from testbed.symbolic.kinds import KINDS
     from testbed.symbolic.languages import as_document, write_equations
 
-    tree = Reading(None, False, weld_root, accept_inertia, lock, lock_mimic).tree(model)
+    tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")

@@ -110,9 +110,6 @@ Lock = Annotated[
 LockMimic = Annotated[
     bool, typer.Option("--lock-mimic", help="Hold all joints that follow others.")
 ]
-Accept = Annotated[
-    bool, typer.Option("--accept-inertia", help="Take impossible inertias with a warning.")
-]
 Unchecked = Annotated[
     bool,
     typer.Option("--unchecked", help="Go on where an imported recording contradicts the model."),

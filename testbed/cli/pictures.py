@@ -11,7 +11,6 @@ import typer
 
 from testbed.cli.consistent_files import ConsistentBodies
 from testbed.cli.options import (
-    Accept,
     Lock,
     LockMimic,
     Plate,
@@ -55,7 +54,6 @@ def view(
     settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
@@ -76,7 +74,7 @@ def view(
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
 
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
         path = save or _beside(runs[0], ".rrd")
@@ -141,7 +139,6 @@ def report(
     settings: RecordingSet = None,
     zeros: Zeros = False,
     weld_root: Weld = False,
-    accept_inertia: Accept = False,
     lock: Lock = None,
     lock_mimic: LockMimic = False,
     plate: Plate = None,
@@ -168,7 +165,7 @@ def report(
     path = out or _beside(run, ".html")
     if path.is_dir():
         raise typer.BadParameter(f"--out {path} is a folder; name the page, as report.html")
-    reading = Reading(settings, zeros, weld_root, accept_inertia, lock, lock_mimic, plate, terms)
+    reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     done = _run_at(run, model, reading, unchecked=unchecked)
     if consistent:

@@ -27,7 +27,6 @@ class Reading:
         settings: Words of --set.
         zeros: Whether --zeros was given.
         weld_root: Whether --weld-root was given.
-        accept_inertia: Whether --accept-inertia was given.
         lock: Words of --lock.
         lock_mimic: Whether --lock-mimic was given.
         plate: The file of --plate.
@@ -37,7 +36,6 @@ class Reading:
     settings: Sequence[str] | None = None
     zeros: bool = False
     weld_root: bool = False
-    accept_inertia: bool = False
     lock: Sequence[str] | None = None
     lock_mimic: bool = False
     plate: Path | None = None
@@ -64,13 +62,13 @@ class Reading:
         from testbed.robot.model_file import ModelFile
 
         held: dict[str, float | None] = parse_lock(self.lock or ())
-        welded, follow = self.weld_root, self.lock_mimic
+        welded, follow, bodies = self.weld_root, self.lock_mimic, None
         if self.settings:  # else there is no need to import the tables of experiments
             said = self.tables().robot
             held, welded = {**said.lock, **held}, welded or said.base == "measured"
-            follow = follow or said.lock_mimic
+            follow, bodies = follow or said.lock_mimic, said.bodies or None
         mimic = mimic_joints(path) if follow else ()
-        return ModelFile(path, welded, self.accept_inertia, dict.fromkeys(mimic) | held)
+        return ModelFile(path, welded, bodies, dict.fromkeys(mimic) | held)
 
     def source(self, path: Path, tree: Tree) -> Source:
         """A recording, as a perfect plate would have made it where the plate is known."""

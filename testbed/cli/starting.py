@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -24,11 +25,20 @@ def new(
         typer.Option(help="Instead: a logger's file; writes a mapping for testbed import."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
+    strict: Annotated[
+        bool,
+        typer.Option("--strict", help="Refuse bodies that cannot be instead of repairing them."),
+    ] = False,
+    exact_torque_constants: Annotated[
+        bool,
+        typer.Option("--exact-torque-constants", help="Leave out the error assumed of them."),
+    ] = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
-    Limits and counts are the model file's; what it does not say is assumed, and marked. With
-    --recording, a mapping that turns somebody's log into a recording.
+    Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
+    no matter can make are repaired ([robot.repair]). A second of it is simulated before it is
+    written. With --recording, a mapping that turns somebody's log into a recording.
 
     Example: testbed new models/puma562.xml
     """
@@ -38,10 +48,15 @@ def new(
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
     source = robot or recording
     assert source is not None
-    path = out or Path(f"{source.stem}.toml")
-    if path.exists():
-        raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
-    text = _experiment(source, path.parent) if robot else _mapping(source, path.parent)
+    folder = out.parent if out else Path()
+    if out:
+        _check_free(out)
+    if robot is None:
+        path, text = out or Path(f"{source.stem}.toml"), _mapping(source, folder)
+    else:
+        text = _experiment(source, folder, strict, exact_torque_constants)
+        path = out or Path(f"{tomllib.loads(text)['name']}.toml")
+    _check_free(path)
     from testbed.files import replacing
 
     with replacing(path) as fresh:
@@ -52,10 +67,17 @@ def new(
     typer.echo(f"{path}: {further}")
 
 
-def _experiment(model: Path, folder: Path) -> str:
+def _check_free(path: Path) -> None:
+    if path.exists():
+        raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
+
+
+def _experiment(model: Path, folder: Path, strict: bool, exact: bool) -> str:
     from testbed.experiment.new_experiment import new_experiment
 
-    return new_experiment(model, folder)
+    return new_experiment(
+        model, folder, strict=strict, exact_torque_constants=exact, say=typer.echo
+    )
 
 
 def _mapping(file: Path, folder: Path) -> str:

@@ -30,7 +30,7 @@ def rest_posture(rules: Rules) -> Array:
     def excess(postures: Array) -> Array:
         still = Computed(rules.tree, _still(postures))
         found = [term.values(still).max(axis=0) for term in terms]
-        return np.max(found, axis=0, initial=-np.inf)
+        return np.asarray(np.max(found, axis=0, initial=-np.inf))
 
     home = rules.limits.home
     if not terms or excess(home[None])[0] < 0:

@@ -84,13 +84,15 @@ def assumptions(tree: Tree) -> Assumptions:
     joints = {
         name: {k: v for part in found for k, v in part.get(name, {}).items()} for name in tree.names
     }
-    force, moment = (_rms(part, None) for part in (wrench[:, :3], wrench[:, 3:]))
+    force, moment, torque = (
+        float(_rms(part.ravel())) for part in (wrench[:, :3], wrench[:, 3:], torques)
+    )
     force_noise = PLATE_NOISE * force
     return Assumptions(
         joints={name: values for name, values in joints.items() if values},
         force_noise=rounded(force_noise, 1),
         moment_noise=rounded(max(PLATE_NOISE * moment, LEAST_LEVER * force_noise), 1),
-        torque_noise=rounded(TORQUE_NOISE * _rms(torques, None), 1),
+        torque_noise=rounded(TORQUE_NOISE * torque, 1),
         step=_step(whole, matrices),
         clearance=_clearance(tree),
     )
@@ -122,8 +124,9 @@ def _random_states(tree: Tree) -> Motion:
     )
 
 
-def _rms(values: Array, axis: int | None = 0) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=axis)))
+def _rms(values: Array) -> Array:
+    """Column by column."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
 
 
 def _friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
@@ -145,7 +148,7 @@ def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
     usual = _rms(diagonal)
     whole = matrices + np.diag(ROTOR.coefficients(tree) + 1e-12 * usual.max())
     free = 1 / np.diagonal(np.linalg.inv(whole), axis1=1, axis2=2)
-    light = (free < LIGHT * usual).any(axis=0)
+    light = np.asarray((free < LIGHT * usual).any(axis=0))
     return {
         name: {"rotor_inertia": rounded(ROTOR_SHARE * float(usual[j]), 2)}
         for j, name in enumerate(tree.names)

@@ -8,12 +8,13 @@ from pathlib import Path
 from testbed.errors import ExperimentError
 from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.experiment_tables import BodyTable
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.step_floor import with_floor
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
-from testbed.robot.load import mimic_joints
+from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.model_file import ModelFile
 from testbed.robot.rotor_spin import with_rotor_spin
 from testbed.robot.tree import Tree
@@ -96,4 +97,18 @@ def model_of(experiment: Experiment) -> ModelFile:
     """
     mimic = mimic_joints(experiment.model) if experiment.robot.lock_mimic else ()
     held = dict.fromkeys(mimic) | experiment.robot.lock
-    return ModelFile(Path(experiment.model), weld_root=experiment.weld_root, lock=held)
+    welded, bodies = experiment.weld_root, experiment.robot.bodies
+    return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
+
+
+def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[str, ...]]:
+    """The same with the nearest bodies in place of those that cannot be, and what to say of it.
+
+    Args:
+        experiment: Of a model file and nothing else.
+    """
+    model = model_of(experiment)
+    found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
+    tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
+    robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
+    return experiment.model_copy(update={"robot": robot}), found.notes

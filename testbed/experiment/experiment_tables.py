@@ -14,6 +14,7 @@ from pydantic import AfterValidator, BaseModel, Field, model_validator
 from testbed.errors import UnknownName
 from testbed.kind_table import AsTable
 from testbed.robot.free_base import on_free_base
+from testbed.robot.inertia import Inertia
 from testbed.robot.shafts import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
@@ -82,6 +83,31 @@ class JointTable(Table):
     as the minimal parameters' that hold it (docs/plants.md) [kg m^2]."""
 
 
+class BodyTable(Table):
+    """A link with all that is fixed to it, along the link's axes."""
+
+    mass: NotNegative
+    """[kg]."""
+    centre: tuple[Finite, Finite, Finite]
+    """Of mass, from the link's origin [m]."""
+    inertia: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    """About the centre: xx, yy, zz, xy, xz, yz [kg m^2]."""
+
+    @staticmethod
+    def of(body: Inertia) -> BodyTable:
+        """A table of a body that is given about and along the link's frame."""
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = body.central.tolist()
+        centre = tuple(body.com.tolist())
+        return BodyTable(mass=body.mass, centre=centre, inertia=(xx, yy, zz, xy, xz, yz))
+
+    @property
+    def body(self) -> Inertia:
+        """About and along the link's frame."""
+        xx, yy, zz, xy, xz, yz = self.inertia
+        central = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+        return Inertia.about_centre(self.mass, self.centre, central)
+
+
 class RobotTable(Table):
     """How the model file is read."""
 
@@ -89,6 +115,9 @@ class RobotTable(Table):
     """Joints that are held, and where [rad or m]: their bodies become part of the carriers."""
     lock_mimic: bool = False
     """Joints that mimic others are held where their masters' zero puts them."""
+    repair: dict[str, BodyTable] = {}
+    """By link: bodies in place of those that no matter can make, as `testbed new` writes them. A
+    model file with such bodies is refused without."""
     base: Literal["fixed", "measured"] = "fixed"
     """Whether the root is welded to the bedplate, or free and its pose in the recording."""
     joint: dict[str, JointTable] = {}
@@ -96,6 +125,11 @@ class RobotTable(Table):
     coupling: dict[str, dict[str, Finite]] = {}
     """Motor shafts that turn with several joints: by a name of your own, how much with each joint.
     Default: those of an imported recording's [gear]."""
+
+    @property
+    def bodies(self) -> dict[str, Inertia]:
+        """What is taken in place of bodies that cannot be, by link."""
+        return {name: table.body for name, table in self.repair.items()}
 
     @property
     def settings(self) -> dict[str, dict[str, object]]:

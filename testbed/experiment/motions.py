@@ -18,7 +18,7 @@ from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, Sm
 from testbed.excitation.limits import Limits, limits_of
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import best_motion
-from testbed.experiment.evaluate import model_of, robot_of
+from testbed.experiment.evaluate import model_of, robot_of, with_nearest_bodies
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motion_file import read_motion
 from testbed.parameters.minimal_set import minimal_set
@@ -190,7 +190,7 @@ def checked_motion(path: Path, settings: Sequence[str] = ()) -> CheckedMotion:
         ExperimentError: It is no motion, or of another robot.
     """
     said = read_motion(path)
-    experiment = Experiment.of_model(said.model, settings)
+    experiment, _ = with_nearest_bodies(Experiment.of_model(said.model, settings))
     tree = robot_of(experiment)
     motion, rules = said.motion_for(tree), rules_of(experiment, tree, designed=True)
     return CheckedMotion(experiment, motion, rules, prove(motion, rules))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.errors import FreeRootError, MimicError
+from testbed.errors import FreeRootError, MimicError, ModelError
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -21,10 +21,14 @@ from testbed.experiment.assumptions import (
     assumptions,
 )
 from testbed.experiment.experiment import run_name
+from testbed.experiment.experiment_tables import BodyTable
+from testbed.experiment.trial import Needs, tried_text
 from testbed.parameters.minimal_set import minimal_set
-from testbed.robot.load import mimic_joints
+from testbed.robot.inertia import Inertia
+from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
+from testbed.robot.repair import NAMED, Bodies, Repair
 from testbed.robot.tree import Tree
 
 COLUMN = 56
@@ -41,27 +45,19 @@ class _Reading:
     weld_root: bool
     lock_mimic: bool
     lock: Mapping[str, float]
-
-
-@dataclass(frozen=True)
-class Needs:
-    """What a trial of an experiment showed that it needs.
-
-    Attributes:
-        exclude: Pairs of bodies that cannot be kept apart, by name.
-        nothing_clear: Whether no motion keeps clear.
-        step: With which the simulation is stable [s]; None for the one assumed.
-    """
-
-    exclude: tuple[tuple[str, str], ...] = ()
-    nothing_clear: bool = False
-    step: float | None = None
+    repair: Repair
 
 
 def new_experiment(
-    model: Path, folder: Path, needs: Needs | None = None, *, exact_torque_constants: bool = False
+    model: Path,
+    folder: Path,
+    *,
+    strict: bool = False,
+    exact_torque_constants: bool = False,
+    tried: bool = True,
+    say: Callable[[str], None] = lambda line: None,
 ) -> str:
-    """The text of an experiment file.
+    """The text of an experiment file that runs as it is.
 
     What the model file does not say is assumed, and marked so.
 
@@ -69,36 +65,42 @@ def new_experiment(
         model: MJCF or URDF. A floating root is welded, joints that follow others are held, and
             grippers with them.
         folder: Where the file will be.
-        needs: What a trial showed (`tried_experiment`).
+        strict: Refuse bodies that cannot be instead of taking the nearest that can.
         exact_torque_constants: Leave their error out.
+        tried: Simulate a second of it, and assume more where it fails.
+        say: Called with a line for what was repaired, or assumed after a trial.
 
     Raises:
         ModelError: The robot cannot be read.
     """
-    found, needs = _read(model), needs or Needs()
-    tree, assumed = found.tree, assumptions(found.tree)
-    return "\n".join(
-        [
-            *_head(model, folder, found),
-            *_robot(found, assumed),
-            *_motion(tree),
-            *_apart(tree, assumed, needs),
-            *_instrument(assumed),
-            *([] if exact_torque_constants else _torque_constants(tree)),
-            *_further(assumed, needs),
-            *_claims(),
-            "",
-        ]
-    )
+    found = _read(model, None if not strict else {})
+    for line in _repairs(found.repair):
+        say(line)
+    assumed = assumptions(found.tree)
+
+    def text(needs: Needs) -> str:
+        constants = [] if exact_torque_constants else _torque_constants(found.tree)
+        parts = (
+            _head(model, folder, found),
+            _robot(found, assumed),
+            _motion(found.tree, needs),
+            _apart(found.tree, assumed, needs),
+            [*_instrument(assumed), *constants],
+            [*_further(assumed, needs), *_claims(), ""],
+        )
+        return "\n".join(line for part in parts for line in part)
+
+    first = Needs(step=assumed.step)
+    return tried_text(text, first, folder, say) if tried else text(first)
 
 
-def _read(model: Path) -> _Reading:
+def _read(model: Path, repair: Bodies | None) -> _Reading:
     """Read the file; weld its root and hold what follows others if that is what it takes."""
     weld, masters = False, set[str]()
     while True:
         try:
             held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld_root=weld, lock=held).tree()
+            tree = ModelFile(model, weld, repair, held).tree()
             break
         except FreeRootError:
             if weld:
@@ -110,8 +112,13 @@ def _read(model: Path) -> _Reading:
             masters = set(error.masters.values())
     lock = _grippers(tree, masters)
     if lock:
-        tree = ModelFile(model, weld_root=weld, lock=held | lock).tree()
-    return _Reading(tree, weld, bool(masters), lock)
+        tree = ModelFile(model, weld, repair, held | lock).tree()
+    if not any(inertia.mass for inertia in tree.inertias):
+        raise ModelError(
+            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
+        )
+    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
+    return _Reading(tree, weld, bool(masters), lock, nearest)
 
 
 def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
@@ -137,7 +144,7 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
         "# It runs as it is: testbed run FILE. What the model file does not say is marked ASSUMED.",
         "# Lines that begin with # are defaults; every key is in docs/experiments.md.",
         "",
-        _said("name", run_name(model), "of the run folder"),
+        _said("name", run_name(model, tree.name), "of the run folder"),
         _said("claim", "", "what the experiment shows, in a sentence"),
         _said("model", place, "relative to this file"),
         _said("seed", 0, "of the motion and of all noise"),
@@ -161,7 +168,11 @@ def _robot(found: _Reading, assumed: Assumptions) -> list[str]:
         lines.append(
             "# lock = { JOINT = 0.0 }".ljust(COLUMN) + "  # joints that do not move [rad or m]"
         )
-    return lines + _joints(tree, assumed)
+    lines += _joints(tree, assumed)
+    if found.repair.bodies:
+        lines += ["", "[robot.repair]  # in place of bodies that cannot be: the nearest that can"]
+        lines += [_body(name, body) for name, body in found.repair.bodies.items()]
+    return lines
 
 
 def _joints(tree: Tree, assumed: Assumptions) -> list[str]:
@@ -193,7 +204,21 @@ _UNITS = {
 }
 
 
-def _motion(tree: Tree) -> list[str]:
+def _body(name: str, body: Inertia) -> str:
+    said = BodyTable.of(body).model_dump()
+    values = ", ".join(f"{key} = {value!r}" for key, value in said.items())
+    return f"{_key(name)} = {{ {values} }}".replace("(", "[").replace(")", "]")
+
+
+def _repairs(repair: Repair) -> Iterator[str]:
+    """What was repaired: the first few, and how many."""
+    yield from repair.notes
+    yield from (f"  {flaw}" for flaw in repair.flaws[:NAMED])
+    if len(repair.flaws) > NAMED:
+        yield f"  and {len(repair.flaws) - NAMED} more"
+
+
+def _motion(tree: Tree, needs: Needs) -> list[str]:
     limits = limits_of(tree)
     many = tree.n > MANY
     lines = [
@@ -203,7 +228,7 @@ def _motion(tree: Tree) -> list[str]:
         _said("fundamental", 0.1, "Hz; it repeats after its inverse"),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
-    return lines + _limits(tree, limits)
+    return lines + _limits(tree, limits, needs.pace)
 
 
 def _apart(tree: Tree, assumed: Assumptions, needs: Needs) -> list[str]:
@@ -234,15 +259,16 @@ _NOTHING_CLEAR = (
 )
 
 
-def _limits(tree: Tree, limits: Limits) -> list[str]:
+def _limits(tree: Tree, limits: Limits, pace: float) -> list[str]:
     """Velocities and accelerations by joint, said where they come from."""
+    assumed = "ASSUMED" if pace == 1 else "ASSUMED: so slow, since the robot went astray faster"
     lines = ["", "[motion.max_velocity]  # rad/s or m/s"]
-    for joint, speed in zip(tree.joints, limits.velocity, strict=True):
-        known = np.isfinite(joint.max_velocity)
-        lines.append(_said(joint.name, _float(speed), "the model file's" if known else "ASSUMED"))
+    for joint, speed in zip(tree.joints, pace * limits.velocity, strict=True):
+        known = pace == 1 and np.isfinite(joint.max_velocity)
+        lines.append(_said(joint.name, _float(speed), "the model file's" if known else assumed))
     lines += ["", "[motion.max_acceleration]  # rad/s^2 or m/s^2"]
-    for joint, rate in zip(tree.joints, limits.acceleration, strict=True):
-        lines.append(_said(joint.name, _float(rate), "ASSUMED"))
+    for joint, rate in zip(tree.joints, pace * limits.acceleration, strict=True):
+        lines.append(_said(joint.name, _float(rate), assumed))
     return lines
 
 
@@ -279,7 +305,6 @@ def _torque_constants(tree: Tree) -> list[str]:
 def _further(assumed: Assumptions, needs: Needs) -> list[str]:
     """More faults, the simulation, the identification."""
     usual = "s; half of it is twice as exact and half as fast"
-    step = needs.step or assumed.step
     small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
     rotors = [
         f"rotor/{name}" for name, values in assumed.joints.items() if "rotor_inertia" in values
@@ -290,7 +315,7 @@ def _further(assumed: Assumptions, needs: Needs) -> list[str]:
         '# kind = "plate_pose"',
         "",
         "[simulation]",
-        _said("step", step, usual if step == STEPS[0] else small),
+        _said("step", needs.step, usual if needs.step == STEPS[0] else small),
         "",
         "[identification]",
         _said("zeros", False, "true: what is zero in the model file is known to be zero"),

@@ -51,7 +51,6 @@ class _Model(Table):
     path: str
     sha256: str
     weld_root: bool
-    accept_inertia: bool
     lock: dict[str, Finite | None]
 
 
@@ -160,7 +159,7 @@ def _of_recording(
     tables = checked(RecordingTables, said, f"{path}: settings")
     place = _checked_model(model or Path(kept.path), kept.sha256, path)
     held = kept.lock | tables.robot.lock
-    file = ModelFile(place, kept.weld_root, kept.accept_inertia, held)
+    file = ModelFile(place, kept.weld_root, tables.robot.bodies or None, held)
     return tables.robot.on(file.tree()), tables.identification
 
 

@@ -134,7 +134,6 @@ def identified_as_json(
             "path": str(model.path),
             "sha256": fingerprint(model.path),
             "weld_root": model.weld_root,
-            "accept_inertia": model.accept_inertia,
             "lock": dict(model.lock),
         },
         "settings": settings,

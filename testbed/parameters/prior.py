@@ -14,20 +14,15 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.parameters.barycentric import standard
-from testbed.parameters.pseudo_inertia import matrices, nearest_definite, parameters
+from testbed.parameters.pseudo_inertia import matrices, parameters
+from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body
 from testbed.robot.tree import Tree
 
 THINNEST = 1e-2
 """Share of a body's greatest principal second moment that its others have at least."""
 
-ROUNDING = 1e-9
-"""Share below zero that is rounding in a file: of a rod or a plate."""
-
 MOST_NAMED = 6
 """Bodies in one line."""
-
-SMALL = 0.1
-"""Radius of gyration of a point mass, in parts of its distance or of the robot's lengths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +76,9 @@ def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
             continue
         if _is_none(given):
             impossible.append(joint.body)
-        found[body] = parameters(_possible(given, reach, usual))
+        found[body] = parameters(
+            nearest_body(Inertia.of_pseudo(given), THINNEST, usual, reach).pseudo
+        )
     everywhere = np.tile([[-np.inf] * 3, [np.inf] * 3], (tree.n, 1, 1))
     rotors = np.array([joint.rotor_inertia for joint in tree.joints])
     return Prior(
@@ -100,20 +97,6 @@ def _is_none(body: Array) -> bool:
     size = np.linalg.eigvalsh(body[:3, :3] - np.outer(body[:3, 3], body[:3, 3]) / mass)
     least = ROUNDING * float(np.abs(body[:3, :3]).max())
     return bool(size[0] < -least or size[-1] <= least)
-
-
-def _possible(body: Array, reach: float, mass: float) -> Array:
-    """J of the nearest body that can be, (4, 4)."""
-    if body[3, 3] <= 0:
-        body = np.array(body)
-        body[3, 3], body[:3, 3], body[3, :3] = mass, 0.0, 0.0
-    centre = body[:3, 3] / body[3, 3]
-    central = body[:3, :3] - body[3, 3] * np.outer(centre, centre)
-    if np.linalg.eigvalsh(central)[-1] <= ROUNDING * np.abs(body[:3, :3]).max():
-        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
-        body = np.array(body)
-        body[:3, :3] += body[3, 3] * radius**2 * np.eye(3) / 3 - central
-    return nearest_definite(body, THINNEST)
 
 
 def _warnings(without_masses: bool, impossible: list[str], nothing: list[str]) -> Iterator[str]:

@@ -93,18 +93,3 @@ def standard_of_coordinates(roots: Array) -> Array:
     """
     bodies = np.einsum("...ab,kbc,...dc->...kad", roots, OF_COORDINATES, roots)
     return np.asarray(np.swapaxes(parameters(bodies), -1, -2))
-
-
-def nearest_definite(matrix: Array, least: float) -> Array:
-    """J with principal second moments about its centre raised to a least share, (4, 4).
-
-    Args:
-        matrix: J of a body with a positive mass, (4, 4).
-        least: Share of the greatest principal second moment that the others have at least.
-    """
-    mass, centre = matrix[3, 3], matrix[:3, 3] / matrix[3, 3]
-    size, axes = np.linalg.eigh(matrix[:3, :3] - mass * np.outer(centre, centre))
-    raised = axes * np.maximum(size, least * size[-1]) @ axes.T
-    found = np.array(matrix)
-    found[:3, :3] = raised + mass * np.outer(centre, centre)
-    return found

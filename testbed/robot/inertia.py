@@ -19,6 +19,12 @@ HEAVIEST = 1e12
 TRIANGLE_TOLERANCE = 1e-9
 """Relative slack of the triangle inequality: rounding of a thin plate's exact equality."""
 
+ROUNDING = 1e-9
+"""Part of a body's second moments about its frame that is rounding: a point has no others."""
+
+SMALL = 0.1
+"""Radius of gyration of what was a point, in parts of its distance or of the robot's lengths."""
+
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
@@ -57,6 +63,12 @@ class Inertia:
         """Inertia about the mass centre, (3, 3) [kg m^2]."""
         tensor: Array = self.tensor + self.mass * skew(self.com) @ skew(self.com)
         return tensor
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether all are numbers, and none is beyond HEAVIEST."""
+        ten = np.concatenate([[self.mass], self.first_moment, self.tensor.ravel()])
+        return bool((np.abs(ten) <= HEAVIEST).all())  # NaN fails too
 
     @property
     def pseudo(self) -> Array:
@@ -112,6 +124,34 @@ def upper_root(matrix: Array) -> Array:
         LinAlgError: It is not.
     """
     return np.asarray(np.linalg.cholesky(matrix[::-1, ::-1])[::-1, ::-1])
+
+
+def nearest_body(body: Inertia, thinnest: float, mass: float, reach: float) -> Inertia:
+    """The nearest body of rigid matter: mass, mass centre and axes stay wherever they can.
+
+    Second moments about the mass centre are the nearest, by the sum of squares of their matrix,
+    of which none is below a least share of the greatest. A body without extent becomes a ball
+    around its mass centre. One without a mass gets one, about its frame's origin.
+
+    Source    [WKS18] for the condition; the shares are our own choice.
+
+    Args:
+        body: Such as a file may have it.
+        thinnest: Least principal second moment, as a share of the greatest.
+        mass: Of a body that has none [kg].
+        reach: A length of the robot, for a point at its frame's origin [m].
+    """
+    if body.mass <= 0:
+        body = Inertia(mass, np.zeros(3), body.tensor)
+    centre, matrix = body.com, np.array(body.pseudo)
+    offset = body.mass * np.outer(centre, centre)
+    size, axes = np.linalg.eigh(matrix[:3, :3] - offset)
+    if size[-1] <= ROUNDING * np.abs(matrix[:3, :3]).max():
+        radius = SMALL * (float(np.linalg.norm(centre)) or reach)
+        size = np.full(3, body.mass * radius**2 / 3)
+    raised = np.maximum(size, thinnest * size[-1])
+    matrix[:3, :3] = axes * raised @ axes.T + offset
+    return Inertia.of_pseudo(matrix)
 
 
 def inertia_flaw(link: str, mass: float, central: ArrayLike) -> str | None:

@@ -29,7 +29,7 @@ class Link:
     Attributes:
         name: In the file.
         body: Index of the tree's body that it is part of, -1 for the pedestal.
-        moves: Whether a joint carries it that the file lets move, held or not.
+        carrier: The link to which fixed joints of the file hold it; itself where none does.
         rotation: From the link's frame to the body's, (3, 3).
         position: Of the link's origin in the body's frame, (3,) [m].
         inertia: As the file has it, about and along the link's frame.
@@ -37,7 +37,7 @@ class Link:
 
     name: str
     body: int
-    moves: bool
+    carrier: str
     rotation: Array
     position: Array
     inertia: Inertia
@@ -93,7 +93,7 @@ def shared_out(
             if parts is not None and fixed == "share":
                 found |= {link.name: link.seen_from(parts[link.name]) for link in group}
                 continue
-            lump = whole if parts is None else _sum(parts[link.name] for link in group)
+            lump = whole if parts is None else total(parts[link.name] for link in group)
             found |= {link.name: NOTHING for link in group}
             found[group[0].name] = group[0].seen_from(lump)
     bare = {link.name for link in links if not link.inertia.pseudo.any()}
@@ -103,12 +103,10 @@ def shared_out(
 
 def _rigid(own: Sequence[Link]) -> list[list[Link]]:
     """Links that are fixed to each other in the file, the carrying one first."""
-    groups: list[list[Link]] = []
+    groups: dict[str, list[Link]] = {}
     for link in own:
-        if link.moves or not groups:
-            groups.append([])
-        groups[-1].append(link)
-    return groups
+        groups.setdefault(link.carrier, []).append(link)
+    return list(groups.values())
 
 
 def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
@@ -117,7 +115,7 @@ def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | 
     One affine map and one factor take the file's matter to the new one: all parts go along, and
     each stays such as a body can have.
     """
-    before = _sum(link.in_body for link in own).pseudo
+    before = total(link.in_body for link in own).pseudo
     scale = np.sqrt(np.abs(np.diagonal(before)))
     if not (scale > 0).all():
         return None
@@ -128,8 +126,6 @@ def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | 
     return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
-def _sum(parts: Iterable[Inertia]) -> Inertia:
-    total = NOTHING
-    for part in parts:
-        total = total + part
-    return total
+def total(parts: Iterable[Inertia]) -> Inertia:
+    """Bodies welded together, all about the same frame."""
+    return sum(parts, NOTHING)

@@ -8,6 +8,7 @@ from typing import Literal
 from testbed.errors import ModelError
 from testbed.robot.locks import Lock
 from testbed.robot.model_xml import read_xml
+from testbed.robot.repair import Bodies, Repair
 from testbed.robot.tree import Tree
 from testbed.robot.validation import check_tree
 
@@ -33,7 +34,7 @@ def load_tree(
     path: str | Path,
     *,
     weld_root: bool = False,
-    accept_inertia: bool = False,
+    repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> Tree:
     """Read a robot from MJCF or URDF.
@@ -44,8 +45,9 @@ def load_tree(
     Args:
         path: The model file.
         weld_root: Weld a floating root to the bedplate instead of refusing it.
-        accept_inertia: Take inertias that no rigid body can have as they are, and note
-            them in the tree's `warnings`, instead of refusing them.
+        repair: Bodies in place of those that no matter can make (links that are fixed to
+            each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
+            None takes the nearest bodies that can be and notes them in the tree's `warnings`.
         lock: Positions at which joints are held, by name [rad or m]: their bodies become part
             of those that carry them. None is where the joint rests: at zero, in the middle of
             a range without zero, or where the joint that it follows takes it. Joints that
@@ -53,7 +55,7 @@ def load_tree(
 
     Raises:
         ModelError: The file cannot be read or holds what is not supported; a floating root,
-            impossible inertias and joints that follow others are the subclasses
+            bodies that cannot be and joints that follow others are the subclasses
             FreeRootError, InertiaError, MimicError.
         UnknownName: A joint to be held is not in the file.
     """
@@ -62,9 +64,35 @@ def load_tree(
         from testbed.robot.formats.mjcf import read_mjcf as read
     else:
         from testbed.robot.formats.urdf import read_urdf as read
-    tree = read(path, weld_root=weld_root, accept_inertia=accept_inertia, lock=lock)
+    tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
     check_tree(tree, path)
     return tree
+
+
+def nearest_bodies(
+    path: str | Path, *, weld_root: bool = False, lock: Lock | None = None
+) -> Repair:
+    """The bodies of a model file that no matter can make, and the nearest that can be.
+
+    A file whose moments are off by rounding alone has none of them: such are repaired whatever
+    is asked for.
+
+    Args:
+        path: The model file.
+        weld_root: As for `load_tree`.
+        lock: As for `load_tree`.
+
+    Raises:
+        ModelError: As for `load_tree`.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.formats.mjcf import repaired_spec
+
+        return repaired_spec(path, weld_root=weld_root, lock=lock).repair
+    from testbed.robot.formats.urdf import repaired_xml
+
+    return repaired_xml(path, weld_root=weld_root, lock=lock)[1]
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from testbed.robot.load import load_tree
+from testbed.robot.repair import Bodies
 from testbed.robot.tree import Tree
 
 
@@ -17,13 +18,14 @@ class ModelFile:
     Attributes:
         path: The file.
         weld_root: Weld a floating root to the bedplate.
-        accept_inertia: Take inertias that no rigid body can have, with a warning.
+        repair: Bodies in place of those that cannot be, by the link that carries them; {} refuses
+            such a file, None takes the nearest bodies.
         lock: Joints that are held, and where [rad or m]; None: where the joint rests.
     """
 
     path: Path
     weld_root: bool = False
-    accept_inertia: bool = False
+    repair: Bodies | None = None
     lock: Mapping[str, float | None] = field(default_factory=dict)
 
     def tree(self) -> Tree:
@@ -35,6 +37,6 @@ class ModelFile:
         return load_tree(
             self.path,
             weld_root=self.weld_root,
-            accept_inertia=self.accept_inertia,
+            repair=self.repair,
             lock=self.lock,
         )

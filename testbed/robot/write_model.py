@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from testbed.errors import ModelError
 from testbed.files import replacing
 from testbed.robot.inertia import Inertia
 from testbed.robot.links import Fixed, Link, shared_out
-from testbed.robot.load import load_tree, model_format
+from testbed.robot.load import model_format
 from testbed.robot.model_file import ModelFile
 from testbed.robot.model_files import copy_model, held_files
 from testbed.robot.model_xml import read_xml
@@ -54,10 +55,7 @@ def write_model(
         ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
             ending of its format.
     """
-    kind, file = (
-        model_format(model.path),
-        load_tree(model.path, weld_root=model.weld_root, accept_inertia=True, lock=model.lock),
-    )
+    kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
     bodies, joints = _changes(file, tree)
     links, notes = shared_out(_links(model, kind), bodies, fixed)
@@ -131,7 +129,7 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_model(model.path, Path(folder))
         copy.write_bytes(data)
-        read = load_tree(copy, weld_root=model.weld_root, accept_inertia=True, lock=model.lock)
+        read = replace(model, path=copy, repair=None).tree()
     for joint, old, new in zip(tree.joints, read.inertias, tree.inertias, strict=True):
         size = np.abs(new.tensor).max()
         gaps = (

@@ -16,15 +16,16 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
+from testbed.robot.formats.mjcf import repaired_spec
 from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
-from testbed.robot.formats.mjcf_spec import open_spec
-from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.robot.formats.urdf import repaired_xml
 from testbed.robot.load import model_format
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
@@ -82,18 +83,18 @@ def build_plant(
 
 
 def _robot(model: ModelFile) -> mujoco.MjSpec:
-    path, weld_root, lock = model.path, model.weld_root, model.lock
+    path = model.path
+    how: dict[str, Any] = {"weld_root": model.weld_root, "repair": model.repair, "lock": model.lock}
     if model_format(path) == "mjcf":
-        spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
-    else:
-        root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
-        options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
-        ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
-        with no_mujoco_warnings():
-            try:
-                spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
-            except ValueError as error:
-                raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
+        return repaired_spec(path, **how).spec
+    root, *_ = repaired_xml(path, **how)
+    options = {"fusestatic": "false", "balanceinertia": "false", "discardvisual": "true"}
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", options)
+    with no_mujoco_warnings():
+        try:
+            spec = mujoco.MjSpec.from_string(ET.tostring(root, encoding="unicode"))
+        except ValueError as error:
+            raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     return spec
 

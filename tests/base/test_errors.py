@@ -31,7 +31,7 @@ def test_flaws_are_kept_and_listed() -> None:
     error = InertiaError("arm.urdf", ["link 'a' is wrong", "link 'b' is wrong"])
     assert error.flaws == ("link 'a' is wrong", "link 'b' is wrong")
     assert "arm.urdf: link 'a' is wrong; link 'b' is wrong. " in str(error)
-    assert "--accept-inertia" in str(error)
+    assert "`testbed new`" in str(error)
 
 
 def test_a_free_root_is_named_with_the_way_out() -> None:

@@ -217,15 +217,31 @@ def test_the_version_is_told(tmp_path: Path) -> None:
     assert command_line("--version", cwd=tmp_path).stdout.startswith("testbed ")
 
 
-def test_accept_inertia_warns_and_goes_on(tmp_path: Path) -> None:
+def test_a_body_that_cannot_be_is_repaired_and_said(tmp_path: Path) -> None:
+    """By commands about kinematics at once, by `new` in the file, and by a run only from there."""
     text = (ROOT / "models/puma562.urdf").read_text().replace('ixx="0.3"', 'ixx="3.0"')
     model = write(tmp_path / "bad.urdf", text)
-    refused = command_line("minimal", model, cwd=tmp_path)
+    known = command_line("minimal", model, cwd=tmp_path)
+    assert known.returncode == 0
+    assert "'link1'" in known.stdout
+    refused = command_line("new", model, "--strict", cwd=tmp_path)
     assert refused.returncode == 2
     assert "link 'link1'" in refused.stderr
-    accepted = command_line("minimal", model, "--accept-inertia", cwd=tmp_path)
-    assert accepted.returncode == 0
-    assert "exceeds the sum" in accepted.stdout
+    assert not (tmp_path / "bad.toml").exists()
+    written = command_line("new", model, cwd=tmp_path)
+    assert written.returncode == 0
+    assert "link 'link1' has principal moments" in written.stdout
+    file = tmp_path / "bad.toml"
+    short = ["motion.duration=2", "motion.candidates=1", "simulation.step=1e-3"]
+    words = [word for each in short for word in ("--set", each)]
+    ran = command_line("simulate", file.name, *words, "--out", "r.parquet", cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    head, _, table = file.read_text().partition("[robot.repair]")
+    file.write_text(head + table.partition("\n\n")[2])
+    bare = command_line("simulate", file.name, *words, "--out", "s.parquet", cwd=tmp_path)
+    assert bare.returncode == 2
+    assert "link 'link1'" in bare.stderr
+    assert "`testbed new`" in bare.stderr
 
 
 def test_help_imports_nothing_heavy(tmp_path: Path) -> None:

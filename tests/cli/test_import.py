@@ -16,7 +16,7 @@ from tests.helpers.foreign_files import csv, some_log
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
-MODEL = ("--model", str(TX40 / "tx40.urdf"), "--accept-inertia")
+MODEL = ("--model", str(TX40 / "tx40.urdf"))
 
 
 def altered(folder: Path, old: str, new: str) -> Path:

@@ -18,7 +18,7 @@ from tests.helpers.runs import MODELS, noisy, robot, without
 pytestmark = pytest.mark.slow
 
 TX40 = ROOT / "examples/tx40"
-REAL = ("--model", str(TX40 / "tx40.urdf"), "--accept-inertia")
+REAL = ("--model", str(TX40 / "tx40.urdf"))
 PUMA = str(ROOT / "models/puma562.xml")
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import TestbedError
+from testbed.errors import InertiaError, TestbedError
 from testbed.excitation.limits import limits_of
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.motions import motion_of
 from testbed.experiment.new_experiment import DRY, new_experiment
+from testbed.robot.load import nearest_bodies
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.runs import MODELS
 
@@ -111,6 +112,41 @@ def test_grippers_are_held_with_their_fingers_and_arms_are_not(tmp_path: Path) -
     arm = written(tmp_path / "arm.urdf", tmp_path)
     assert arm.robot.lock == {}  # the shoulder is followed, and carries the elbow
     assert robot_of(arm).names == ("waist", "shoulder", "elbow")
+
+
+def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path) -> None:
+    """To the last digits; every word of them is also told, the first few by name."""
+    path = REAL / "icub_description/robots/icub_reduced.urdf"
+    said: list[str] = []
+    (tmp_path / "new.toml").write_text(new_experiment(path, tmp_path, say=said.append))
+    experiment = tb.Experiment.load(tmp_path / "new.toml")
+    found = nearest_bodies(path, weld_root=experiment.weld_root)
+    assert set(experiment.robot.repair) == set(found.bodies)
+    assert len(found.bodies) == len(found.flaws) > 3
+    assert sum("link '" in line for line in said) == 3
+    assert f"and {len(found.bodies) - 3} more" in said[-1]
+    tree, own = robot_of(experiment), tb.load_tree(path, weld_root=experiment.weld_root)
+    for a, b in zip(tree.inertias, own.inertias, strict=True):
+        np.testing.assert_allclose(a.pseudo, b.pseudo, rtol=1e-12, atol=1e-15)
+    (tmp_path / "again.toml").write_text(experiment.as_toml())
+    again = tb.Experiment.load(tmp_path / "again.toml").robot.bodies
+    for name, body in experiment.robot.bodies.items():
+        np.testing.assert_array_equal(again[name].pseudo, body.pseudo)
+    bare = experiment.model_copy(
+        update={"robot": experiment.robot.model_copy(update={"repair": {}})}
+    )
+    with pytest.raises(InertiaError, match="`testbed new`"):
+        robot_of(bare)
+    with pytest.raises(InertiaError):
+        new_experiment(path, tmp_path, strict=True)
+
+
+def test_a_robot_without_mass_is_no_experiment(tmp_path: Path) -> None:
+    text = '<robot><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+    path = tmp_path / "r.urdf"
+    path.write_text(f'{text}<parent link="a"/><child link="b"/></joint></robot>')
+    with pytest.raises(TestbedError, match="no link that moves has a mass"):
+        new_experiment(path, tmp_path)
 
 
 def test_friction_is_assumed_from_the_load_of_postures_within_the_whole_range(

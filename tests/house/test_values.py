@@ -85,7 +85,7 @@ EXAMPLES: dict[str, Any] = {
         nuisance_covariance=some(3, 3), nuisance_cross=some(2, 3),
     ),
     "Prior": lambda: Prior(some(2, 10), some(2), some(2, 2, 3)),
-    "Link": lambda: Link("a", 0, True, some(3, 3), some(3), NOTHING),
+    "Link": lambda: Link("a", 0, "a", some(3, 3), some(3), NOTHING),
     "Bent": lambda: Bent(
         "external", ("a", "b"), ("kg", "kg"), some(2), some(2), some(2), some(2, 2), 1.0, 1.0
     ),

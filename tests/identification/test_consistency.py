@@ -369,7 +369,7 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
 @pytest.mark.slow
 def test_bodies_of_a_robot_with_held_fingers() -> None:
     lock = {"panda_finger_joint1": 0.02, "panda_finger_joint2": 0.02}
-    tree = tb.load_tree(REAL / "panda_description/urdf/panda.urdf", lock=lock, accept_inertia=True)
+    tree = tb.load_tree(REAL / "panda_description/urdf/panda.urdf", lock=lock)
     found = consistent(tree, estimates_of(tree, 2, 20.0), prior_for(tree))
     assert (found.eigenvalues > 0).all()
     truth = sum(body.mass for body in tree.inertias)

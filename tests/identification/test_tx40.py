@@ -17,7 +17,7 @@ from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
-MODEL = ("--model", str(TX40 / "tx40.urdf"), "--accept-inertia")
+MODEL = ("--model", str(TX40 / "tx40.urdf"))
 RATE = 5000.0
 SLOW = np.array([0.05009095, 0.05009095, 0.07504916, 0.0715585, 0.05585054, 0.12217305])
 """Joint speeds below which the source leaves rows out [rad/s]."""
@@ -103,7 +103,7 @@ def decimated(values: Array) -> Array:
 @pytest.mark.slow
 def test_the_published_parameters_are_reproduced() -> None:
     """By our minimal set and regressor, and by all that the source did, slips included."""
-    tree = tb.load_tree(TX40 / "tx40.urdf", accept_inertia=True)
+    tree = tb.load_tree(TX40 / "tx40.urdf")
     minimal = tb.minimal_set(tree, "dynamic")
     columns, measured = rows_of_the_source(tree, minimal)
     x, y = np.concatenate(columns), np.concatenate(measured)
@@ -151,7 +151,7 @@ def test_without_the_coupling_the_wrist_is_not_explained() -> None:
     from testbed.identification.term_choice import held_out
     from testbed.recordings.coupled_gear import with_gear
 
-    tree = tb.load_tree(TX40 / "tx40.urdf", accept_inertia=True)
+    tree = tb.load_tree(TX40 / "tx40.urdf")
     recording = tb.Recording.from_mapping(TX40 / "tx40.toml")
     alone = held_out(tree, recording, tb.Settings())
     coupled = held_out(with_gear(tree, recording), recording, tb.Settings())

@@ -84,7 +84,7 @@ def test_three_witnesses_agree_on_any_list_of_zeros(seed: int) -> None:
 
 @pytest.mark.parametrize("robot", HANDFUL)
 def test_three_witnesses_agree_on_real_robots(robot: str) -> None:
-    tree = tb.load_tree(REAL / robot, weld_root=True, accept_inertia=True)
+    tree = tb.load_tree(REAL / robot, weld_root=True)
     assert all_sets(tree, None, True)[0].known_zero.any()
     hold(tree, None, True, FILE_ROUNDING)
 
@@ -92,7 +92,7 @@ def test_three_witnesses_agree_on_real_robots(robot: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", LARGE)
 def test_three_witnesses_agree_on_humanoids(robot: str) -> None:
-    tree = tb.load_tree(REAL / robot, weld_root=True, accept_inertia=True)
+    tree = tb.load_tree(REAL / robot, weld_root=True)
     hold(tree, None, True, FILE_ROUNDING)
 
 

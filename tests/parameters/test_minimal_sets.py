@@ -79,7 +79,7 @@ def test_real_robots_are_understood_or_refused_with_a_reason(path: Path) -> None
     """Every URDF of example-robot-data; roots welded, inertias accepted, followers held."""
     followers = dict.fromkeys(mimic_joints(path))
     try:
-        tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=followers)
+        tree = tb.load_tree(path, weld_root=True, lock=followers)
     except tb.TestbedError as error:
         refused = str(error)
         known = any(reason in refused for reason in REFUSALS) and path.name in refused

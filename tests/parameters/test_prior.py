@@ -9,9 +9,9 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.parameters.prior import SMALL, THINNEST, Prior, prior_of
+from testbed.parameters.prior import THINNEST, Prior, prior_of
 from testbed.parameters.pseudo_inertia import matrices
-from testbed.robot.inertia import Inertia
+from testbed.robot.inertia import SMALL, Inertia
 from tests.helpers.robots import random_robot
 
 

@@ -25,12 +25,12 @@ FILES = {
     "held": ModelFile(ROOT / "models/puma562.xml", lock={"shoulder": 0.5}),
     "panda": ModelFile(REAL / "panda_description/urdf/panda.urdf", lock=FINGERS),
     "ur10": ModelFile(REAL / "ur_description/urdf/ur10_robot.urdf"),
-    "kinova": ModelFile(REAL / "kinova_description/robots/kinova.urdf", accept_inertia=True),
+    "kinova": ModelFile(REAL / "kinova_description/robots/kinova.urdf"),
     "solo": ModelFile(REAL / "solo_description/robots/solo12.urdf", weld_root=True),
     "double": ModelFile(REAL / "double_pendulum_description/urdf/double_pendulum.urdf"),
     "humanoid": ModelFile(GOLDEN / "robots/humanoid_pelvis.urdf"),
     "stanford": ModelFile(GOLDEN / "robots/stanford.urdf"),
-    "tx40": ModelFile(ROOT / "examples/tx40/tx40.urdf", accept_inertia=True),
+    "tx40": ModelFile(ROOT / "examples/tx40/tx40.urdf"),
 }
 
 

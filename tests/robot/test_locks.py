@@ -120,13 +120,13 @@ def test_joints_of_one_body_are_locked_each(held: dict[str, float], tmp_path: Pa
 )
 def test_other_peoples_joints_can_be_locked(name: str) -> None:
     path = next(REAL.rglob(f"{name}.urdf"))
-    full = tb.load_tree(path, weld_root=True, accept_inertia=True)
+    full = tb.load_tree(path, weld_root=True)
     rng = np.random.default_rng(1)
     held = {}
     for joint in rng.choice(full.names, size=full.n // 2, replace=False):
         low, high = np.clip(full.joints[full.index(joint)].position_range, -3, 3)
         held[str(joint)] = float(rng.uniform(low, high))
-    locked = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=held)
+    locked = tb.load_tree(path, weld_root=True, lock=held)
     assert_held(full, locked, held)
 
 
@@ -211,7 +211,7 @@ def test_followers_alone_stand_where_their_masters_zeros_take_them(tmp_path: Pat
 def test_every_robot_with_followers_loads_with_them_locked(name: str) -> None:
     path = next(REAL.rglob(f"{name}.urdf"))
     followers = mimic_joints(path)
-    tree = tb.load_tree(path, weld_root=True, accept_inertia=True, lock=dict.fromkeys(followers))
+    tree = tb.load_tree(path, weld_root=True, lock=dict.fromkeys(followers))
     assert followers
     assert not set(followers) & set(tree.names)
 

@@ -423,7 +423,7 @@ def test_a_mesh_that_can_be_read_is_drawn_whatever_else_is_wrong(tmp_path: Path)
     """Beside one that cannot, on a body whose stated inertia no body has."""
     (tmp_path / "bad.stl").write_bytes(b"no mesh")
     (tmp_path / "robot.xml").write_text(BESIDE)
-    tree = tb.load_tree(tmp_path / "robot.xml", accept_inertia=True)
+    tree = tb.load_tree(tmp_path / "robot.xml")
     seen = load_shapes(tmp_path / "robot.xml", tree)
     assert [shape.kind for shape in seen.shapes if shape.body == 0] == ["mesh"]
     (warning,) = seen.warnings

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import FreeRootError, InertiaError, ModelError, UnknownName
+from testbed.errors import FreeRootError, ModelError, UnknownName
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
 
@@ -225,13 +225,13 @@ def test_a_free_root_is_refused_with_an_offer_and_can_be_welded(name: str, tmp_p
         ("nan", (1, 1, 1), "not a number"),
         ("1", (1, 1, float("nan")), "not a number"),
         ("1", (1, 1, 3), "exceeds the sum"),
-        ("1", (1, 1, 0), "not all positive"),
+        ("1", (0, 0, 0), "not all positive"),
         ("1", (1, 1, -1), "not all positive"),
         ("0", (1, 1, 1), "not all positive"),
     ],
 )
 @pytest.mark.parametrize("form", ["urdf", "xml"])
-def test_impossible_inertias_are_refused_by_name_or_accepted_with_a_doubt(
+def test_bodies_that_cannot_be_are_refused_by_name_where_the_nearest_is_not_wanted(
     mass: str, moments: tuple[float, ...], said: str, form: str, tmp_path: Path
 ) -> None:
     x, y, z = moments
@@ -249,14 +249,14 @@ def test_impossible_inertias_are_refused_by_name_or_accepted_with_a_doubt(
             "",
         )
     )
-    with pytest.raises(InertiaError, match="--accept-inertia") as caught:
-        tb.load_tree(path)
-    assert said in str(caught.value)
-    assert "'l'" in str(caught.value)
-    tree = tb.load_tree(path, accept_inertia=True)
-    assert said in tree.warnings[0]
-    if said not in ("not a number",):
-        assert tree.inertias[0].mass == float(mass)
+    with pytest.raises(ModelError, match=f"'l'.* {said}"):
+        tb.load_tree(path, repair={})
+    if said in ("negative mass", "not a number"):  # no body is near
+        with pytest.raises(ModelError, match=f"'l'.* {said}"):
+            tb.load_tree(path)
+        return
+    (note,) = tb.load_tree(path).warnings
+    assert "'l'" in note
 
 
 def test_a_joint_that_is_not_there_lists_those_that_are(puma: tb.Tree) -> None:

@@ -41,7 +41,7 @@ CHANGED = re.compile(
 
 def model_of(name: str) -> ModelFile:
     path = MODELS[name]
-    return ModelFile(path, name == "g1.urdf", True, dict.fromkeys(mimic_joints(path)))
+    return ModelFile(path, name == "g1.urdf", lock=dict.fromkeys(mimic_joints(path)))
 
 
 def other(tree: tb.Tree, seed: int = 0, *, rotors: bool = False) -> tb.Tree:
@@ -209,7 +209,7 @@ def test_a_link_without_inertial_gets_one(tmp_path: Path) -> None:
 def test_inertia_without_mass_is_not_lost(fixed: Fixed, tmp_path: Path) -> None:
     source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
     source.write_text(CARRYING.replace('<mass value="1"/>', '<mass value="0"/>'))
-    model = ModelFile(source, accept_inertia=True, lock={"grip": None})
+    model = ModelFile(source, lock={"grip": None})
     wanted = other(model.tree())
     write_model(model, wanted, path, fixed=fixed)
     assert_same(replace(model, path=path).tree(), wanted)

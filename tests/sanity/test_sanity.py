@@ -26,7 +26,7 @@ ROBOTS = ("tx40", "ur5", "panda", "puma")
 def right(name: str) -> tuple[tb.Tree, tb.Recording]:
     """A robot and a recording that is true of it; the TX40's is real."""
     if name == "tx40":
-        tree = tb.load_tree(TX40 / "tx40.urdf", accept_inertia=True)
+        tree = tb.load_tree(TX40 / "tx40.urdf")
         return tree, tb.Recording.from_mapping(TX40 / "tx40.toml")
     if name == "panda":
         fingers = dict.fromkeys(("panda_finger_joint1", "panda_finger_joint2"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant, check_plant
 from tests.helpers.plants import PUMA
-from tests.helpers.robots import random_robot
+from tests.helpers.robots import Robot, random_robot
 
 
 @pytest.fixture(scope="module")
@@ -91,6 +92,58 @@ def test_a_robot_that_stands_still_for_want_of_inertia_is_told_so(
             check_plant(plant, puma, PUMA)
     finally:
         plant.model.dof_damping[:] = kept
+
+
+def light_robot(seed: int, friction: float) -> tuple[Robot, str]:
+    """A thousandth of the masses, a tenth of the lengths, and dry friction that none of it fits."""
+    rng = np.random.default_rng(seed)
+    robot = random_robot(rng, 4)
+    links = tuple(
+        replace(x, mass=x.mass / 1e3, xyz=x.xyz / 10, com=x.com / 10, central=x.central / 1e5)
+        for x in robot.links
+    )
+    small = replace(robot, links=links)
+    text = small.mjcf().replace("<joint ", f'<joint frictionloss="{friction}" damping="0.01" ')
+    return small, text
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.01, 1.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_friction_that_light_links_alone_would_not_overcome_is_no_fault(
+    seed: int, friction: float, tmp_path: Path
+) -> None:
+    path = tmp_path / "r.xml"
+    path.write_text(light_robot(seed, friction)[1])
+    build_plant(ModelFile(path), tb.load_tree(path), 5e-4)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("joint", ["j1", "j2", "j3", "j4"])
+def test_a_weak_spring_on_any_joint_of_a_light_robot_is_named(
+    joint: str, seed: int, friction: float, tmp_path: Path
+) -> None:
+    """What was found there and what friction should do, in the joint's units; nothing elsewhere."""
+    robot, text = light_robot(seed, friction)
+    own = next(link for link in robot.links if link.name == joint)
+    path = tmp_path / "r.xml"
+    spring = f'name="{joint}" stiffness="1e-3" springref="0.5"'
+    path.write_text(text.replace(f'name="{joint}"', spring, 1))
+    with pytest.raises(ModelError, match=rf"acts on '{joint}' \(") as caught:
+        build_plant(ModelFile(path), tb.load_tree(path), 5e-4)
+    unit = "N m" if own.kind == "revolute" else "N"
+    numbers = re.search(rf"\((\S+) {unit} found, (\S+) of friction expected\)", str(caught.value))
+    assert numbers
+    found, expected = map(float, numbers.groups())
+    assert abs(found - expected) < 1e-3 * (0.5 + 3 + 1)  # the spring's, within the joint's range
+    assert not any(f"'{link.name}'" in str(caught.value) for link in robot.links if link is not own)
+
+
+def test_a_fluid_around_the_robot_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.xml"
+    path.write_text(PUMA.read_text().replace("<option ", '<option density="1.2" ', 1))
+    with pytest.raises(ModelError, match="something else acts"):
+        build_plant(ModelFile(path), tb.load_tree(path), 1e-3)
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])

@@ -54,9 +54,7 @@ def main(names: list[str]) -> None:
 
 def drawn(robot: Robot) -> dict[str, int]:
     """Draw a robot on its plate with the reaction at rest, and count what can be told of it."""
-    reading = Reading(
-        weld_root=robot.weld, accept_inertia=robot.accept, lock=robot.lock, lock_mimic=robot.mimic
-    )
+    reading = Reading(weld_root=robot.weld, lock=robot.lock, lock_mimic=robot.mimic)
     folder = PACKAGE if robot.file.startswith("robots/") else ROOT
     model = reading.model_file(folder / robot.file)
     tree = model.tree()

@@ -6,17 +6,19 @@ Bodies without joints are merged into those that carry them.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import InertiaError, ModelError
+from testbed.errors import ModelError
 from testbed.robot.formats.mjcf_compile import (
     MASSLESS,
     StatedInertia,
     compile_spec,
+    set_inertia,
     stated_inertias,
 )
 from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
@@ -24,6 +26,7 @@ from testbed.robot.formats.mjcf_spec import open_spec, parsed
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.links import Link
 from testbed.robot.locks import Lock
+from testbed.robot.repair import Bodies, Repair, repaired
 from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -36,7 +39,7 @@ def read_mjcf(
     path: Path,
     *,
     weld_root: bool = False,
-    accept_inertia: bool = False,
+    repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> Tree:
     """The tree of an MJCF file; the bedplate frame is MuJoCo's world frame.
@@ -44,26 +47,69 @@ def read_mjcf(
     Args:
         path: The file.
         weld_root: Weld a floating root to the bedplate instead of refusing it.
-        accept_inertia: Take impossible inertias as they are and note them in `warnings`.
+        repair: Bodies in place of those that cannot be; None takes the nearest that can.
         lock: Joints to be held, which are no joints of the tree.
 
     Raises:
         ModelError: The file is not MJCF, or holds what is not supported; FreeRootError and
             MimicError are such.
-        InertiaError: A body cannot be rigid and `accept_inertia` is not set.
+        InertiaError: A body cannot be rigid, and none is given in its place.
     """
-    spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
-    flaws, stated = stated_inertias(spec)
-    if flaws and not accept_inertia:
-        raise InertiaError(path.name, flaws)
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
-    model = compile_spec(spec, path)
+    found = repaired_spec(path, weld_root=weld_root, repair=repair, lock=lock)
+    model = compile_spec(found.spec, path)
     _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
         if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    return _tree_of(model, stated, (*flaws, *notes, *_unmodelled(model)))
+    notes = (*found.repair.notes, *found.notes, *_unmodelled(model))
+    return _tree_of(model, found.stated, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class RepairedSpec:
+    """MuJoCo's editable model of a file, of bodies that can be.
+
+    Attributes:
+        spec: The model.
+        stated: Inertias as stated, by body.
+        repair: What was repaired.
+        notes: A line for each thing that was accepted with a warning.
+    """
+
+    spec: mujoco.MjSpec
+    stated: dict[str, StatedInertia]
+    repair: Repair
+    notes: tuple[str, ...]
+
+
+def repaired_spec(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    repair: Bodies | None = None,
+    lock: Lock | None = None,
+) -> RepairedSpec:
+    """An MJCF file with bodies that can be, for every reader.
+
+    Args:
+        path: The file.
+        weld_root: As in `read_mjcf`.
+        repair: As there.
+        lock: As there.
+
+    Raises:
+        ModelError: As there.
+    """
+    spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
+    suspects, stated = stated_inertias(spec)
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
+    links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
+    # no chain ends without matter: MuJoCo takes no such file
+    found = repaired(links, suspects, (), repair, path.name)
+    for name, inertia in found.links.items():
+        stated[name] = set_inertia(spec.body(name), inertia)
+    return RepairedSpec(spec, stated, found, notes)
 
 
 def read_links(
@@ -76,17 +122,22 @@ def read_links(
         weld_root: As then.
         lock: As then.
     """
-    jointed = {body.name for body in parsed(path).bodies if body.joints}
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     _, stated = stated_inertias(spec)
     spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
-    model = compile_spec(spec, path)
-    found = []
+    return _links(compile_spec(spec, path), stated, path)
+
+
+def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) -> tuple[Link, ...]:
+    """The bodies with their inertias as the file has them."""
+    jointed = {body.name for body in parsed(path).bodies if body.joints}
+    found: dict[int, Link] = {}
     for b, (owner, rotation, position) in _places(model).items():
-        name = model.body(b).name
+        name, below = model.body(b).name, found.get(model.body_parentid[b])
+        carrier = name if below is None or name in jointed else below.carrier
         inertia = _inertia_of(model, b, stated)
-        found.append(Link(name, owner, name in jointed, rotation, position, inertia))
-    return tuple(found)
+        found[b] = Link(name, owner, carrier, rotation, position, inertia)
+    return tuple(found.values())
 
 
 def _check_places(model: mujoco.MjModel, path: Path) -> None:
@@ -218,16 +269,17 @@ def _has(model: mujoco.MjModel, name: str) -> bool:
 
 def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:
     """The inertia of MuJoCo body b in its body frame, as stated where the file states it."""
-    axes = _matrix(model.body_iquat[b])
-    principal = axes @ np.diag(model.body_inertia[b]) @ axes.T
     said = stated.get(model.body(b).name)
-    if said is not None:
-        central = principal if said.central is None else said.central
-        return Inertia.about_centre(said.mass, model.body_ipos[b], central)
     mass = model.body_mass[b]
-    if mass <= MASSLESS:
+    if said is None and mass <= MASSLESS:
         return NOTHING
-    return Inertia.about_centre(mass, model.body_ipos[b], principal)
+    axes = _matrix(model.body_iquat[b])
+    moments = model.body_inertia[b] if said is None or said.moments is None else said.moments
+    principal = axes @ np.diag(moments) @ axes.T
+    if said is None:
+        return Inertia.about_centre(mass, model.body_ipos[b], principal)
+    central = principal if said.central is None else said.central
+    return Inertia.about_centre(said.mass, model.body_ipos[b], central)
 
 
 def _matrix(quaternion: Array) -> Array:

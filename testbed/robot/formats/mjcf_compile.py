@@ -13,13 +13,15 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.inertia import inertia_flaw
+from testbed.robot.inertia import Inertia, inertia_flaw
 from testbed.robot.stderr import captured_stderr
 
 LONGEST_MESSAGE = 400
 """Of MuJoCo's: it repeats what it found in a file."""
 MASSLESS = 1e-12
 """Given to massless bodies so that the compiler takes them; read back as no matter [kg]."""
+FULL = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+"""Entries of an inertia in MuJoCo's order."""
 
 
 def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
@@ -109,11 +111,12 @@ class StatedInertia:
 
     mass: float
     central: Array | None  # None: along the principal axes given by the body's `iquat`
+    moments: Array | None = None  # there, where the compiler was given others
 
 
-def stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, StatedInertia]]:
-    """Flaws, and the explicit inertias by body name; flawed ones are replaced in `spec`."""
-    flaws: list[str] = []
+def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, StatedInertia]]:
+    """Flaws and explicit inertias, by body; in `spec` flawed ones are replaced, to be compiled."""
+    flaws: dict[str, str] = {}
     stated: dict[str, StatedInertia] = {}
     compiler = spec.compiler
     from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
@@ -122,23 +125,32 @@ def stated_inertias(spec: mujoco.MjSpec) -> tuple[list[str], dict[str, StatedIne
     for body in spec.bodies:
         if not body.explicitinertial:
             continue
-        xx, yy, zz, xy, xz, yz = body.fullinertia
-        full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        given_in_full = not np.isnan(xx)
-        found = inertia_flaw(body.name, body.mass, full if given_in_full else np.diag(body.inertia))
+        mass, full = body.mass, None
+        if not np.isnan(body.fullinertia[0]):
+            full = np.empty((3, 3))
+            for value, (a, b) in zip(body.fullinertia, FULL, strict=True):
+                full[a, b] = full[b, a] = value
+        found = inertia_flaw(body.name, mass, np.diag(body.inertia) if full is None else full)
         if not np.isfinite(body.ipos).all():
             found = f"link '{body.name}' has a mass centre that is not a number"
-            body.ipos = np.zeros(3)
-        stated[body.name] = StatedInertia(body.mass, full if given_in_full else None)
+            body.ipos, mass = np.zeros(3), np.nan
+        stated[body.name] = StatedInertia(mass, full)
         if found:
-            flaws.append(found)
-            tensor = full if given_in_full else np.diag(body.inertia)
-            finite = np.isfinite(body.mass) and np.isfinite(tensor).all()
-            stated[body.name] = (
-                StatedInertia(body.mass, tensor) if finite else StatedInertia(0.0, np.zeros((3, 3)))
-            )
+            flaws[body.name] = found
+            stated[body.name] = StatedInertia(mass, full, np.array(body.inertia))
             body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
     return flaws, stated
+
+
+def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
+    """Give a body another inertia, along its own axes."""
+    central = inertia.central
+    body.explicitinertial = True
+    body.mass, body.ipos, body.iquat = inertia.mass, inertia.com, [1.0, 0.0, 0.0, 0.0]
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.inertia = np.zeros(3)
+    body.fullinertia = [central[at] for at in FULL] if central.any() else np.full(6, np.nan)
+    return StatedInertia(inertia.mass, central)
 
 
 def one_line(error: Exception) -> str:

@@ -14,13 +14,15 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from testbed.errors import InertiaError, ModelError
-from testbed.robot.formats.urdf_numbers import numbers_of
-from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.arrays import Array
+from testbed.errors import ModelError
+from testbed.robot.formats.urdf_numbers import TENSOR, numbers_of, plain
+from testbed.robot.formats.urdf_xml import link_at, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
 from testbed.robot.links import Link
 from testbed.robot.locks import Lock
 from testbed.robot.model_xml import read_xml
+from testbed.robot.repair import Bodies, Repair, repaired
 from testbed.robot.rotations import from_rpy
 from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Joint, Kind, Tree
@@ -30,7 +32,7 @@ def read_urdf(
     path: Path,
     *,
     weld_root: bool = False,
-    accept_inertia: bool = False,
+    repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> Tree:
     """The tree of a URDF file; the bedplate frame is the root link's frame.
@@ -38,19 +40,48 @@ def read_urdf(
     Args:
         path: The file.
         weld_root: Weld a floating root to the bedplate instead of refusing it.
-        accept_inertia: Take impossible inertias as they are and note them in `warnings`.
+        repair: Bodies in place of those that cannot be; None takes the nearest that can.
         lock: Joints to be held, which are no joints of the tree.
 
     Raises:
         ModelError: The file is not a URDF, or holds what is not supported; FreeRootError and
             MimicError are such.
-        InertiaError: A link cannot be a rigid body and `accept_inertia` is not set.
+        InertiaError: A link cannot be a rigid body, and none is given in its place.
+    """
+    root, found, warnings = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
+    return _tree_of(_built(root, path), root.get("name", ""), (*found.notes, *warnings))
+
+
+def repaired_xml(
+    path: Path,
+    *,
+    weld_root: bool = False,
+    repair: Bodies | None = None,
+    lock: Lock | None = None,
+) -> tuple[ET.Element, Repair, tuple[str, ...]]:
+    """The file's links and joints with bodies that can be, for every reader.
+
+    Args:
+        path: The file.
+        weld_root: As in `read_urdf`.
+        repair: As there.
+        lock: As there.
+
+    Returns:
+        The root element; what was repaired; and a line for each thing that was accepted with a
+        warning.
+
+    Raises:
+        ModelError: As there.
     """
     root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
-    flaws = [found for link in root.findall("link") if (found := _link_flaw(link, path))]
-    if flaws and not accept_inertia:
-        raise InertiaError(path.name, flaws)
-    return _tree_of(_built(root, path), root.get("name", path.stem), (*flaws, *warnings))
+    elements = {link.get("name", ""): link for link in root.findall("link")}
+    suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link, path))}
+    links, parents = _links(root, path)
+    found = repaired(links, suspects, parents, repair, path.name)
+    for name, inertia in found.links.items():
+        _set_inertia(elements[name], inertia)
+    return root, found, warnings
 
 
 def read_links(
@@ -63,29 +94,34 @@ def read_links(
         weld_root: As then.
         lock: As then.
     """
-    moving = {
-        child.get("link")
-        for joint in read_xml(path).findall("joint")
-        if joint.get("type") != "fixed"
-        for child in joint.findall("child")
-    }
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
-    elements = {link.get("name", ""): link for link in root.findall("link")}
-    for link in elements.values():
-        _link_flaw(link, path)
-    model = _built(root, path)
-    return tuple(
-        Link(
-            name=frame.name,
-            body=frame.parentJoint - 1,
-            moves=frame.name in moving,
-            rotation=frame.placement.rotation,
-            position=frame.placement.translation,
-            inertia=_link_inertia(elements[frame.name]),
-        )
-        for frame in model.frames.tolist()
-        if frame.type == pin.FrameType.BODY
-    )
+    return _links(root, path)[0]
+
+
+def _links(root: ET.Element, path: Path) -> tuple[tuple[Link, ...], tuple[int, ...]]:
+    """The links with their inertias as the file has them, and the parents of the tree's bodies."""
+    held = {
+        link_at(joint, "child"): link_at(joint, "parent")
+        for joint in read_xml(path).findall("joint")
+        if joint.get("type") == "fixed"
+    }
+    inertias = {link.get("name", ""): _link_inertia(link) for link in root.findall("link")}
+    bare = ET.Element("robot", root.attrib)
+    bare[:] = [ET.Element("link", name=name) for name in inertias] + root.findall("joint")
+    model = _built(bare, path)
+    links: dict[str, Link] = {}
+    for frame in model.frames.tolist():
+        if frame.type == pin.FrameType.BODY:
+            carrier = links[held[frame.name]].carrier if frame.name in held else frame.name
+            links[frame.name] = Link(
+                name=frame.name,
+                body=frame.parentJoint - 1,
+                carrier=carrier,
+                rotation=frame.placement.rotation,
+                position=frame.placement.translation,
+                inertia=inertias[frame.name],
+            )
+    return tuple(links.values()), tuple(model.parents[j] - 1 for j in range(1, model.njoints))
 
 
 def _link_inertia(link: ET.Element) -> Inertia:
@@ -93,13 +129,10 @@ def _link_inertia(link: ET.Element) -> Inertia:
     inertial = link.find("inertial")
     if inertial is None:
         return NOTHING
-    origin, central = inertial.find("origin"), inertial.find("inertia")
-    (mass,) = numbers_of(inertial.find("mass"), "value")
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    xx, xy, xz, yy, yz, zz = (numbers_of(central, key)[0] for key in keys)
+    origin = inertial.find("origin")
     turn = from_rpy(numbers_of(origin, "rpy", "0 0 0"))
-    tensor = turn @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ turn.T
-    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), tensor)
+    mass, central = _stated(inertial)
+    return Inertia.about_centre(mass, numbers_of(origin, "xyz", "0 0 0"), turn @ central @ turn.T)
 
 
 def _built(root: ET.Element, path: Path) -> pin.Model:
@@ -115,24 +148,39 @@ def _built(root: ET.Element, path: Path) -> pin.Model:
 
 
 def _link_flaw(link: ET.Element, path: Path) -> str | None:
-    """The link's flaw, if any; a mass or inertia that is not finite is emptied on the way."""
+    """What is wrong with the link's inertia as it stands, if anything."""
     name, inertial = link.get("name", "?"), link.find("inertial")
     if inertial is None:
         return None
-    mass, inertia = inertial.find("mass"), inertial.find("inertia")
-    if mass is None or inertia is None:
+    if inertial.find("mass") is None or inertial.find("inertia") is None:
         raise ModelError(f"{path}: the inertial of link '{name}' lacks a mass or an inertia")
-    (m,) = numbers_of(mass, "value")
-    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    xx, xy, xz, yy, yz, zz = (numbers_of(inertia, key)[0] for key in keys)
-    found = inertia_flaw(name, m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
     origin = inertial.find("origin")
     place = numbers_of(origin, "xyz", "0 0 0") + numbers_of(origin, "rpy", "0 0 0")
     if not np.isfinite(place).all():
-        found = f"link '{name}' has a mass centre or inertia frame that is not a number"
-    if not np.isfinite([m, xx, xy, xz, yy, yz, zz, *place]).all():
-        link.remove(inertial)
-    return found
+        return f"link '{name}' has a mass centre or inertia frame that is not a number"
+    mass, central = _stated(inertial)
+    return inertia_flaw(name, mass, central)
+
+
+def _stated(inertial: ET.Element) -> tuple[float, Array]:
+    """Mass, and inertia along the axes of the element's origin."""
+    (mass,) = numbers_of(inertial.find("mass"), "value")
+    central = np.empty((3, 3))
+    for key, (a, b) in TENSOR.items():
+        central[a, b] = central[b, a] = numbers_of(inertial.find("inertia"), key)[0]
+    return mass, central
+
+
+def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
+    """Give a link another inertia, along its own axes."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    if inertia.pseudo.any():
+        new = ET.SubElement(link, "inertial")
+        ET.SubElement(new, "origin", xyz=plain(list(inertia.com)), rpy="0 0 0")
+        ET.SubElement(new, "mass", value=plain([inertia.mass]))
+        moments = {key: plain([inertia.central[at]]) for key, at in TENSOR.items()}
+        ET.SubElement(new, "inertia", moments)
 
 
 def _tree_of(model: pin.Model, name: str, warnings: tuple[str, ...]) -> Tree:

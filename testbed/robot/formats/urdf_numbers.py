@@ -7,6 +7,7 @@ written as every parser takes it, so that Pinocchio and MuJoCo read the same num
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -15,6 +16,12 @@ from testbed.errors import ModelError
 from testbed.robot.decimals import decimals
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.tree import FARTHEST
+
+TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+"""Entries of an inertia, by attribute."""
+
+RIGHT = 1e-5
+"""Angles of rpy so near a multiple of a right angle are one, rounded in the file [rad]."""
 
 
 @dataclass(frozen=True)
@@ -26,17 +33,19 @@ class _Numbers:
         absent: What it is where it is not given; None where it must be.
         greatest: Magnitude that none of them exceeds.
         signed: Whether they may be negative.
+        angles: Whether right angles are meant where they nearly are.
     """
 
     count: int
     absent: str | None
     greatest: float = float("inf")
     signed: bool = True
+    angles: bool = False
 
 
 _PLACE = {
     "xyz": _Numbers(3, "0 0 0", FARTHEST),
-    "rpy": _Numbers(3, "0 0 0", FARTHEST),
+    "rpy": _Numbers(3, "0 0 0", FARTHEST, angles=True),
 }
 _ATTRIBUTES = {
     "origin": _PLACE,
@@ -112,7 +121,12 @@ def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
             raise ModelError(f"{where} holds {value:g}; {numbers.greatest:g} is the limit")
         if value < 0 and not numbers.signed:
             raise ModelError(f"{where} holds {value:g}, which cannot be negative")
-    return plain(values)
+    return plain([_right(value) for value in values] if numbers.angles else values)
+
+
+def _right(angle: float) -> float:
+    right = round(2 * angle / math.pi) * math.pi / 2
+    return right if abs(angle - right) <= RIGHT else angle
 
 
 def _check_attributes(part: ET.Element, where: str) -> None:

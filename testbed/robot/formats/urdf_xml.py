@@ -61,6 +61,7 @@ def supported_xml(
 def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Element:
     """Links and joints alone, in one tree, their numbers plain."""
     root = read_xml(path)
+    root.set("name", root.get("name") or path.stem)  # parsers want one
     links, joints = root.findall("link"), root.findall("joint")
     shown = root.findall("material") if keep_visuals else []
     for link in links:
@@ -181,10 +182,12 @@ def _check_structure(
     known = {link.get("name", "") for link in links}
     carriers: dict[str, ET.Element] = {}
     for joint in joints:
-        name, child = joint.get("name", ""), _end(joint, "child")
+        name, child = joint.get("name", ""), link_at(joint, "child")
         for end in ("parent", "child"):
-            if _end(joint, end) not in known:
-                raise ModelError(f"{path}: joint '{name}' has no {end} link '{_end(joint, end)}'")
+            if link_at(joint, end) not in known:
+                raise ModelError(
+                    f"{path}: joint '{name}' has no {end} link '{link_at(joint, end)}'"
+                )
         if child in carriers:
             raise ModelError(
                 f"{path}: link '{child}' is carried by joint '{carriers[child].get('name')}' and "
@@ -200,7 +203,7 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) ->
     roots = [name for name in known if name not in carriers]
     below: dict[str, list[str]] = {}
     for child, joint in carriers.items():
-        below.setdefault(_end(joint, "parent"), []).append(child)
+        below.setdefault(link_at(joint, "parent"), []).append(child)
     reached, level, depth = set(roots), roots, 0
     while level:
         level = [child for link in level for child in below.get(link, [])]
@@ -220,7 +223,8 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) ->
         )
 
 
-def _end(joint: ET.Element, end: str) -> str:
+def link_at(joint: ET.Element, end: str) -> str:
+    """The link at an end of a joint, "parent" or "child"; "" if none is said."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
 
@@ -229,7 +233,7 @@ def _check_kind(
     joint: ET.Element, carriers: dict[str, ET.Element], path: Path, weld_root: bool
 ) -> None:
     name, kind = joint.get("name", "?"), joint.get("type", "?")
-    if kind == "floating" and _end(joint, "parent") not in carriers:
+    if kind == "floating" and link_at(joint, "parent") not in carriers:
         if not weld_root:
             raise FreeRootError(path.name, name)
         joint.set("type", "fixed")

@@ -14,13 +14,12 @@ import mujoco
 import numpy as np
 
 from testbed.errors import ModelError
+from testbed.robot.formats.mjcf_compile import FULL
 from testbed.robot.formats.mjcf_spec import parsed
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint
 
-_ORDER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Of fullinertia."""
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """Other ways to say an inertia's axes."""
 _LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_inertia"}
@@ -104,7 +103,7 @@ def _set_inertial(document: XmlBytes, body: Element, inertia: Inertia) -> None:
     said = {
         "pos": " ".join(repr(float(x)) for x in inertia.com),
         "mass": repr(inertia.mass),
-        "fullinertia": " ".join(repr(float(central[at])) for at in _ORDER),
+        "fullinertia": " ".join(repr(float(central[at])) for at in FULL),
     }
     if not central.any():  # MuJoCo takes no full inertia that is zero
         said["diaginertia"] = "0 0 0"

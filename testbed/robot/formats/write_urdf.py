@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from testbed.errors import ModelError
+from testbed.robot.formats.urdf_numbers import TENSOR
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint
 
-TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
 _LOSSES = {"friction": "coulomb", "damping": "viscous"}
 """What a joint's <dynamics> states, by attribute."""
 

@@ -1,0 +1,186 @@
+"""Bodies of a model file that no matter can make, and the nearest ones that it can.
+
+Links that are fixed to each other are one body before anything is judged: a frame without inertia,
+or with moments of -2e-22, does no harm then. What is still wrong is repaired: rounding always, and
+what is more than that where no bodies are given in its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from testbed.errors import InertiaError, ModelError, UnknownName
+from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
+from testbed.robot.links import Link, total
+
+Bodies: TypeAlias = Mapping[str, Inertia]
+"""By the link that carries all that is fixed to it: its inertia about and along its frame."""
+
+THINNEST = 1e-6
+"""Share of a repaired body's greatest principal second moment that its others have at least."""
+
+LIGHTEST = 1e-5
+"""Mass of a repaired body that had none, in parts of the robot's."""
+
+SLIGHT = 1e-4
+"""Change of a body's second moments that is rounding, in parts of its greatest."""
+
+NEGLIGIBLE = 1e-9
+"""The same in parts of the robot's: its mass times the square of its largest radius of gyration."""
+
+NAMED = 3
+"""Links in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """What is taken in place of a file's inertias.
+
+    Attributes:
+        links: By link, its new inertia about and along its own frame; all others keep theirs.
+        bodies: The nearest bodies of which `links` is made, by the link that carries all that is
+            fixed to it, about and along its frame; those changed by more than rounding.
+        flaws: What was wrong with each of them, a line each.
+        notes: What to say of the repair, a line each.
+    """
+
+    links: Mapping[str, Inertia]
+    bodies: Bodies
+    flaws: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def repaired(
+    links: Sequence[Link],
+    suspects: Mapping[str, str],
+    parents: Sequence[int],
+    given: Bodies | None,
+    source: str,
+) -> Repair:
+    """Bodies that can be, for those of a file that cannot.
+
+    Args:
+        links: All of the file, carriers before what they carry.
+        suspects: What is wrong with single links, by name.
+        parents: Of the tree's bodies, where chains may end in bodies without matter; else ().
+        given: Bodies to take in place of the file's, as `Repair.bodies` has them; what else is
+            wrong is refused then. None takes the nearest bodies.
+        source: The file's name, for messages.
+
+    Raises:
+        InertiaError: A body is wrong, and none is given in its place.
+        ModelError: A mass is negative or a number is none: no body is near.
+        UnknownName: A body is given for a link that is fixed to another, or is not there.
+    """
+    named = {link.name: link for link in links}
+    parts: dict[str, list[Link]] = {}
+    for link in links:
+        parts.setdefault(link.carrier, []).append(link)
+    for name in given or ():
+        if name not in parts:
+            raise UnknownName("link to repair", name, parts)
+    bodies = {name: _lump(named[name], own) for name, own in parts.items()}
+    bodies |= given or {}
+    judged = {name for name, own in parts.items() if any(part.name in suspects for part in own)}
+    touched = [name for name in parts if name in judged or name in (given or ())]
+    flaws = {name: line for name in touched if (line := _flaw(name, bodies[name]))}
+    for name, line in flaws.items():
+        if not (bodies[name].mass >= 0 and bodies[name].within_limits):  # no body is near
+            own = [suspects[part.name] for part in parts[name] if part.name in suspects]
+            raise ModelError(f"{source}: {[*own, line][0]}; correct the file")
+    flaws |= dict(_bare_ends(links, bodies, parents))
+    robot = _Size.of(bodies.values())
+    nearest = {name: robot.nearest(bodies[name]) for name in flaws}
+    grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
+    if grave and given is not None:
+        raise InertiaError(source, list(grave.values()))
+    changed = {name: bodies[name] for name in touched} | nearest
+    emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
+    return Repair(
+        links=dict.fromkeys(emptied, NOTHING) | changed,
+        bodies={name: nearest[name] for name in grave},
+        flaws=tuple(grave.values()),
+        notes=tuple(_notes([name for name in flaws if name not in grave], list(grave))),
+    )
+
+
+@dataclass(frozen=True)
+class _Size:
+    """Of a robot: what is small is so beside it.
+
+    Attributes:
+        mass: [kg].
+        reach: The largest radius of gyration of its bodies about their frames [m].
+    """
+
+    mass: float
+    reach: float
+
+    @staticmethod
+    def of(bodies: Iterable[Inertia]) -> _Size:
+        heavy = [body for body in bodies if body.mass > 0]
+        spread = [float(np.trace(body.pseudo[:3, :3])) / body.mass for body in heavy]
+        reach = float(np.sqrt(max([0.0, *spread])))
+        return _Size(sum(body.mass for body in heavy) or 1.0, reach or 1.0)
+
+    def nearest(self, body: Inertia) -> Inertia:
+        """The nearest body that can be."""
+        return nearest_body(body, THINNEST, LIGHTEST * self.mass, self.reach)
+
+    def slight(self, old: Inertia, new: Inertia) -> bool:
+        """Whether a body is changed by no more than rounding."""
+        spread = old.pseudo[:3, :3] - old.mass * np.outer(old.com, old.com)
+        own = SLIGHT * np.linalg.eigvalsh(spread)[-1]
+        change = np.abs(new.pseudo - old.pseudo).max()
+        whole = NEGLIGIBLE * self.mass * self.reach**2
+        return bool(old.mass == new.mass and change <= max(own, whole))
+
+
+def _lump(carrier: Link, parts: Sequence[Link]) -> Inertia:
+    """A link and all that is fixed to it, about and along its frame; alone to the last bit."""
+    full = (part for part in parts if part is not carrier and part.inertia.pseudo.any())
+    return carrier.inertia + total(carrier.seen_from(part.in_body) for part in full)
+
+
+def _flaw(name: str, body: Inertia) -> str | None:
+    """What is wrong with a body; moments that are rounding beside its distance are none."""
+    central = body.central
+    if np.abs(central).max() <= ROUNDING * np.abs(body.tensor).max():
+        central = np.zeros((3, 3))
+    return inertia_flaw(name, body.mass, central)
+
+
+def _bare_ends(
+    links: Sequence[Link], bodies: Bodies, parents: Sequence[int]
+) -> Iterator[tuple[str, str]]:
+    """Bodies of the tree without matter that carry none, and what is wrong with them."""
+    full = [False] * len(parents)
+    for link in links:
+        if 0 <= link.body < len(full) and link.name in bodies and bodies[link.name].pseudo.any():
+            full[link.body] = True
+    for body in reversed(range(len(parents))):
+        if full[body] and parents[body] >= 0:
+            full[parents[body]] = True
+    first = {link.body: link.carrier for link in reversed(links)}
+    for body, name in sorted(first.items()):
+        if 0 <= body < len(parents) and any(full) and not full[body]:
+            yield name, f"link '{name}' moves, and neither it nor what it carries has a mass"
+
+
+def _notes(slight: Sequence[str], grave: Sequence[str]) -> Iterator[str]:
+    if slight:
+        yield f"the inertia of {_listed(slight)} is corrected within rounding"
+    if grave:
+        yield (
+            f"no body has the inertia that the model file gives {_listed(grave)}; the nearest that "
+            "can be is taken"
+        )
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

@@ -1,0 +1,39 @@
+"""Robots of other people, as they come: `new` writes an experiment, and it runs, no file edited."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.helpers.command import command_line
+from tests.helpers.paths import REAL
+
+ROBOTS = {
+    "light links that rub": "xarm_description/urdf/xarm7",
+    "a light gripper": "z1_description/urdf/z1",
+    "a frame of 1e-9 kg": "so_arm_description/urdf/so101",
+    "tool frames without inertia": "talos_data/robots/talos_left_arm",
+    "moments of -2e-22": "anymal_b_simple_description/robots/anymal",
+    "two arms, two grippers": "baxter_description/urdf/baxter",
+    "a hand, links that break the triangle": "allegro_hand_description/urdf/allegro_left_hand",
+    "a gripper that touches": "ur_description/urdf/ur5_gripper",
+    "joints without limits": "double_pendulum_description/urdf/double_pendulum_continuous",
+    "weak motors, held by the waist": "simple_humanoid_description/urdf/simple_humanoid",
+    "limbs that are points": "icub_description/robots/icub_reduced",
+}
+MOST_SIGMAS = 6.0
+"""Of any of some hundred parameters, by chance once in a million runs."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ROBOTS)
+def test_any_robot_runs_as_new_writes_it(what: str, tmp_path: Path) -> None:
+    made = command_line("new", str(REAL / f"{ROBOTS[what]}.urdf"), "--out", "r.toml", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    short = ("--set", "motion.duration=3", "--set", "motion.candidates=1", "--out", "run")
+    ran = command_line("run", "r.toml", *short, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stderr
+    result = json.loads((tmp_path / "run/result.json").read_text())
+    assert 0 < result["metrics"]["external_max_z"] < MOST_SIGMAS
