@@ -12,8 +12,8 @@ from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.excitation.limits import CALM, limits_of
 from testbed.excitation.rest_posture import easiest_posture
-from testbed.experiment.experiment_tables import ExcitationTable
-from testbed.robot.friction import ROTOR, VISCOUS
+from testbed.experiment.experiment_tables import ExcitationTable, SimulationTable
+from testbed.robot.friction import COULOMB, ROTOR, VISCOUS
 from testbed.robot.tree import Tree
 from testbed.simulation.controller import mass_matrices
 
@@ -34,6 +34,9 @@ LIGHT = 1e-3
 cannot be controlled: axes of joints fall into one there, with next to nothing between them."""
 ROTOR_SHARE = 0.01
 """Assumed inertia of such a joint's rotor, as a share of its usual inertia."""
+OFF_COURSE = 0.05
+"""How far dry friction may hold a joint back from where its drive wants it [rad or m]: a drive
+whose forces go by the inertia moves what is lighter only with a rotor."""
 HELD = 0.9
 """Share of motor efforts that a posture may take, to be held."""
 STRONGER = 2.0
@@ -78,8 +81,9 @@ def assumptions(tree: Tree) -> Assumptions:
     states = _random_states(tree)
     torques, wrench = joint_forces(tree, states), base_wrench(tree, states)
     friction, matrices = _friction(tree, _rms(torques)), mass_matrices(tree, states.q)
-    rotors = _rotors(tree, matrices)
-    whole = tree.with_joints(friction).with_joints(rotors)
+    rubbing = tree.with_joints(friction)
+    rotors = _rotors(rubbing, matrices)
+    whole = rubbing.with_joints(rotors)
     found = (friction, rotors, _efforts(whole))
     joints = {
         name: {k: v for part in found for k, v in part.get(name, {}).items()} for name in tree.names
@@ -143,16 +147,18 @@ def _friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
 
 
 def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
-    """Rotors of joints that next to nothing moves with, in some posture."""
+    """Rotors of joints that are too light, in some posture or for their friction."""
     diagonal = np.diagonal(matrices, axis1=1, axis2=2)
-    usual = _rms(diagonal)
-    whole = matrices + np.diag(ROTOR.coefficients(tree) + 1e-12 * usual.max())
+    usual, own = _rms(diagonal), ROTOR.coefficients(tree)
+    whole = matrices + np.diag(own + 1e-12 * usual.max())
     free = 1 / np.diagonal(np.linalg.inv(whole), axis1=1, axis2=2)
     light = np.asarray((free < LIGHT * usual).any(axis=0))
+    moved = COULOMB.coefficients(tree) / (SimulationTable().bandwidth ** 2 * OFF_COURSE)
+    wanted = np.maximum(light * ROTOR_SHARE * usual, (moved > usual + own) * moved)
     return {
-        name: {"rotor_inertia": rounded(ROTOR_SHARE * float(usual[j]), 2)}
-        for j, name in enumerate(tree.names)
-        if light[j] and not tree.joints[j].rotor_inertia
+        name: {"rotor_inertia": rounded(float(inertia), 2)}
+        for name, inertia in zip(tree.names, wanted, strict=True)
+        if inertia > own[tree.index(name)]
     }
 
 

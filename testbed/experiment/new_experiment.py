@@ -11,7 +11,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.errors import FreeRootError, MimicError, ModelError
+from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -95,12 +95,12 @@ def new_experiment(
 
 
 def _read(model: Path, repair: Bodies | None) -> _Reading:
-    """Read the file; weld its root and hold what follows others if that is what it takes."""
-    weld, masters = False, set[str]()
+    """Read the file; weld its root and hold what no tree can move, if that is what it takes."""
+    weld, masters, lock = False, set[str](), dict[str, float]()
     while True:
         try:
             held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld, repair, held).tree()
+            tree = ModelFile(model, weld, repair, held | lock).tree()
             break
         except FreeRootError:
             if weld:
@@ -110,8 +110,11 @@ def _read(model: Path, repair: Bodies | None) -> _Reading:
             if masters:
                 raise
             masters = set(error.masters.values())
-    lock = _grippers(tree, masters)
-    if lock:
+        except LoopError as error:
+            lock |= error.joints
+    further = _grippers(tree, masters) | _stuck(tree)
+    if further:
+        lock |= further
         tree = ModelFile(model, weld, repair, held | lock).tree()
     if not any(inertia.mass for inertia in tree.inertias):
         raise ModelError(
@@ -119,6 +122,14 @@ def _read(model: Path, repair: Bodies | None) -> _Reading:
         )
     nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
     return _Reading(tree, weld, bool(masters), lock, nearest)
+
+
+def _stuck(tree: Tree) -> dict[str, float]:
+    """Joints whose range is one position, and that; none if no joint moves."""
+    found = {
+        j.name: _float(j.position_range[0]) for j in tree.joints if not np.ptp(j.position_range)
+    }
+    return found if len(found) < tree.n else {}
 
 
 def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
@@ -162,7 +173,8 @@ def _robot(found: _Reading, assumed: Assumptions) -> list[str]:
     if found.lock:
         held = ", ".join(f"{_key(name)} = {place!r}" for name, place in found.lock.items())
         lines.append(
-            f"lock = {{ {held} }}".ljust(COLUMN) + "  # ASSUMED: a gripper, held [rad or m]"
+            f"lock = {{ {held} }}".ljust(COLUMN)
+            + "  # ASSUMED: held: grippers, loops, no room [rad or m]"
         )
     else:
         lines.append(
@@ -193,7 +205,7 @@ def _joints(tree: Tree, assumed: Assumptions) -> list[str]:
 
 _REASONS = {
     "coulomb": "friction: the model file has none for these",
-    "rotor_inertia": "rotors: without one next to nothing resists these in some posture",
+    "rotor_inertia": "rotors: these are too light without, in some posture or for their friction",
     "max_effort": "max_effort: the model file's holds the robot in no posture",
 }
 _UNITS = {
@@ -274,7 +286,7 @@ def _limits(tree: Tree, limits: Limits, pace: float) -> list[str]:
 
 def _instrument(assumed: Assumptions) -> list[str]:
     """A cheap plate and encoder (docs/instruments.md)."""
-    share = f"ASSUMED, {PLATE_NOISE:.1%} of what the robot makes there"
+    share = f"{PLATE_NOISE:.1%} of the robot's rms"
     return [
         "",
         "[measurement]  # ASSUMED: a cheap plate and encoder (docs/instruments.md); put your own",
@@ -286,7 +298,7 @@ def _instrument(assumed: Assumptions) -> list[str]:
         _said(
             "torque_noise",
             assumed.torque_noise,
-            f"N m or N; ASSUMED, {TORQUE_NOISE:.1%} of the joints' load",
+            f"N m or N; {TORQUE_NOISE:.1%} of the joints' rms",
         ),
     ]
 
