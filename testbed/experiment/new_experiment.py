@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -22,30 +20,17 @@ from testbed.experiment.assumptions import (
 )
 from testbed.experiment.experiment import run_name
 from testbed.experiment.experiment_tables import BodyTable
+from testbed.experiment.robot_found import RobotFound, find_robot
 from testbed.experiment.trial import Needs, tried_text
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import Inertia
-from testbed.robot.load import mimic_joints, nearest_bodies
-from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile
-from testbed.robot.repair import NAMED, Bodies, Repair
+from testbed.robot.repair import NAMED, Repair
 from testbed.robot.tree import Tree
 
 COLUMN = 56
 """Where comments begin."""
 MANY = 12
 """Joints above which runs are kept short."""
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """A robot, and how its model file had to be read."""
-
-    tree: Tree
-    weld_root: bool
-    lock_mimic: bool
-    lock: Mapping[str, float]
-    repair: Repair
 
 
 def new_experiment(
@@ -73,7 +58,7 @@ def new_experiment(
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = _read(model, None if not strict else {})
+    found = find_robot(model, {} if strict else None)
     for line in _repairs(found.repair):
         say(line)
     assumed = assumptions(found.tree)
@@ -94,58 +79,7 @@ def new_experiment(
     return tried_text(text, first, folder, say) if tried else text(first)
 
 
-def _read(model: Path, repair: Bodies | None) -> _Reading:
-    """Read the file; weld its root and hold what no tree can move, if that is what it takes."""
-    weld, masters, lock = False, set[str](), dict[str, float]()
-    while True:
-        try:
-            held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld, repair, held | lock).tree()
-            break
-        except FreeRootError:
-            if weld:
-                raise
-            weld = True
-        except MimicError as error:
-            if masters:
-                raise
-            masters = set(error.masters.values())
-        except LoopError as error:
-            lock |= error.joints
-    further = _grippers(tree, masters) | _stuck(tree)
-    if further:
-        lock |= further
-        tree = ModelFile(model, weld, repair, held | lock).tree()
-    if not any(inertia.mass for inertia in tree.inertias):
-        raise ModelError(
-            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
-        )
-    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
-    return _Reading(tree, weld, bool(masters), lock, nearest)
-
-
-def _stuck(tree: Tree) -> dict[str, float]:
-    """Joints whose range is one position, and that; none if no joint moves."""
-    found = {
-        j.name: _float(j.position_range[0]) for j in tree.joints if not np.ptp(j.position_range)
-    }
-    return found if len(found) < tree.n else {}
-
-
-def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
-    """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
-
-    Their stroke is too short for their masses to be told.
-    """
-    carrying = {joint.parent for joint in tree.joints}
-    own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
-    if len(own) == tree.n:  # the robot is a gripper
-        return {}
-    joints = [tree.joints[j] for j in own]
-    return {joint.name: _float(Travel(*joint.position_range).rest) for joint in joints}
-
-
-def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
+def _head(model: Path, folder: Path, found: RobotFound) -> list[str]:
     tree = found.tree
     torques, plate = (minimal_set(tree, kind).count for kind in ("dynamic", "reaction"))
     joints = "1 joint" if tree.n == 1 else f"{tree.n} joints"
@@ -164,7 +98,7 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
     ]
 
 
-def _robot(found: _Reading, assumed: Assumptions) -> list[str]:
+def _robot(found: RobotFound, assumed: Assumptions) -> list[str]:
     """How the model file is read, and what is assumed of its joints."""
     tree = found.tree
     lines = ["", "[robot]"]
@@ -182,7 +116,10 @@ def _robot(found: _Reading, assumed: Assumptions) -> list[str]:
         )
     lines += _joints(tree, assumed)
     if found.repair.bodies:
-        lines += ["", "[robot.repair]  # in place of bodies that cannot be: the nearest that can"]
+        lines += [
+            "",
+            "[robot.repair]  # ASSUMED: the nearest bodies to those that cannot be; kg, m, kg m^2",
+        ]
         lines += [_body(name, body) for name, body in found.repair.bodies.items()]
     return lines
 
@@ -217,9 +154,9 @@ _UNITS = {
 
 
 def _body(name: str, body: Inertia) -> str:
-    said = BodyTable.of(body).model_dump()
-    values = ", ".join(f"{key} = {value!r}" for key, value in said.items())
-    return f"{_key(name)} = {{ {values} }}".replace("(", "[").replace(")", "]")
+    said = BodyTable.of(body)
+    lists = f"centre = {_list(said.centre)}, inertia = {_list(said.inertia)}"
+    return f"{_key(name)} = {{ mass = {said.mass!r}, {lists} }}"
 
 
 def _repairs(repair: Repair) -> Iterator[str]:

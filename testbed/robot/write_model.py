@@ -16,7 +16,7 @@ from testbed.errors import ModelError
 from testbed.files import replacing
 from testbed.robot.inertia import Inertia
 from testbed.robot.links import Fixed, Link, shared_out
-from testbed.robot.load import model_format
+from testbed.robot.load import model_format, nearest_bodies
 from testbed.robot.model_file import ModelFile
 from testbed.robot.model_files import copy_model, held_files
 from testbed.robot.model_xml import read_xml
@@ -58,7 +58,11 @@ def write_model(
     kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
     bodies, joints = _changes(file, tree)
-    links, notes = shared_out(_links(model, kind), bodies, fixed)
+    known = _links(model, kind)
+    mended = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock).links
+    for body in {link.body for link in known if link.name in mended and link.body >= 0}:
+        bodies[body] = tree.inertias[body]  # the file's own cannot be
+    links, notes = shared_out(known, bodies, fixed)
     data, warnings = _edited(model.path, kind, links, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:

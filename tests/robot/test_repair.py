@@ -17,6 +17,7 @@ from testbed.robot.load import nearest_bodies
 from testbed.robot.model_file import ModelFile
 from testbed.robot.repair import THINNEST
 from testbed.robot.rotations import from_rpy
+from testbed.robot.write_model import write_model
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import REAL
 from tests.helpers.pinocchio import by_pinocchio
@@ -194,6 +195,19 @@ def test_what_cannot_be_is_refused_or_repaired(
         np.testing.assert_array_equal(tree.inertias[j].pseudo, sound.inertias[j].pseudo)
     build_plant(ModelFile(path, repair=found.bodies), tree, 1e-3)
     build_plant(ModelFile(path), tree, 1e-3)
+
+
+@pytest.mark.parametrize("form", ["urdf", "xml"])
+@pytest.mark.parametrize("kind", NEVER)
+def test_a_written_file_has_only_bodies_that_can_be(kind: str, form: str, tmp_path: Path) -> None:
+    """Those that were repaired, too, whatever else was changed."""
+    robot = random_robot(np.random.default_rng(2), 4)
+    text = with_frames(np.random.default_rng(2), robot, form)
+    path = written(set_link(text, "j3_body", *NEVER[kind]), tmp_path, form)
+    model = ModelFile(path)
+    tree = model.tree().with_inertia(1, Inertia.about_centre(5.0, (0, 0, 0.1), np.eye(3)))
+    write_model(model, tree, tmp_path / f"w.{form}")
+    assert_same(tb.load_tree(tmp_path / f"w.{form}", repair={}), tree)
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])

@@ -270,16 +270,14 @@ def _has(model: mujoco.MjModel, name: str) -> bool:
 def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:
     """The inertia of MuJoCo body b in its body frame, as stated where the file states it."""
     said = stated.get(model.body(b).name)
-    mass = model.body_mass[b]
-    if said is None and mass <= MASSLESS:
+    mass, moments = model.body_mass[b], model.body_inertia[b]
+    if said is not None:
+        mass, moments = said.mass, said.moments
+    elif mass <= MASSLESS:
         return NOTHING
     axes = _matrix(model.body_iquat[b])
-    moments = model.body_inertia[b] if said is None or said.moments is None else said.moments
-    principal = axes @ np.diag(moments) @ axes.T
-    if said is None:
-        return Inertia.about_centre(mass, model.body_ipos[b], principal)
-    central = principal if said.central is None else said.central
-    return Inertia.about_centre(said.mass, model.body_ipos[b], central)
+    central = axes @ np.diag(moments) @ axes.T if moments.ndim == 1 else moments
+    return Inertia.about_centre(mass, model.body_ipos[b], central)
 
 
 def _matrix(quaternion: Array) -> Array:

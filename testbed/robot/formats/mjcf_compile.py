@@ -110,8 +110,7 @@ class StatedInertia:
     """An inertia as the file states it: the compiler's principal axes cost digits."""
 
     mass: float
-    central: Array | None  # None: along the principal axes given by the body's `iquat`
-    moments: Array | None = None  # there, where the compiler was given others
+    moments: Array  # (3, 3) along the body's axes, or (3,) along those given by its `iquat`
 
 
 def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, StatedInertia]]:
@@ -134,10 +133,9 @@ def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, Stat
         if not np.isfinite(body.ipos).all():
             found = f"link '{body.name}' has a mass centre that is not a number"
             body.ipos, mass = np.zeros(3), np.nan
-        stated[body.name] = StatedInertia(mass, full)
+        stated[body.name] = StatedInertia(mass, np.array(body.inertia) if full is None else full)
         if found:
             flaws[body.name] = found
-            stated[body.name] = StatedInertia(mass, full, np.array(body.inertia))
             body.mass, body.inertia, body.fullinertia = 1.0, np.ones(3), np.full(6, np.nan)
     return flaws, stated
 

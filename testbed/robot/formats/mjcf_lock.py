@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeAlias
 
@@ -9,7 +10,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import LoopError, ModelError
+from testbed.errors import LoopError, MimicError, ModelError
 from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, stated_inertias
 from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 
@@ -38,11 +39,12 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         return ()
     model = _resolved(spec, path)
     travels = _travels(model, couplings)
-    held, warnings = held_positions(travels, lock, path.name)
-    for constraint, joints in loops.items():
-        moving = {name: travels[name].rest for name in joints if name not in held}
-        if moving:
-            raise LoopError(path.name, constraint, moving)
+    try:
+        held, warnings = held_positions(travels, lock, path.name)
+    except MimicError:
+        _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
+        raise
+    _check_loops(loops, travels, held, path)
     _drop_tendons(spec, held, path)
     for numeric in list(spec.numerics):
         if numeric.name.removeprefix(VELOCITY_LIMIT) in held:
@@ -51,6 +53,17 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         if any(joint.name in held for joint in body.joints):
             _hold(spec, body, model, held)
     return warnings
+
+
+def _check_loops(
+    loops: Mapping[str, tuple[str, ...]], travels: Mapping[str, Travel], held: Lock, path: Path
+) -> None:
+    for constraint, joints in loops.items():
+        moving = {
+            name: travels[name].rest for name in joints if name in travels.keys() - held.keys()
+        }
+        if moving:
+            raise LoopError(path.name, constraint, moving)
 
 
 def followers(spec: mujoco.MjSpec) -> tuple[str, ...]:

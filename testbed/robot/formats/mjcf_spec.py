@@ -127,4 +127,6 @@ def _strip(spec: mujoco.MjSpec) -> None:
         for asset in list(assets):
             spec.delete(asset)
     spec.memory = spec.njmax = spec.nconmax = -1
-    spec.nuserdata = 0
+    spec.nuserdata = spec.nkey = 0
+    for body in spec.bodies:
+        body.mocap = False  # nobody moves it: it stands still
