@@ -34,8 +34,9 @@ def arm(folder: Path, length: float, mass: float) -> Path:
     return path
 
 
-def content(path: Path, **options: bool) -> dict[str, Any]:
-    return tomllib.loads(new_experiment(path, path.parent, **options))
+def content(path: Path, *, tried: bool = True, exact: bool = False) -> dict[str, Any]:
+    text = new_experiment(path, path.parent, tried=tried, exact_torque_constants=exact)
+    return tomllib.loads(text)
 
 
 @pytest.mark.parametrize("length", [0.05, 20.0])
@@ -166,7 +167,7 @@ def test_what_does_not_run_is_not_written(tmp_path: Path) -> None:
 def test_exact_torque_constants_and_names_of_models(tmp_path: Path) -> None:
     path = arm(tmp_path, 1.0, 1.0)
     assert "torque_constant_error" in content(path, tried=False)["measurement"]
-    exact = content(path, tried=False, exact_torque_constants=True)
+    exact = content(path, tried=False, exact=True)
     assert "torque_constant_error" not in exact["measurement"]
     (tmp_path / "robot.xml").write_text(path.read_text())
     assert content(tmp_path / "robot.xml", tried=False)["name"] == "arm"
