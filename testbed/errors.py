@@ -103,6 +103,18 @@ class MimicError(ModelError):
         )
 
 
+class LoopError(ModelError):
+    """A constraint that closes a loop, none of a tree; where `joints` along it rest."""
+
+    def __init__(self, source: str, constraint: str, joints: Mapping[str, float]) -> None:
+        self.joints = dict(joints)
+        options = " ".join(f"--lock {name}" for name in self.joints)
+        super().__init__(
+            f"{source}: equality constraint {constraint} closes a loop, which is not supported. "
+            f"{options} holds all joints along it (in an experiment lock under [robot])"
+        )
+
+
 class UnknownName(TestbedError):
     """A name that is not one of those known; `name` and `known` are kept."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -28,12 +29,17 @@ def new(
         bool,
         typer.Option("--strict", help="Refuse bodies that cannot be instead of repairing them."),
     ] = False,
+    exact_torque_constants: Annotated[
+        bool,
+        typer.Option("--exact-torque-constants", help="Leave out the error assumed of them."),
+    ] = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
-    no matter can make are repaired ([robot.repair]). With --recording, a mapping that turns
-    somebody's log into a recording, of ROBOT if it is named.
+    no matter can make are repaired ([robot.repair]). A second of it is simulated before it is
+    written. With --recording, a mapping that turns somebody's log into a recording, of ROBOT if it
+    is named.
 
     Example: testbed new models/puma562.xml
     """
@@ -41,19 +47,21 @@ def new(
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
     source = recording or robot
     assert source is not None
-    path = out or Path(f"{source.stem}.toml")
-    if path.exists():
-        raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
     from testbed.files import check_writable, replacing
     from testbed.reporting import output
 
-    check_writable(path)
+    if out:
+        check_writable(out)
+        _check_free(out)
+    folder = out.parent if out else Path()
     with output.Progress("reading"):
-        text = (
-            _mapping(recording, robot, path.parent)
-            if recording
-            else _experiment(source, path.parent, strict)
-        )
+        if recording is not None:
+            path, text = out or Path(f"{source.stem}.toml"), _mapping(source, robot, folder)
+        else:
+            text = _experiment(source, folder, strict, exact_torque_constants)
+            path = out or Path(f"{tomllib.loads(text)['name']}.toml")
+    check_writable(path)
+    _check_free(path)
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
     further = (
@@ -62,10 +70,17 @@ def new(
     typer.echo(f"{path}: {further}")
 
 
-def _experiment(model: Path, folder: Path, strict: bool) -> str:
+def _check_free(path: Path) -> None:
+    if path.exists():
+        raise typer.BadParameter(f"{path} is there and is not replaced; choose another --out")
+
+
+def _experiment(model: Path, folder: Path, strict: bool, exact: bool) -> str:
     from testbed.experiment.new_experiment import new_experiment
 
-    return new_experiment(model, folder, strict=strict, say=typer.echo)
+    return new_experiment(
+        model, folder, strict=strict, exact_torque_constants=exact, say=typer.echo
+    )
 
 
 def _mapping(file: Path, robot: Path | None, folder: Path) -> str:

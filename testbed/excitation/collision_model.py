@@ -7,7 +7,7 @@ that a joint joins always touch and are left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -16,11 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array, readonly
+from testbed.errors import UnknownName
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import Shape
 
 STANDING, FLOOR, CELL = -1, -2, -3
 """What does not move: what stands on the plate, plate included; the floor; boxes around."""
+
+NAMES = {STANDING: "plate", FLOOR: "floor", CELL: "obstacle"}
+"""Their names, where pairs are left out."""
 
 _KINDS = {
     "box": mujoco.mjtGeom.mjGEOM_BOX,
@@ -69,11 +73,30 @@ class CollisionModel:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the pairs, for people."""
-        return tuple(f"'{self.tree.joints[b].body}' to {self._name(a)}" for a, b in self.pairs)
-
-    def _name(self, body: int) -> str:
         words = {STANDING: "the pedestal or plate", FLOOR: "the floor", CELL: "an obstacle"}
-        return words.get(body) or f"'{self.tree.joints[body].body}'"
+        return tuple(
+            f"'{second}' to " + words.get(a, f"'{first}'")
+            for (a, _), (first, second) in zip(self.pairs, self.bodies, strict=True)
+        )
+
+    @property
+    def bodies(self) -> tuple[tuple[str, str], ...]:
+        """Of the pairs, by name; what does not move as NAMES has it."""
+        joints = self.tree.joints
+        return tuple((NAMES.get(a) or joints[a].body, joints[b].body) for a, b in self.pairs)
+
+    def without(self, pairs: Iterable[tuple[str, str]]) -> CollisionModel:
+        """All but some pairs of bodies, by name.
+
+        Raises:
+            UnknownName: There is no such body.
+        """
+        left_out = [frozenset(pair) for pair in pairs]
+        known = [*(joint.body for joint in self.tree.joints), *NAMES.values()]
+        for name in (name for pair in left_out for name in pair):
+            if name not in known:
+                raise UnknownName("body in excitation.exclude", name, known)
+        return self.only([frozenset(pair) not in left_out for pair in self.bodies])
 
     def only(self, watched: Sequence[bool]) -> CollisionModel:
         """Some of the pairs."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from testbed.excitation.limit_terms import LimitTerm
 from testbed.excitation.problem import Problem
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import drawn
+from testbed.excitation.rest_posture import rest_posture
 from testbed.excitation.sampled_rows import SampledRows
 from testbed.excitation.series import Series
 from testbed.excitation.stencil import stencil
@@ -71,6 +72,11 @@ class Wish:
     starts: int
     seconds: float
     seed: int
+
+    @cached_property
+    def rest(self) -> Array:
+        """Posture about which few draws are tried, (n,) [rad or m]."""
+        return rest_posture(self.rules)
 
 
 @dataclass(frozen=True)
@@ -207,10 +213,8 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
         draw = drawn(limits, series.fundamental, series.harmonics, rng)
         at_home = 2 * draws >= DRAWS
         motions = [draw.sized(float(share)) for share in SHARES]
-        if at_home:  # few postures are free: begin about that of zeros
-            motions = [
-                m.scaled(float(s), limits.home) for m, s in zip(motions, SHARES, strict=True)
-            ]
+        if at_home:  # few postures are free: begin about one that is
+            motions = [m.scaled(float(s), wish.rest) for m, s in zip(motions, SHARES, strict=True)]
         slow = series.unknowns(motions[-1])
         if (problem.inside(slow).limits < 0).all():
             larger = (series.unknowns(motion) for motion in motions)

@@ -16,6 +16,8 @@ from testbed.robot.tree import Joint, Tree
 
 CALM = {"revolute": (np.pi, 2.0, 6.0), "prismatic": (0.5, 0.5, 2.0)}
 """Half range, velocity and acceleration where neither file nor user gives a limit."""
+ENDLESS = 100.0
+"""Times that half range: a range beyond is none, as the 1e16 rad of a rotor that turns freely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +112,13 @@ def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:
 
 
 def _range(joint: Joint) -> tuple[float, float]:
-    low, high = joint.position_range
+    half = CALM[joint.kind][0]
+    low, high = (
+        end if abs(end) <= ENDLESS * half else np.copysign(np.inf, end)
+        for end in joint.position_range
+    )
     if np.isfinite(low) and np.isfinite(high):
         return low, high
-    half = CALM[joint.kind][0]
     return (
         (low, low + 2 * half) if np.isfinite(low) else (min(high, half) - 2 * half, min(high, half))
     )

@@ -6,7 +6,7 @@ covariance that plate noise alone would give, weighed by the values of an a-prio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -18,6 +18,7 @@ from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import relative_scale
 from testbed.excitation.limits import Limits, limits_of, usage
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
+from testbed.excitation.rest_posture import easiest_posture, rest_posture
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
@@ -93,7 +94,8 @@ def random_motion(
 ) -> Fourier:
     """One random Fourier motion, each joint scaled until its nearest limit.
 
-    Nothing is proven of it: `testbed excite` does that.
+    Where the motors hold the robot in none about a random posture, it is about the one that asks
+    least of them. Nothing is proven of it: `testbed excite` does that.
 
     Args:
         tree: The robot, its inertias an a-priori model for the efforts.
@@ -110,12 +112,11 @@ def random_motion(
     """
     limits, rng = limits or limits_of(tree), np.random.default_rng(rng)
     draw = drawn(limits, fundamental, harmonics, rng)
-    times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
-    for share in 0.9 ** np.arange(30):
-        motion = draw.sized(float(share))
-        effort = usage(tree, motion.at(times), limits)["effort"]
-        if (effort <= MARGIN).all():
-            return motion
+    motion, effort = _within_efforts(tree, draw)
+    if motion is None:
+        motion, effort = _within_efforts(tree, replace(draw, wish=easiest_posture(tree, limits)))
+    if motion is not None:
+        return motion
     tight = [
         f"{name} {share:.0%}"
         for name, share in zip(tree.names, effort, strict=True)
@@ -125,6 +126,18 @@ def random_motion(
         f"no random motion keeps the motor efforts within their limits (slowest try: "
         f"{', '.join(tight)} of the limit); check the effort limits and masses in the model"
     )
+
+
+def _within_efforts(tree: Tree, draw: Draw) -> tuple[Fourier | None, Array]:
+    """The largest share of a motion that the motors can do, and shares of efforts that it takes."""
+    motion = draw.motion
+    times = np.linspace(0, motion.period, _CHECK, endpoint=False)
+    for share in 0.9 ** np.arange(30):
+        motion = draw.sized(float(share))
+        effort = usage(tree, motion.at(times), draw.limits)["effort"]
+        if (effort <= MARGIN).all():
+            return motion, effort
+    return None, effort
 
 
 def best_motion(
@@ -139,7 +152,7 @@ def best_motion(
     """The proven candidate with the smallest predicted relative standard deviation.
 
     Candidates that cannot be proven are left out; if none is left, all swing less and less, and
-    ever nearer to the posture of zeros.
+    ever nearer to the posture of zeros, or to another where that keeps no limits.
 
     Args:
         rules: What a motion must respect.
@@ -158,12 +171,16 @@ def best_motion(
     """
     tree, limits = rules.tree, rules.limits
     nearest: Proof | None = None
+    rest: Array | None = None
     for count in (candidates, *((MORE,) * BATCHES)):
         drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(count)]
         scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
         order = np.argsort(scores, kind="stable")
         for share, k in product(SHARES, order):
-            motion = drawn[k] if share == 1 else drawn[k].scaled(share, limits.home)
+            motion = drawn[k]
+            if share < 1:
+                rest = rest_posture(rules) if rest is None else rest
+                motion = motion.scaled(share, rest)
             if not seems_to_hold(motion, rules):
                 continue
             proof = prove(motion, rules)

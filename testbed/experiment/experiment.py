@@ -176,10 +176,20 @@ class Experiment(ExperimentTables):
         )
 
 
-def run_name(path: Path) -> str:
-    """A run's name made of a file's.
+GENERIC = ("robot", "model", "scene", "main", "mjcf", "urdf")
+"""Names of files that say nothing of the robot."""
+UNNAMED = ("", "robot", "MuJoCo Model")
+"""Names of models that have none."""
+
+
+def run_name(path: Path, own: str = "") -> str:
+    """A run's name made of a model file's, or of the model's where the file's says nothing.
 
     Args:
         path: The file.
+        own: The model's own name.
     """
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", path.stem)[:100].lstrip("_.-") or "robot"
+    said = path.stem
+    if said.lower() in GENERIC:
+        said = path.absolute().parent.name if own in UNNAMED else own
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", said)[:100].lstrip("_.-") or "robot"

@@ -213,6 +213,9 @@ class ExcitationTable(Table):
     """Share of every limit that a designed motion may use; random ones are proven for all of it."""
     clearance: NotNegative | Literal["off"] = 0.02
     """Distance kept by bodies that no joint joins, and to plate, floor and obstacles [m]."""
+    exclude: tuple[tuple[str, str], ...] = ()
+    """Pairs of bodies whose distance does not count, by name; "plate" is what stands on it, "floor"
+    the floor."""
     floor: Finite | Literal["off"] | None = None
     """Height of the floor [m], bedplate frame; default the lowest point of what the file draws on
     the bedplate."""

@@ -175,6 +175,7 @@ def _surroundings(
         if floor is None:
             notes += ("the robot reaches below what stands on the bedplate: no floor is assumed",)
     every = collision_model(tree, drawn.shapes, obstacles_of(experiment), floor)
+    every = every.without(table.exclude)
     found = watched(every, limits, clearance, np.random.default_rng(0))
     return found, (*notes, *found.notes)
 

@@ -3,49 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import joint_forces
-from testbed.dynamics.motion import Motion
-from testbed.errors import FreeRootError, MimicError, ModelError
-from testbed.excitation.limits import CALM, Limits, limits_of
+from testbed.excitation.limits import Limits, limits_of
+from testbed.experiment.assumptions import (
+    PLATE_NOISE,
+    STEPS,
+    TORQUE_NOISE,
+    Assumptions,
+    assumptions,
+)
 from testbed.experiment.experiment import run_name
 from testbed.experiment.experiment_tables import BodyTable
+from testbed.experiment.robot_found import RobotFound, find_robot
+from testbed.experiment.trial import Needs, tried_text
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import Inertia
-from testbed.robot.load import mimic_joints, nearest_bodies
-from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile
-from testbed.robot.repair import NAMED, Bodies, Repair
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.repair import NAMED, Repair
+from testbed.robot.tree import Tree
 
-POSTURES = 200
-"""Random postures in which joints are loaded."""
-DRY, VISCOUS = 0.05, 0.03
-"""Assumed friction, as shares of a joint's load: dry, and viscous at its velocity there."""
-OF_MOTOR = 0.05
-"""Most of the motor's effort that dry friction is assumed to take."""
 COLUMN = 56
 """Where comments begin."""
 MANY = 12
 """Joints above which runs are kept short."""
-
-
-@dataclass(frozen=True)
-class _Reading:
-    """A robot, and how its model file had to be read."""
-
-    tree: Tree
-    weld_root: bool
-    lock_mimic: bool
-    lock: Mapping[str, float]
-    repair: Repair
 
 
 def new_experiment(
@@ -53,6 +38,8 @@ def new_experiment(
     folder: Path,
     *,
     strict: bool = False,
+    exact_torque_constants: bool = False,
+    tried: bool = True,
     say: Callable[[str], None] = lambda line: None,
 ) -> str:
     """The text of an experiment file that runs as it is.
@@ -64,60 +51,35 @@ def new_experiment(
             grippers with them.
         folder: Where the file will be.
         strict: Refuse bodies that cannot be instead of taking the nearest that can.
-        say: Called with a line for what was repaired.
+        exact_torque_constants: Leave their error out.
+        tried: Simulate a second of it, and assume more where it fails.
+        say: Called with a line for what was repaired, or assumed after a trial.
 
     Raises:
         ModelError: The robot cannot be read.
     """
-    found = _read(model, {} if strict else None)
-    tree = found.tree
+    found = find_robot(model, {} if strict else None)
     for line in _repairs(found.repair):
         say(line)
-    lines = [*_head(model, folder, found), *_robot(found), *_motion(tree), *_instrument(tree)]
-    return "\n".join([*lines, *_claims(tree), ""])
+    assumed = assumptions(found.tree)
 
-
-def _read(model: Path, repair: Bodies | None) -> _Reading:
-    """Read the file; weld its root and hold what follows others if that is what it takes."""
-    weld, masters = False, set[str]()
-    while True:
-        try:
-            held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
-            tree = ModelFile(model, weld, repair, held).tree()
-            break
-        except FreeRootError:
-            if weld:
-                raise
-            weld = True
-        except MimicError as error:
-            if masters:
-                raise
-            masters = set(error.masters.values())
-    lock = _grippers(tree, masters)
-    if lock:
-        tree = ModelFile(model, weld, repair, held | lock).tree()
-    if not any(inertia.mass for inertia in tree.inertias):
-        raise ModelError(
-            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
+    def text(needs: Needs) -> str:
+        constants = [] if exact_torque_constants else _torque_constants(found.tree)
+        parts = (
+            _head(model, folder, found),
+            _robot(found, assumed),
+            _motion(found.tree, needs),
+            _apart(found.tree, assumed, needs),
+            [*_instrument(assumed), *constants],
+            [*_further(assumed, needs), *_claims(), ""],
         )
-    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
-    return _Reading(tree, weld, bool(masters), lock, nearest)
+        return "\n".join(line for part in parts for line in part)
+
+    first = Needs(step=assumed.step)
+    return tried_text(text, first, folder, say) if tried else text(first)
 
 
-def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
-    """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
-
-    Their stroke is too short for their masses to be told.
-    """
-    carrying = {joint.parent for joint in tree.joints}
-    own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
-    if len(own) == tree.n:  # the robot is a gripper
-        return {}
-    joints = [tree.joints[j] for j in own]
-    return {joint.name: _float(Travel(*joint.position_range).rest) for joint in joints}
-
-
-def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
+def _head(model: Path, folder: Path, found: RobotFound) -> list[str]:
     tree = found.tree
     torques, plate = (minimal_set(tree, kind).count for kind in ("dynamic", "reaction"))
     joints = "1 joint" if tree.n == 1 else f"{tree.n} joints"
@@ -127,7 +89,7 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
         "# It runs as it is: testbed run FILE. What the model file does not say is marked ASSUMED.",
         "# Lines that begin with # are defaults; every key is in docs/experiments.md.",
         "",
-        _said("name", run_name(model), "of the run folder"),
+        _said("name", run_name(model, tree.name), "of the run folder"),
         _said("claim", "", "what the experiment shows, in a sentence"),
         _said("model", place, "relative to this file"),
         _said("seed", 0, "of the motion and of all noise"),
@@ -136,8 +98,8 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
     ]
 
 
-def _robot(found: _Reading) -> list[str]:
-    """Friction where the model file has none, and how it is read."""
+def _robot(found: RobotFound, assumed: Assumptions) -> list[str]:
+    """How the model file is read, and what is assumed of its joints."""
     tree = found.tree
     lines = ["", "[robot]"]
     if found.lock_mimic:
@@ -145,18 +107,14 @@ def _robot(found: _Reading) -> list[str]:
     if found.lock:
         held = ", ".join(f"{_key(name)} = {place!r}" for name, place in found.lock.items())
         lines.append(
-            f"lock = {{ {held} }}".ljust(COLUMN) + "  # ASSUMED: a gripper, held [rad or m]"
+            f"lock = {{ {held} }}".ljust(COLUMN)
+            + "  # ASSUMED: held: grippers, loops, no room [rad or m]"
         )
     else:
         lines.append(
             "# lock = { JOINT = 0.0 }".ljust(COLUMN) + "  # joints that do not move [rad or m]"
         )
-    bare = [j for j in range(tree.n) if not (tree.joints[j].coulomb or tree.joints[j].viscous)]
-    if bare:
-        calm = _calm(tree)
-        load = _load(tree, calm)
-        lines += ["", "[robot.joint]  # ASSUMED friction: the model file has none for these"]
-        lines += [_friction(tree.joints[j], load[j], calm[j]) for j in bare]
+    lines += _joints(tree, assumed)
     if found.repair.bodies:
         lines += [
             "",
@@ -164,6 +122,35 @@ def _robot(found: _Reading) -> list[str]:
         ]
         lines += [_body(name, body) for name, body in found.repair.bodies.items()]
     return lines
+
+
+def _joints(tree: Tree, assumed: Assumptions) -> list[str]:
+    """What is assumed of joints: friction, rotors, efforts."""
+    said = {key for values in assumed.joints.values() for key in values}
+    reasons = [reason for key, reason in _REASONS.items() if key in said]
+    if not reasons:
+        return []
+    lines = ["", f"[robot.joint]  # ASSUMED {reasons[0]}"]
+    lines += [f"# ASSUMED {reason}" for reason in reasons[1:]]
+    for name, values in assumed.joints.items():
+        words = ", ".join(f"{key} = {value!r}" for key, value in values.items())
+        revolute = tree.joints[tree.index(name)].revolute
+        units = ", ".join(_UNITS[key][0 if revolute else 1] for key in values)
+        lines.append(f"{_key(name)} = {{ {words} }}".ljust(COLUMN) + f"  # {units}")
+    return lines
+
+
+_REASONS = {
+    "coulomb": "friction: the model file has none for these",
+    "rotor_inertia": "rotors: these are too light without, in some posture or for their friction",
+    "max_effort": "max_effort: the model file's holds the robot in no posture",
+}
+_UNITS = {
+    "coulomb": ("N m", "N"),
+    "viscous": ("N m s/rad", "N s/m"),
+    "rotor_inertia": ("kg m^2", "kg"),
+    "max_effort": ("N m", "N"),
+}
 
 
 def _body(name: str, body: Inertia) -> str:
@@ -180,37 +167,7 @@ def _repairs(repair: Repair) -> Iterator[str]:
         yield f"  and {len(repair.flaws) - NAMED} more"
 
 
-def _friction(joint: Joint, load: float, speed: float) -> str:
-    load = min(load, OF_MOTOR / DRY * joint.max_effort)
-    dry, viscous = _short(DRY * load), _short(VISCOUS * load / speed)
-    units = "N m, N m s/rad" if joint.revolute else "N, N s/m"
-    said = f"{_key(joint.name)} = {{ coulomb = {dry}, viscous = {viscous} }}"
-    return f"{said.ljust(COLUMN)}  # {units}"
-
-
-def _calm(tree: Tree) -> Array:
-    """Velocities of a calm motion inside the limits, (n,) [rad/s or m/s]."""
-    usual = np.array([CALM[joint.kind][1] for joint in tree.joints])
-    return np.asarray(np.minimum(limits_of(tree).velocity, usual))
-
-
-def _load(tree: Tree, speed: Array) -> Array:
-    """Rms of the joint forces in random motion up to a speed, (n,) [N m or N]."""
-    limits, rng = limits_of(tree), np.random.default_rng(0)
-
-    def within(size: Array) -> Array:
-        return rng.uniform(-1, 1, (POSTURES, tree.n)) * size
-
-    motion = Motion(
-        np.arange(float(POSTURES)),
-        limits.middle + within(limits.half),
-        within(speed),
-        within(limits.acceleration),
-    )
-    return np.asarray(np.sqrt(np.mean(joint_forces(tree, motion) ** 2, axis=0)))
-
-
-def _motion(tree: Tree) -> list[str]:
+def _motion(tree: Tree, needs: Needs) -> list[str]:
     limits = limits_of(tree)
     many = tree.n > MANY
     lines = [
@@ -220,56 +177,98 @@ def _motion(tree: Tree) -> list[str]:
         _said("fundamental", 0.1, "Hz; it repeats after its inverse"),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
-    return lines + _limits(tree, limits) + (_APART if many else [])
+    return lines + _limits(tree, limits, needs.pace)
 
 
-_APART = [
-    "",
-    "[excitation]",
+def _apart(tree: Tree, assumed: Assumptions, needs: Needs) -> list[str]:
+    """What clearance is kept, where it is not the usual one."""
+    if tree.n > MANY or needs.nothing_clear:
+        return [
+            "",
+            "[excitation]",
+            *(_MANY_JOINTS if tree.n > MANY else _NOTHING_CLEAR),
+            'clearance = "off"',
+        ]
+    lines = []
+    if assumed.clearance is not None:
+        lines.append(_said("clearance", assumed.clearance, "m; ASSUMED: the robot is small"))
+    if needs.exclude:
+        lines.append("# ASSUMED: these touch, or come too near, in the posture that is freest")
+        lines.append(f"exclude = {[list(pair) for pair in needs.exclude]}".replace("'", '"'))
+    return ["", "[excitation]", *lines] if lines else []
+
+
+_MANY_JOINTS = (
     "# ASSUMED: random motions of so many joints that keep clear of the robot are tiny. In the",
     "# simulation nothing collides; for a real robot take the line out, or use testbed excite.",
-    'clearance = "off"',
-]
+)
+_NOTHING_CLEAR = (
+    "# ASSUMED: no random motion keeps clear of the robot, whatever pairs are left out. In the",
+    "# simulation nothing collides; for a real robot give limits of the joints.",
+)
 
 
-def _limits(tree: Tree, limits: Limits) -> list[str]:
+def _limits(tree: Tree, limits: Limits, pace: float) -> list[str]:
     """Velocities and accelerations by joint, said where they come from."""
+    assumed = "ASSUMED" if pace == 1 else "ASSUMED: so slow, since the robot went astray faster"
     lines = ["", "[motion.max_velocity]  # rad/s or m/s"]
-    for joint, speed in zip(tree.joints, limits.velocity, strict=True):
-        known = np.isfinite(joint.max_velocity)
-        lines.append(_said(joint.name, _float(speed), "the model file's" if known else "ASSUMED"))
+    for joint, speed in zip(tree.joints, pace * limits.velocity, strict=True):
+        known = pace == 1 and np.isfinite(joint.max_velocity)
+        lines.append(_said(joint.name, _float(speed), "the model file's" if known else assumed))
     lines += ["", "[motion.max_acceleration]  # rad/s^2 or m/s^2"]
-    for joint, rate in zip(tree.joints, limits.acceleration, strict=True):
-        lines.append(_said(joint.name, _float(rate), "ASSUMED"))
+    for joint, rate in zip(tree.joints, pace * limits.acceleration, strict=True):
+        lines.append(_said(joint.name, _float(rate), assumed))
     return lines
 
 
-def _instrument(tree: Tree) -> list[str]:
+def _instrument(assumed: Assumptions) -> list[str]:
     """A cheap plate and encoder (docs/instruments.md)."""
+    share = f"{PLATE_NOISE:.1%} of the robot's rms"
     return [
         "",
         "[measurement]  # ASSUMED: a cheap plate and encoder (docs/instruments.md); put your own",
         _said("rate", 1000.0, "Hz"),
         _said("encoder_resolution", 1e-4, "rad or m, joint side: 16 bits a turn"),
         _said("encoder_noise", 1e-4, "rad or m"),
-        _said("force_noise", 0.5, "N, of Fx Fy Fz"),
-        _said("moment_noise", 0.1, "N m, of Mx My Mz"),
-        _said("torque_noise", 0.5, "N m or N"),
+        _said("force_noise", assumed.force_noise, f"N, of Fx Fy Fz; {share}"),
+        _said("moment_noise", assumed.moment_noise, f"N m, of Mx My Mz; {share}"),
+        _said(
+            "torque_noise",
+            assumed.torque_noise,
+            f"N m or N; {TORQUE_NOISE:.1%} of the joints' rms",
+        ),
+    ]
+
+
+def _torque_constants(tree: Tree) -> list[str]:
+    return [
         "",
         "[measurement.torque_constant_error]  # ASSUMED, as data sheets allow: 0.05 shows 5 % more",
         *(
             _said(name, error, "")
             for name, error in zip(tree.names, _alternating(tree.n), strict=True)
         ),
+    ]
+
+
+def _further(assumed: Assumptions, needs: Needs) -> list[str]:
+    """More faults, the simulation, the identification."""
+    usual = "s; half of it is twice as exact and half as fast"
+    small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
+    rotors = [
+        f"rotor/{name}" for name, values in assumed.joints.items() if "rotor_inertia" in values
+    ]
+    return [
         "",
         "# [[measurement.fault]]  # more that may be wrong: testbed faults",
         '# kind = "plate_pose"',
         "",
         "[simulation]",
-        _said("step", 5e-4, "s; half of it is twice as exact and half as fast"),
+        _said("step", needs.step, usual if needs.step == STEPS[0] else small),
         "",
         "[identification]",
         _said("zeros", False, "true: what is zero in the model file is known to be zero"),
+        *([_said("terms", ["coulomb", "viscous", *rotors], "")] if rotors else []),
     ]
 
 
@@ -277,7 +276,7 @@ def _alternating(count: int) -> list[float]:
     return [0.05 if k % 2 == 0 else -0.05 for k in range(count)]
 
 
-def _claims(tree: Tree) -> list[str]:
+def _claims() -> list[str]:
     return [
         "",
         "[expect]  # the claim; exit code 1 if a bound fails. Take the # off and put your own",
@@ -299,10 +298,6 @@ def _key(name: str) -> str:
 
 def _list(numbers: Sequence[float] | Array) -> str:
     return f"[{', '.join(repr(float(x)) for x in numbers)}]"
-
-
-def _short(value: float) -> str:
-    return repr(float(f"{value:.2g}"))
 
 
 def _float(value: float) -> float:

@@ -12,9 +12,10 @@ import pytest
 import testbed as tb
 from testbed.errors import InertiaError, TestbedError
 from testbed.excitation.limits import limits_of
+from testbed.experiment.assumptions import DRY
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.motions import motion_of
-from testbed.experiment.new_experiment import DRY, new_experiment
+from testbed.experiment.new_experiment import new_experiment
 from testbed.robot.load import nearest_bodies
 from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.runs import MODELS
@@ -22,7 +23,7 @@ from tests.helpers.runs import MODELS
 
 def written(model: Path, folder: Path) -> tb.Experiment:
     file = folder / "new.toml"
-    file.write_text(new_experiment(model, folder), encoding="utf-8")
+    file.write_text(new_experiment(model, folder, tried=False), encoding="utf-8")
     return tb.Experiment.load(file)
 
 
@@ -48,7 +49,7 @@ def test_what_it_says_is_the_model_s(name: str, tmp_path: Path) -> None:
 
 def test_every_default_that_it_shows_is_one(tmp_path: Path) -> None:
     """Lines in comments are taken as they stand: the experiment stays the same."""
-    text = new_experiment(MODELS["puma"], tmp_path)
+    text = new_experiment(MODELS["puma"], tmp_path, tried=False)
     (tmp_path / "new.toml").write_text(text)
     shown = text.replace("# gravity", "gravity")
     (tmp_path / "shown.toml").write_text(shown)
@@ -118,7 +119,7 @@ def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path)
     """To the last digits; every word of them is also told, the first few by name."""
     path = REAL / "icub_description/robots/icub_reduced.urdf"
     said: list[str] = []
-    (tmp_path / "new.toml").write_text(new_experiment(path, tmp_path, say=said.append))
+    (tmp_path / "new.toml").write_text(new_experiment(path, tmp_path, tried=False, say=said.append))
     experiment = tb.Experiment.load(tmp_path / "new.toml")
     found = nearest_bodies(path, weld_root=experiment.weld_root)
     assert set(experiment.robot.repair) == set(found.bodies)

@@ -70,6 +70,14 @@ def test_the_narrower_effort_limit_counts(tmp_path: Path) -> None:
     assert tb.load_tree(path).joints[0].max_effort == 2.0
 
 
+def test_room_for_postures_and_bodies_to_be_dragged_do_no_harm(tmp_path: Path) -> None:
+    marker = '<body name="marker" mocap="true" pos="1 0 0"><geom size=".1"/></body>'
+    path = arm(tmp_path / "r.xml", around=marker, more='<size nkey="3"/>')
+    tree = tb.load_tree(path)
+    assert masses(tree) == [2.0, 1.5]
+    build_plant(ModelFile(path), tree, 1e-3)
+
+
 TENDON = '<tendon><fixed name="t" {}><joint joint="j1" coef="1"/></fixed></tendon>'
 HIDDEN = {
     "spring": {"joint": 'stiffness="5" springref="1"'},

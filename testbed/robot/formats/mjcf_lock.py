@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import ModelError
+from testbed.errors import LoopError, MimicError, ModelError
 from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, stated_inertias
 from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 
@@ -32,11 +34,17 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
             another that moves.
         UnknownName: A joint to be held is not there.
     """
-    couplings = _couplings(spec, path)
-    if not lock and not couplings:
+    couplings, loops = _couplings(spec)
+    if not lock and not couplings and not loops:
         return ()
     model = _resolved(spec, path)
-    held, warnings = held_positions(_travels(model, couplings), lock, path.name)
+    travels = _travels(model, couplings)
+    try:
+        held, warnings = held_positions(travels, lock, path.name)
+    except MimicError:
+        _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
+        raise
+    _check_loops(loops, travels, held, path)
     _drop_tendons(spec, held, path)
     for numeric in list(spec.numerics):
         if numeric.name.removeprefix(VELOCITY_LIMIT) in held:
@@ -47,27 +55,94 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
     return warnings
 
 
-def followers(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
+def _check_loops(
+    loops: Mapping[str, tuple[str, ...]], travels: Mapping[str, Travel], held: Lock, path: Path
+) -> None:
+    for constraint, joints in loops.items():
+        moving = {
+            name: travels[name].rest for name in joints if name in travels.keys() - held.keys()
+        }
+        if moving:
+            raise LoopError(path.name, constraint, moving)
+
+
+def followers(spec: mujoco.MjSpec) -> tuple[str, ...]:
     """The joints of a model that follow others that move."""
-    return tuple(name for name, (master, _) in _couplings(spec, path).items() if master)
+    return tuple(name for name, (master, _) in _couplings(spec)[0].items() if master)
 
 
-def _couplings(spec: mujoco.MjSpec, path: Path) -> dict[str, tuple[str | None, Array]]:
-    """Joints that follow others: whom, and five coefficients; taken out of `spec`.
+_Couplings: TypeAlias = dict[str, tuple[str | None, Array]]
+"""By follower: whom it follows, and five coefficients; both positions are counted from the file's
+posture."""
 
-    Both positions are counted from the file's posture there.
-    """
-    found: dict[str, tuple[str | None, Array]] = {}
-    for equality in list(spec.equalities):
+
+def _couplings(spec: mujoco.MjSpec) -> tuple[_Couplings, dict[str, tuple[str, ...]]]:
+    """Joints that follow others, and joints along loops by constraint; taken out of `spec`."""
+    found: _Couplings = {}
+    loops: dict[str, tuple[str, ...]] = {}
+    for number, equality in enumerate(list(spec.equalities), start=1):
         if equality.active:
-            follower, master = equality.name1, equality.name2
-            if equality.type != mujoco.mjtEq.mjEQ_JOINT or follower in found:
-                raise ModelError(
-                    f"{path}: equality constraint '{equality.name}' between '{follower}' and "
-                    f"'{master}' closes a loop, which is not supported"
+            coupled = _coupled(spec, equality)
+            if coupled is not None and coupled[0] not in found:
+                found[coupled[0]] = coupled[1:]
+            else:
+                ends = " and ".join(
+                    f"'{name}'" for name in (equality.name1, equality.name2) if name
                 )
-            found[follower] = (master or None, np.array(equality.data[:5]))
+                kind = equality.type.name.removeprefix("mjEQ_").lower()
+                label = f"'{equality.name}'" if equality.name else f"<{kind}> (number {number})"
+                loops[f"{label} on {ends}"] = _along(spec, equality)
         spec.delete(equality)  # an inactive one does nothing
+    return found, loops
+
+
+def _coupled(
+    spec: mujoco.MjSpec, equality: mujoco.MjsEquality
+) -> tuple[str, str | None, Array] | None:
+    """Follower, master and coefficients of a constraint that couples two joints; None of another.
+
+    A tendon of two joints that keeps its length does so: c1 q1 + c2 q2 = length.
+    """
+    data = np.array(equality.data[:5])
+    if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+        return equality.name1, equality.name2 or None, data
+    if equality.type != mujoco.mjtEq.mjEQ_TENDON or equality.name2:
+        return None
+    wraps = list(spec.tendon(equality.name1).path)
+    if len(wraps) != 2 or any(wrap.type != mujoco.mjtWrap.mjWRAP_JOINT for wrap in wraps):
+        return None
+    (first, own), (second, other) = ((wrap.target.name, wrap.coef) for wrap in wraps)
+    return first, second, np.array([data[0] / own, -other / own, 0.0, 0.0, 0.0])
+
+
+def _along(spec: mujoco.MjSpec, equality: mujoco.MjsEquality) -> tuple[str, ...]:
+    """The joints that move what a constraint joins."""
+    names = [name for name in (equality.name1, equality.name2) if name]
+    if equality.type == mujoco.mjtEq.mjEQ_JOINT:
+        return tuple(names)
+    if equality.type == mujoco.mjtEq.mjEQ_TENDON:
+        wraps = [wrap for name in names for wrap in spec.tendon(name).path]
+        ends = [wrap.target for wrap in wraps]
+        joints = [e.name for e, w in zip(ends, wraps, strict=True) if w.type == _JOINT]
+        bodies = [e.parent for e, w in zip(ends, wraps, strict=True) if w.type == _SITE]
+    else:
+        on_sites = equality.objtype == mujoco.mjtObj.mjOBJ_SITE
+        joints, bodies = [], [spec.site(n).parent if on_sites else spec.body(n) for n in names]
+    chains = [_carriers(body) for body in bodies]
+    for chain in chains:  # what carries both ends does not move one against the other
+        joints += [n for n in chain if len(chains) == 1 or not all(n in c for c in chains)]
+    return tuple(dict.fromkeys(joints))
+
+
+_JOINT, _SITE = mujoco.mjtWrap.mjWRAP_JOINT, mujoco.mjtWrap.mjWRAP_SITE
+
+
+def _carriers(body: mujoco.MjsBody) -> list[str]:
+    """Joints between a body and the world."""
+    found: list[str] = []
+    while body.name != "world":
+        found += [joint.name for joint in body.joints]
+        body = body.parent
     return found
 
 
@@ -79,9 +154,7 @@ def _resolved(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     return compile_spec(copy, path)
 
 
-def _travels(
-    model: mujoco.MjModel, couplings: dict[str, tuple[str | None, Array]]
-) -> dict[str, Travel]:
+def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
     names = [model.joint(j).name for j in range(model.njnt)]
     zero = {name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)}
     travels = {}

@@ -61,7 +61,7 @@ def open_spec(
 
 def follower_names(path: Path) -> tuple[str, ...]:
     """The joints of an MJCF file that follow others that move."""
-    return followers(parsed(path), path)
+    return followers(parsed(path))
 
 
 def parsed(path: Path) -> mujoco.MjSpec:
@@ -79,7 +79,21 @@ def parsed(path: Path) -> mujoco.MjSpec:
         except Exception as error:  # MuJoCo raises ValueError and its own FatalError
             raise ModelError(f"{path}: not a valid MJCF: {one_line(error)}") from None
     _name_everything(spec)
+    _release_mocap(spec)
     return spec
+
+
+def _release_mocap(spec: mujoco.MjSpec) -> None:
+    """Take out what welds a robot to bodies that a program moves: these drive it, as motors do."""
+    moved = {body.name for body in spec.bodies if body.mocap}
+    for equality in list(spec.equalities):
+        if equality.objtype == mujoco.mjtObj.mjOBJ_BODY and moved & {
+            equality.name1,
+            equality.name2,
+        }:
+            spec.delete(equality)
+    for body in spec.bodies:
+        body.mocap = False
 
 
 def _name_everything(spec: mujoco.MjSpec) -> None:
@@ -113,4 +127,6 @@ def _strip(spec: mujoco.MjSpec) -> None:
         for asset in list(assets):
             spec.delete(asset)
     spec.memory = spec.njmax = spec.nconmax = -1
-    spec.nuserdata = 0
+    spec.nuserdata = spec.nkey = 0
+    for body in spec.bodies:
+        body.mocap = False  # nobody moves it: it stands still

@@ -1,0 +1,199 @@
+"""What `new` assumes of a robot where its model file does not say it: by its masses and limits."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
+from testbed.dynamics.motion import Motion
+from testbed.excitation.limits import CALM, limits_of
+from testbed.excitation.rest_posture import easiest_posture
+from testbed.experiment.experiment_tables import ExcitationTable, SimulationTable
+from testbed.robot.friction import COULOMB, ROTOR, VISCOUS
+from testbed.robot.tree import Tree
+from testbed.simulation.controller import mass_matrices
+
+POSTURES = 200
+"""Random states in which joints and plate are loaded."""
+DRY, VISCOUS_SHARE = 0.05, 0.03
+"""Assumed friction, as shares of a joint's load: dry, and viscous at its velocity there."""
+OF_MOTOR = 0.05
+"""Most of the motor's effort that dry friction is assumed to take."""
+PLATE_NOISE = 0.004
+"""Assumed noise of forces and of moments, as a share of their rms."""
+TORQUE_NOISE = 0.025
+"""Assumed noise of joint torques, as a share of their rms."""
+LEAST_LEVER = 1e-3
+"""Noise of moments is at least that of forces at this lever [m]."""
+LIGHT = 1e-3
+"""A joint whose inertia falls below this share of its usual one, the others free to give way,
+cannot be controlled: axes of joints fall into one there, with next to nothing between them."""
+ROTOR_SHARE = 0.01
+"""Assumed inertia of such a joint's rotor, as a share of its usual inertia."""
+OFF_COURSE = 0.05
+"""How far dry friction may hold a joint back from where its drive wants it [rad or m]: a drive
+whose forces go by the inertia moves what is lighter only with a rotor."""
+HELD = 0.9
+"""Share of motor efforts that a posture may take, to be held."""
+STRONGER = 2.0
+"""Times what the easiest posture asks of them, motors that cannot hold it are assumed to give."""
+STEPS = (5e-4, 2.5e-4, 1e-4, 5e-5, 2.5e-5, 1e-5)
+"""Simulation steps to choose from [s]; all divide a millisecond."""
+STABLE = 1.0
+"""Step times the fastest decay by viscous friction: Runge-Kutta's method is stable up to 2.8."""
+OF_SIZE = 0.05
+"""Clearance kept by a robot that is small, as a share of its size."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assumptions:
+    """What is assumed of a robot.
+
+    Attributes:
+        joints: By joint, in their order: `coulomb` and `viscous` where the model file has no
+            friction, `rotor_inertia` where the joint could not be controlled without, and
+            `max_effort` where the file's holds the robot in no posture; units as in Joint.
+        force_noise: Of the plate [N].
+        moment_noise: Of the plate [N m].
+        torque_noise: Of the drives [N m or N].
+        step: Of the simulation [s].
+        clearance: That a small robot keeps [m]; None for the usual one.
+    """
+
+    joints: Mapping[str, Mapping[str, float]]
+    force_noise: float
+    moment_noise: float
+    torque_noise: float
+    step: float
+    clearance: float | None
+
+
+def assumptions(tree: Tree) -> Assumptions:
+    """What is assumed of a robot.
+
+    Args:
+        tree: As its model file has it.
+    """
+    states = _random_states(tree)
+    torques, wrench = joint_forces(tree, states), base_wrench(tree, states)
+    friction, matrices = _friction(tree, _rms(torques)), mass_matrices(tree, states.q)
+    rubbing = tree.with_joints(friction)
+    rotors = _rotors(rubbing, matrices)
+    whole = rubbing.with_joints(rotors)
+    found = (friction, rotors, _efforts(whole))
+    joints = {
+        name: {k: v for part in found for k, v in part.get(name, {}).items()} for name in tree.names
+    }
+    force, moment, torque = (
+        float(_rms(part.ravel())) for part in (wrench[:, :3], wrench[:, 3:], torques)
+    )
+    force_noise = PLATE_NOISE * force
+    return Assumptions(
+        joints={name: values for name, values in joints.items() if values},
+        force_noise=rounded(force_noise, 1),
+        moment_noise=rounded(max(PLATE_NOISE * moment, LEAST_LEVER * force_noise), 1),
+        torque_noise=rounded(TORQUE_NOISE * torque, 1),
+        step=_step(whole, matrices),
+        clearance=_clearance(tree),
+    )
+
+
+def rounded(value: float, digits: int) -> float:
+    """A value to so many significant digits."""
+    return float(f"{value:.{digits}g}")
+
+
+def calm_speeds(tree: Tree) -> Array:
+    """Velocities of a calm motion inside the limits, (n,) [rad/s or m/s]."""
+    usual = np.array([CALM[joint.kind][1] for joint in tree.joints])
+    return np.asarray(np.minimum(limits_of(tree).velocity, usual))
+
+
+def _random_states(tree: Tree) -> Motion:
+    """Random motion up to calm speeds."""
+    limits, rng = limits_of(tree), np.random.default_rng(0)
+
+    def within(size: Array) -> Array:
+        return rng.uniform(-1, 1, (POSTURES, tree.n)) * size
+
+    return Motion(
+        np.arange(float(POSTURES)),
+        limits.middle + within(limits.half),
+        within(calm_speeds(tree)),
+        within(limits.acceleration),
+    )
+
+
+def _rms(values: Array) -> Array:
+    """Column by column."""
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
+    """Of the joints that have none, in proportion to their loads, (n,) [N m or N]."""
+    found = {}
+    for joint, load, speed in zip(tree.joints, loads, calm_speeds(tree), strict=True):
+        if not (joint.coulomb or joint.viscous):
+            rubs = min(float(load), OF_MOTOR / DRY * joint.max_effort)
+            found[joint.name] = {
+                "coulomb": rounded(DRY * rubs, 2),
+                "viscous": rounded(VISCOUS_SHARE * rubs / speed, 2),
+            }
+    return found
+
+
+def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
+    """Rotors of joints that are too light, in some posture or for their friction."""
+    diagonal = np.diagonal(matrices, axis1=1, axis2=2)
+    usual, own = _rms(diagonal), ROTOR.coefficients(tree)
+    whole = matrices + np.diag(own + 1e-12 * usual.max())
+    free = 1 / np.diagonal(np.linalg.inv(whole), axis1=1, axis2=2)
+    light = np.asarray((free < LIGHT * usual).any(axis=0))
+    moved = COULOMB.coefficients(tree) / (SimulationTable().bandwidth ** 2 * OFF_COURSE)
+    wanted = np.maximum(light * ROTOR_SHARE * usual, (moved > usual + own) * moved)
+    return {
+        name: {"rotor_inertia": rounded(float(inertia), 2)}
+        for name, inertia in zip(tree.names, wanted, strict=True)
+        if inertia > own[tree.index(name)]
+    }
+
+
+def _efforts(tree: Tree) -> dict[str, dict[str, float]]:
+    """Efforts of motors that do not hold the robot even where that asks least of them."""
+    posture, nothing = easiest_posture(tree, limits_of(tree))[None], np.zeros((1, tree.n))
+    asked = np.abs(joint_forces(tree, Motion(np.zeros(1), posture, nothing, nothing))[0])
+    asked += np.array([joint.coulomb for joint in tree.joints])
+    return {
+        joint.name: {"max_effort": rounded(STRONGER * float(need), 2)}
+        for joint, need in zip(tree.joints, asked, strict=True)
+        if need > HELD * joint.max_effort
+    }
+
+
+def _step(tree: Tree, matrices: Array) -> float:
+    """The largest step in which what friction brakes is followed [s]."""
+    inertia = matrices + np.diag(ROTOR.coefficients(tree))
+    brakes = np.diag(VISCOUS.coefficients(tree))
+    fastest = float(np.abs(np.linalg.eigvals(np.linalg.solve(inertia, brakes))).max())
+    return next((step for step in STEPS if step * fastest <= STABLE), STEPS[-1])
+
+
+def _clearance(tree: Tree) -> float | None:
+    """What a robot keeps for which the usual clearance is much of its own size [m]."""
+    usual = ExcitationTable().clearance
+    assert not isinstance(usual, str)
+    kept = rounded(OF_SIZE * _size(tree), 1)
+    return kept if kept < usual else None
+
+
+def _size(tree: Tree) -> float:
+    """How far bodies reach from the first joint that carries them [m]."""
+    away = np.zeros(tree.n)
+    for j, joint in enumerate(tree.joints):
+        if joint.parent >= 0:
+            away[j] = away[joint.parent] + np.linalg.norm(joint.offset)
+    return float(np.max(away + [np.linalg.norm(body.com) for body in tree.inertias]))

@@ -1,0 +1,98 @@
+"""A robot as `new` can take it: its root welded, its bodies repaired, what no tree moves held."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
+from testbed.robot.load import mimic_joints, nearest_bodies
+from testbed.robot.locks import Travel
+from testbed.robot.model_file import ModelFile
+from testbed.robot.repair import Bodies, Repair
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True)
+class RobotFound:
+    """A robot, and how its model file had to be read.
+
+    Attributes:
+        tree: The robot.
+        weld_root: Whether a floating root is welded.
+        lock_mimic: Whether joints that follow others are held.
+        lock: Other joints that are held, and where [rad or m].
+        repair: Of bodies that cannot be.
+    """
+
+    tree: Tree
+    weld_root: bool
+    lock_mimic: bool
+    lock: Mapping[str, float]
+    repair: Repair
+
+
+def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
+    """Read the file; weld its root and hold what no tree can move, if that is what it takes.
+
+    Args:
+        model: MJCF or URDF.
+        repair: Bodies in place of the file's; None for the nearest that can be.
+
+    Raises:
+        ModelError: The file cannot be read, or nothing in it moves that has a mass.
+    """
+    weld, masters, lock = False, set[str](), dict[str, float]()
+    while True:
+        try:
+            held: dict[str, float | None] = dict.fromkeys(mimic_joints(model)) if masters else {}
+            tree = ModelFile(model, weld, repair, held | lock).tree()
+            break
+        except FreeRootError:
+            if weld:
+                raise
+            weld = True
+        except MimicError as error:
+            if masters:
+                raise
+            masters = set(error.masters.values())
+        except LoopError as error:
+            lock |= error.joints
+    further = _grippers(tree, masters) | _stuck(tree)
+    if further:
+        lock |= further
+        tree = ModelFile(model, weld, repair, held | lock).tree()
+    if not any(inertia.mass for inertia in tree.inertias):
+        raise ModelError(
+            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
+        )
+    nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
+    return RobotFound(tree, weld, bool(masters), lock, nearest)
+
+
+def _stuck(tree: Tree) -> dict[str, float]:
+    """Joints whose range is one position, and that; none if no joint moves."""
+    found = {
+        j.name: _short(j.position_range[0]) for j in tree.joints if not np.ptp(j.position_range)
+    }
+    return found if len(found) < tree.n else {}
+
+
+def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
+    """Joints that others follow and that carry none, and where they rest: a gripper's fingers.
+
+    Their stroke is too short for their masses to be told.
+    """
+    carrying = {joint.parent for joint in tree.joints}
+    own = [j for j, name in enumerate(tree.names) if name in masters and j not in carrying]
+    if len(own) == tree.n:  # the robot is a gripper
+        return {}
+    joints = [tree.joints[j] for j in own]
+    return {joint.name: _short(Travel(*joint.position_range).rest) for joint in joints}
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.6g}")
