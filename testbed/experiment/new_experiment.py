@@ -30,6 +30,8 @@ OF_MOTOR = 0.05
 """Most of the motor's effort that dry friction is assumed to take."""
 COLUMN = 56
 """Where comments begin."""
+NAMELESS = ("robot", "model", "scene")
+"""Names of files that are no robot's; a run is then named for the robot."""
 MANY = 12
 """Joints above which runs are kept short."""
 
@@ -108,13 +110,18 @@ def _head(model: Path, folder: Path, found: _Reading) -> list[str]:
         "# It runs as it is: testbed run FILE. What the model file does not say is marked ASSUMED.",
         "# Lines that begin with # are defaults; every key is in docs/experiments.md.",
         "",
-        _said("name", run_name(model), "of the run folder"),
+        _said("name", run_name(_named(model, found.tree)), "of the run folder"),
         _said("claim", "", "what the experiment shows, in a sentence"),
         _said("model", place, "relative to this file"),
         _said("seed", 0, "of the motion and of all noise"),
         *([_said("weld_root", True, "the model floats: held on the plate")] * found.weld_root),
         f"# gravity = {_list(tree.gravity)}".ljust(COLUMN) + "  # m/s^2, the model file's",
     ]
+
+
+def _named(model: Path, tree: Tree) -> Path:
+    """The model file, or one of the robot's name where the file's name says nothing."""
+    return Path(f"{tree.name}{model.suffix}") if model.stem in NAMELESS else model
 
 
 def _robot(found: _Reading) -> list[str]:
