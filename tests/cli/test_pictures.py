@@ -55,7 +55,7 @@ def test_a_recordings_report_needs_a_model_and_takes_settings(
     assert (done.returncode, done.stderr) == (0, "")
     numbers = json.loads((tmp_path / "page.json").read_text())
     assert not numbers["has_truth"]
-    assert [row["name"] for row in numbers["parameters"]][:2] == ["mb3z", "K3yy"]
+    assert [row["name"] for row in numbers["parameters"]][:2] == ["mbar1", "mb*2z"]
     assert numbers["figures"][0]["title"].endswith("the motion that was identified")
     assert "on rows 8 Hz" in dict(numbers["asked"])["identification"]
 

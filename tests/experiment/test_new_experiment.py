@@ -182,3 +182,11 @@ def test_assumed_errors_of_torque_constants_alternate(tmp_path: Path) -> None:
         said = written(MODELS[name], tmp_path).measurement.torque_constant_error
         gains = np.array(list(said.values()))
         np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
+
+
+def test_a_run_is_named_for_the_robot_where_the_file_says_nothing(tmp_path: Path) -> None:
+    text = (ROOT / "models/puma562.xml").read_text()
+    for name, wanted in (("robot", "puma562"), ("mine", "mine")):
+        model = tmp_path / f"{name}.xml"
+        model.write_text(text)
+        assert written(model, tmp_path).name == wanted

@@ -70,8 +70,8 @@ def test_an_unknown_zero_is_no_fault_of_a_prediction() -> None:
     """The same plate shows it along another motion, too."""
     tree = tb.load_tree(ROBOTS["puma"])
     found = tb.identify(tree, off(tree, 5.0))
-    other = measured(tree, 1)
-    other = replace(other, wrench=other.measured("wrench") + [5.0, -3.0, 8.0, 1.0, 1.0, 0.5])
+    other, zero = measured(tree, 1), np.array([5.0, -3.0, 8.0, 1.0, 1.0, 0.5])
+    other = replace(other, wrench=other.measured("wrench") + zero)
     held = tb.validate(tree, other, found)
     assert held.findings == ()
     assert np.nanmax(held.ratio) < 2

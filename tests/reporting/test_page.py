@@ -17,6 +17,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import summary, verdict
 from testbed.experiment.unseen import validated
 from testbed.identification.estimate import METHODS, SIGNAL_OF
+from testbed.identification.influence import by_influence
 from testbed.recordings.recording import Recording
 from testbed.reporting.contents import LONGEST, contents
 from testbed.reporting.facts import asked
@@ -70,8 +71,7 @@ def test_the_report_says_what_was_found(page: Path, puma_run: Run) -> None:
             assert cell["z"] == pytest.approx(z)
             assert 0 <= cell["left"] <= cell["left"] + cell["width"] <= 100.05
             assert (cell["left"] >= 50) == (z > 0)
-    names = [*puma_run.estimates["internal"].base.names, *puma_run.estimates["external"].names]
-    assert list(rows)[: len(set(names))] == list(dict.fromkeys(names))
+    assert list(rows) == by_influence(puma_run.estimates.values(), puma_run.truths)
 
 
 def test_tables_say_what_the_figures_show(page: Path, puma_run: Run, other: Recording) -> None:
