@@ -106,13 +106,15 @@ class Writing:
         from testbed.identification.open_counted import open_counted
         from testbed.identification.prior_choice import consistent_by_held_out
         from testbed.recordings.coupled_gear import with_gear
+        from testbed.reporting import output
 
         tree = with_gear(reading.tree(model), source)
         wishes = reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
         part = open_counted(source, reading.tables().identification)
-        return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
+        with output.Progress("looking for consistent bodies"):
+            return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]

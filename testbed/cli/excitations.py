@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -78,9 +79,8 @@ def excite(
     check_writable(out, trajectory, page)
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
-    note([_budget(experiment)])
     with output.Progress("searching") as progress, _interrupt() as interrupted:
-        found = excited(experiment, _Searching(progress), known, interrupted)
+        found = excited(experiment, _Searching(progress, _budget(experiment)), known, interrupted)
     with output.Progress("writing"):
         if trajectory is not None:
             write_trajectory(trajectory, found, rate)
@@ -111,14 +111,17 @@ def _budget(experiment: Experiment) -> str:
 
 
 class _Searching:
-    """Shows the best so far, and how long all steps of all searches would take."""
+    """Says the budget, then the best so far and how long all steps of all searches would take."""
 
-    def __init__(self, progress: Progress) -> None:
-        self._progress, self._steps, self._began = progress, 0, time.monotonic()
+    def __init__(self, progress: Progress, budget: str) -> None:
+        self._progress, self._budget = progress, budget
+        self._steps, self._began = 0, time.monotonic()
 
     def __call__(self, done: int, total: int, best: float) -> None:
         from testbed.excitation.barrier_search import STEPS
 
+        if not self._steps and not sys.stderr.isatty():  # a terminal has the bar
+            note([self._budget])
         self._steps += 1
         most = (time.monotonic() - self._began) / self._steps * STEPS * total
         self._progress.say(

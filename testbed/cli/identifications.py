@@ -112,8 +112,7 @@ def identify(
     estimates = [estimate_of(source, name) for name in there or wanted]  # the first says what lacks
     bodies = None
     if writing.wanted:
-        with output.Progress("looking for consistent bodies"):
-            bodies = writing.bodies(reading, model, source, estimates, estimate_of)
+        bodies = writing.bodies(reading, model, source, estimates, estimate_of)
         warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         content = identified_as_json(estimates, reading.model_file(model), reading.tables())
