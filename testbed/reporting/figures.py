@@ -65,7 +65,7 @@ STYLE: dict[Any, Any] = {
 }
 WIDTH, HEIGHT = 4.1, 1.85
 """Of a plot [inches]."""
-LEFT, RIGHT, BOTTOM, TOP = 0.47, 0.06, 0.45, 0.2
+LEFT, RIGHT, BOTTOM, TOP = 0.47, 0.18, 0.45, 0.2
 """Around its axes [inches]."""
 LOWER = 0.68
 """Height of axes that stand below others [inches]."""
