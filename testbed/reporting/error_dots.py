@@ -20,9 +20,7 @@ from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.estimate_text import ROUNDING
 from testbed.reporting.figures import (
     COLOURS,
-    COLUMNS,
     FAINT,
-    MOST_ROWS,
     STYLE,
     WIDER,
     WIDTH,
@@ -30,6 +28,7 @@ from testbed.reporting.figures import (
     labels_room,
     power_of_ten,
 )
+from testbed.reporting.named_panels import COLUMNS, MOST_ROWS
 
 MOST = 60
 """Parameters drawn; of more, those that are furthest off."""
