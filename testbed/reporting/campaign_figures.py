@@ -10,7 +10,8 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
 from testbed.identification.estimate import METHODS
-from testbed.reporting.figures import Panel, named_panels
+from testbed.reporting.figures import Panel
+from testbed.reporting.named_panels import named_panels
 
 LEGEND = {"external": "by the plate", "internal": "by joint torques"}
 

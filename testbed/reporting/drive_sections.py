@@ -11,7 +11,8 @@ from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions
 from testbed.identification.drive_findings import DriveFindings
 from testbed.identification.friction_curves import FrictionCurve
-from testbed.reporting.figures import Panel, named_panels, thinned
+from testbed.reporting.figures import Panel, thinned
+from testbed.reporting.named_panels import named_panels
 
 BAND = 2.0
 """Sigmas to either side of a curve."""

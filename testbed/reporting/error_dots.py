@@ -21,9 +21,7 @@ from testbed.identification.estimate_text import ROUNDING
 from testbed.identification.influence import by_influence
 from testbed.reporting.figures import (
     COLOURS,
-    COLUMNS,
     FAINT,
-    MOST_ROWS,
     STYLE,
     WIDER,
     WIDTH,
@@ -31,6 +29,7 @@ from testbed.reporting.figures import (
     labels_room,
     power_of_ten,
 )
+from testbed.reporting.named_panels import COLUMNS, MOST_ROWS
 
 MOST = 60
 """Parameters drawn; of more, those that add most to the predicted signals."""

@@ -11,8 +11,9 @@ from testbed.arrays import Array
 from testbed.excitation.slack import slack
 from testbed.experiment.excite import Excitation
 from testbed.files import replacing
-from testbed.reporting.figures import Panel, named_panels
+from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
+from testbed.reporting.named_panels import named_panels
 
 INSTANTS = 400
 """Of a period that are drawn."""

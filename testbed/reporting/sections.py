@@ -198,10 +198,7 @@ def _ordered(panels: Sequence[Panel]) -> str:
 def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
     rest, run = found.unexplained_torque, found.run
     assert rest is not None  # the caller has looked
-    panels, told = [], []
-    measured = next(s.measured for s in smooth.signals if s.kind == "torque")
-    unexplained = smooth.unexplained_torque
-    assert unexplained is not None
+    panels = []
     for j, joint in enumerate(run.tree.joints):
         units = ("rad/s", "N m") if joint.revolute else ("m/s", "N")
         speed = found.motion.qd[:, j]
@@ -211,7 +208,6 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         model = found.friction(grid)
         if model is not None:
             curves["internal"] = grid[:, j], model[:, j]
-        told.append(float(unexplained[:, j].std()) / max(float(measured[:, j].std()), 1e-12))
         bands = {}
         if run.drives is not None:
             nodes, torque, sigma = curve_lines(run.drives.curves[j])
@@ -236,12 +232,21 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         "legend": {"unexplained": "unexplained torque"}
         | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
-        "panels": telling_first(panels, told),
+        "panels": telling_first(panels, _unexplained_shares(smooth)),
         "shown": SHOWN_OTHERS,
         "caption": _friction_caption(modelled=modelled, curves=run.drives is not None),
         "heads": ["joint", "term", "unit", "found", "true"],
         "rows": _term_rows(run),
     }
+
+
+def _unexplained_shares(smooth: Predictions) -> list[float]:
+    """How much of each joint's torque is unexplained, noise aside."""
+    measured = next(s.measured for s in smooth.signals if s.kind == "torque")
+    rest = smooth.unexplained_torque
+    assert rest is not None  # the caller has looked
+    shares: list[float] = (rest.std(axis=0) / np.maximum(measured.std(axis=0), 1e-12)).tolist()
+    return shares
 
 
 def _friction_caption(*, modelled: bool, curves: bool) -> str:

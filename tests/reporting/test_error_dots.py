@@ -15,7 +15,7 @@ from testbed.experiment.run_folder import write_recorded, write_result
 from testbed.identification.estimate import METHODS
 from testbed.identification.influence import by_influence
 from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
-from testbed.reporting.figures import COLUMNS, MOST_ROWS
+from testbed.reporting.named_panels import COLUMNS, MOST_ROWS
 
 
 @pytest.mark.slow

@@ -19,11 +19,11 @@ from testbed.reporting.figures import (
     HEIGHT,
     WIDTH,
     Panel,
-    named_panels,
     power_of_ten,
     thinned,
     tick_label,
 )
+from testbed.reporting.named_panels import named_panels
 
 pytestmark = pytest.mark.slow
 

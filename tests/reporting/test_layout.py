@@ -117,7 +117,7 @@ def motion(puma: tb.Tree, tmp_path_factory: pytest.TempPathFactory) -> Path:
     limits, rng = limits_of(puma), np.random.default_rng(0)
     names = tuple(f"K{k}" for k in range(48))
     told: Any = SimpleNamespace(
-        names=names, sigma=np.ones(48), relative=10 ** rng.uniform(-6, 1, 48), rms=1.0
+        names=names, sigma=np.ones(48), relative=10 ** rng.uniform(-4.9, -1.1, 48), rms=1.0
     )
     collision = collision_model(puma, load_appearance(puma).shapes)
     kept = np.full(len(collision.pairs), 0.02)
