@@ -18,7 +18,7 @@ from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned, cure
 from testbed.sanity.clock_offset import ClockOffset, clock_offsets
-from testbed.sanity.sanity import ENOUGH, check_sanity
+from testbed.sanity.sanity import MOST_SAMPLES, check_sanity
 
 STILL = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -66,7 +66,7 @@ def _moving_base(source: Source) -> list[str]:
     """What is wrong where a base moves and the robot's is taken as welded."""
     if "base" not in source.signals:
         return []
-    base = source.part(0, min(source.samples, ENOUGH)).measured("base")
+    base = source.part(0, min(source.samples, MOST_SAMPLES)).measured("base")
     distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
     if distance <= STILL:
         return []

@@ -1,208 +1,559 @@
-"""The mistakes that explain a recording best, one after the other."""
+"""Which mistakes explain a recording: readings of the positions, each with all that it leaves open.
+
+A reading is the recording without some mistakes about positions. Its rows are made once; plate and
+torques are then judged by algebra: the plate's map by `plate_map`, order, senses and sizes of the
+torques by one assignment of their evidence.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError
+from testbed.parameters.barycentric import barycentric
+from testbed.parameters.minimal_set import minimal_set
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
+from testbed.robot.free_base import FREE, coordinates, poses
+from testbed.robot.rotations import from_vector
 from testbed.robot.tree import Tree
+from testbed.sanity.instants import Instants, instants
 from testbed.sanity.mistakes import (
+    AS_READ,
     MOST_JOINTS,
-    QUARTERS,
+    Frame,
     Mistake,
-    Signals,
-    mistakes_of_all,
-    mistakes_of_joints,
-    own_joints,
-    rarer_mistakes,
+    joint_map,
+    merged,
+    plate_hypotheses,
+    position_hypotheses,
+    rarer_hypotheses,
+    turned,
 )
-from testbed.sanity.model_rows import ModelRows, model_rows
-from testbed.sanity.scaled_fit import ScaledFit, scaled_fit
+from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, TURN, PlateRows, placed
+from testbed.sanity.torque_evidence import TorqueEvidence, prior_root
 
-EXPLAINED = 0.02
-"""Part of a channel's variance that rough models leave: below it nothing is odd."""
+Progress = Callable[[int, int], None]
 
-NOISY = 3.0
-"""Times the noise's own part that may be left besides."""
+WEIGHT = 2.5
+"""Of the logarithm of a channel's unexplained share [nats]: what is left lasts, and is no noise."""
 
-CONCERNS = 0.3
-"""Part of what is left that the model's bodies must make for a mistake of theirs to explain it."""
+LEAST_LEFT = 1e-4
+"""Share of a channel's variance that models leave at least."""
 
-PUSHING = 0.9
-"""Part that is left where friction would have to push."""
+TINY = 1e-5
+"""Share below which what is left says nothing more."""
 
-GOOD = 0.2
-"""What may be left of a channel where rarer mistakes are not looked for."""
+ROUGH = 0.35
+"""Sigma of the logarithm of a model file's masses."""
 
-STEP = 10.0
-"""By how much the cost must fall for a mistake to be taken up."""
+SIGN, GAIN, ORDER = 3.0, 8.0, 5.0
+"""What a torque of the other sense, one of another size, and another order must explain [nats]."""
 
-MOST = 6
-"""Mistakes in one recording."""
+LARGE = 2.5
+"""Times that a torque may be too large or too small and count as being of its size."""
 
-WIDTHS = tuple(np.deg2rad(angle) for angle in (8, 4, 2, 1, 0.5))
-"""Steps by which the angle of a zero is refined [rad]."""
+TOLERANCE = 5.0
+"""Among explanations within this of the best the one with the fewest mistakes is taken [nats]."""
+
+EXPLAINED = 1e-3
+"""Share below which, noise aside, nothing is odd about a plate's channel."""
+
+ENOUGH = 0.02
+"""Share of a channel above which an explanation is not good enough to stop at."""
+
+READ = 6
+"""Readings whose plates are judged; the others cannot come up to them."""
+
+SHIFTED, CLEAR = 5e-3, 5.0
+"""Least shift of a plate's frame that is one [m], and its sigmas."""
+
+SAID = 6
+"""Explanations that are kept, the best first."""
+
+UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
+"""Mistakes that concern all joints, which are looked at before those of some."""
+
+NEAR = 0.1
+"""By how much the ratio of gains in the best map may be off for a pair of units to be tried."""
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """Data without some mistakes, and how well they can be true.
+class Explanation:
+    """What a recording would be without some mistakes, and how well the robot explains that.
 
     Attributes:
-        mistakes: That were undone, in this order.
-        signals: What is left when they are.
-        free_gains: Whether torques are taken as multiples of what they should be.
-        rows: Of model and measurement.
-        fit: Of the model to them.
+        mistakes: That were undone.
+        left: Part of each channel's variance that is not explained, torques first, (C,).
+        noise: Part of it that is the channels' own noise, (C,).
+        cost: Minus the logarithm of how likely it is [nats].
+        map: From the recorded wrench to the bedplate's, (6, 6), if there is a wrench.
+        late: How late the wrench is [s].
+        reading: Of the positions.
+        unchanged: What is left of the torques where only theirs are not undone, (n,) or (0,).
+        sizes: Times what the masses make that torques are; nan where they do not tell, (n,) or (0,).
     """
 
     mistakes: tuple[Mistake, ...]
-    signals: Signals
-    free_gains: bool
-    rows: ModelRows
-    fit: ScaledFit
+    left: Array
+    noise: Array
+    cost: float
+    map: Array | None
+    late: float
+    reading: Reading
+    unchanged: Array
+    sizes: Array
+
+    @property
+    def count(self) -> int:
+        """How many mistakes: signs and zeros joint by joint."""
+        each = ("position_sign", "torque_sign", "zero")
+        return sum(max(1, len(m.joints)) if m.kind in each else 1 for m in self.mistakes)
+
+    def explained(self, share: float) -> bool:
+        """Whether nothing is odd, noise aside.
+
+        Args:
+            share: Part of a channel's variance that may be left.
+        """
+        return bool((self.left < share + 3 * self.noise)[-6 if self.map is not None else 0 :].all())
+
+    def told(self, *, changed: bool = True) -> Explanation:
+        """The same with torques held against what the plate has told of the parameters.
+
+        Args:
+            changed: Whether mistakes of theirs are undone.
+        """
+        return self.reading.with_told_torques(self, changed)
+
+    @property
+    def rank(self) -> float:
+        """What decides among those that explain as much."""
+        return self.count * TOLERANCE + sum(m.doubt for m in self.mistakes) + self.cost
 
 
-def as_given(tree: Tree, signals: Signals, rate: float, *, free_gains: bool = False) -> Reading:
-    """The data as they are.
+class Search:
+    """All readings of a recording that were looked at."""
 
-    Args:
-        tree: The robot, its masses roughly right.
-        signals: Positions, torques, wrench.
-        rate: Samples a second [Hz].
-        free_gains: Whether torques may be multiples of what they should be.
-    """
-    rows = model_rows(tree, signals.position, signals.torque, signals.wrench, rate)
-    return Reading((), signals, free_gains, rows, scaled_fit(rows, free_gains=free_gains))
+    def __init__(self, tree: Tree, signals: tuple[Array, Array | None, Array | None], rate: float,
+                 offset: Array, frame: Frame, progress: Progress | None = None) -> None:  # fmt: skip
+        """Nothing yet.
+
+        Args:
+            tree: The robot, its masses roughly right.
+            signals: Position (M, n), torque (M, n), wrench (M, 6); the last two if measured.
+            rate: Samples a second [Hz].
+            offset: What the mapping has added to the positions, (n,).
+            frame: How the mapping has read the plate.
+            progress: Told how many readings are done, and of how many.
+        """
+        self.tree, self.frame, self.progress = tree, frame, progress
+        self._signals, self._rate, self._offset = signals, rate, offset
+        self._theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+        self._told = minimal_set(tree, "reaction").lift
+        self.mean, self.root = barycentric(tree).ravel(), prior_root(tree)
+        self.readings: dict[tuple[Mistake, ...], Reading] = {}
+        self.given = instants(*signals, rate)
+        self.plate = signals[2] is not None
+
+    def read(self, mistakes: tuple[Mistake, ...], taken: Instants) -> Reading:
+        """A reading, made once."""
+        if mistakes not in self.readings:
+            time = np.arange(len(taken.position)) * taken.spacing
+            motion = Motion(time, taken.position, taken.velocity, taken.acceleration)
+            joints, base = linear(self.tree, motion, self._theta)
+            self.readings[mistakes] = Reading(self, mistakes, taken, joints, base)
+        return self.readings[mistakes]
+
+    def without(self, beside: Reading, mistake: Mistake) -> Reading | None:
+        """A reading with one mistake less about positions; None where it is no motion."""
+        if mistake.kind != "quaternion_order":
+            scale, added = joint_map(mistake, self.tree.n, self._offset)
+            taken: Instants | None = beside.taken.moved(scale, added)
+        else:
+            position, *others = self._signals
+            pose = poses(position[:, :FREE])
+            pose[:, 3:] = pose[:, 3:][:, list(mistake.values)]
+            try:
+                moved = np.hstack([coordinates(pose), position[:, FREE:]])
+            except RecordingError:  # the base would stand on its head
+                return None
+            taken = instants(moved, others[0], others[1], self._rate)
+        return None if taken is None else self.read((*beside.mistakes, mistake), taken)
+
+    def best(self) -> tuple[Explanation, list[Explanation]]:
+        """The recording as it is, and what explains it, the best first."""
+        assert self.given is not None
+        given = self.read((), self.given)
+        as_read = given.as_read()
+        as_given = as_read.told(changed=False)
+        if given.fine(as_read):
+            return as_given, [as_given]
+        found = ranked([as_read, *self._found(given, as_read)])
+        return as_given, ranked(each.told() for each in found[:SAID])
+
+    def _found(self, given: Reading, best: Explanation) -> Iterator[Explanation]:
+        """What may explain it, from the simple to the rare; no more once the plate is explained."""
+        def settled(found: Iterable[Explanation], share: float = EXPLAINED) -> bool:
+            nonlocal best
+            for each in found:
+                best = min(best, each, key=lambda e: e.cost)
+                several.append(each)
+            return self.plate and best.explained(share)
+
+        several: list[Explanation] = []
+        hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
+        units = [each for each in hypotheses if each.kind in UNITS]
+        if not settled(given.explanations(2)) and not settled(given.any_turn()):
+            self._look(given, units)
+            if not units or not settled(self._judged(2)):
+                self._look(given, hypotheses)
+                settled(self._judged(2))
+                settled(chain.from_iterable(r.any_turn() for r in self._nearest(3)), ENOUGH)
+                if not best.explained(ENOUGH) and self.plate:
+                    settled(self._judged(3))
+                if not best.explained(ENOUGH) or not self.plate:
+                    for each in self._nearest(4):
+                        more = position_hypotheses(self.tree, each.taken.position, each.mistakes)
+                        self._look(each, more)
+                    settled(self._judged(2))
+                if not best.explained(ENOUGH):
+                    self._look(given, rarer_hypotheses(self.tree))
+                    zeros = [r for r in self._nearest(3) if r.mistakes and r.mistakes[-1].kind == "zero"]
+                    settled(chain.from_iterable(self._refined(r).explanations(1) for r in zeros))
+        yield from several
+
+    def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
+        several = list(hypotheses)
+        for done, each in enumerate(several, 1):
+            self.without(beside, each)
+            if self.progress is not None:
+                self.progress(done, len(several))
+
+    def _nearest(self, count: int) -> list[Reading]:
+        return sorted(self.readings.values(), key=lambda each: each.bound)[:count]
+
+    def _judged(self, kinds: int) -> list[Explanation]:
+        """What the readings leave that may be the best."""
+        return list(chain.from_iterable(r.explanations(kinds) for r in self._nearest(READ)))
+
+    def _refined(self, reading: Reading) -> Reading:
+        """A reading whose last zero is the best angle, not one that was tried."""
+        *before, last = reading.mistakes
+        for width in np.deg2rad([8, 4, 2, 1, 0.5]):
+            for side in (-width, width):
+                scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
+                added[list(last.joints)] = side
+                values = tuple(angle + side for angle in last.values)
+                moved = (*before, Mistake(last.kind, last.joints, values))
+                tried = self.read(moved, reading.taken.moved(scale, added))
+                if tried.bound < reading.bound:
+                    reading, last = tried, tried.mistakes[-1]
+        return reading
 
 
-def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
-    """The data without the mistakes that explain them best; as given, if they need none.
+class Reading:
+    """A recording without some mistakes about positions."""
 
-    Args:
-        tree: The robot, its masses roughly right.
-        given: The data as they are.
-        rate: Samples a second [Hz].
-    """
-    found = given
-    while len(found.mistakes) < MOST and (found is given or not _good(found)):
-        signals, better, doubted = found.signals, found, doubted_joints(tree, found)
-        if not doubted:
-            break
-        few = [*mistakes_of_all(tree, signals), *mistakes_of_joints(tree, signals, doubted)]
-        better = _best(tree, found, rate, few, better)
-        if better is found or _of_zeros(better) or not _good(better):
-            rarer = rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ())
-            better = _best(tree, found, rate, rarer, better)
-        if better is found:
-            break
-        found = _refined(tree, found, better, rate)
-    return found
+    def __init__(self, search: Search, mistakes: tuple[Mistake, ...], taken: Instants,
+                 joints: Array, base: Array) -> None:  # fmt: skip
+        """Rows of plate and torques.
+
+        Args:
+            search: Which one it is of.
+            mistakes: That were undone.
+            taken: The instants.
+            joints: Rows of the torques on all parameters, (T, n, 10 n).
+            base: Rows of the wrench, (T, 6, 10 n).
+        """
+        self.search, self.mistakes, self.taken, self.base = search, mistakes, taken, base
+        self.plate = self.torques = None
+        if taken.wrench is not None:
+            self.plate = PlateRows(base @ search._told, base @ search.mean, taken)
+        if taken.torque is not None:
+            self._joints = joints
+            self.torques = self.evidence(search.mean, search.root)
+
+    def evidence(self, mean: Array, root: Array) -> TorqueEvidence:
+        """Of the torques, with parameters of this mean and root of their covariance."""
+        taken = self.taken
+        assert taken.torque is not None
+        return TorqueEvidence(
+            self._joints, mean, root, taken.velocity, taken.acceleration, taken.torque,
+            taken.spacing,
+        )  # fmt: skip
+
+    @cached_property
+    def least(self) -> float:
+        """Share that no map of the plate can mend; 0 without a plate."""
+        return 0.0 if self.plate is None else float(self.plate.best_map(late=True)[0][0])
+
+    @cached_property
+    def linear_share(self) -> float:
+        """The same for a plate that is not late."""
+        return 0.0 if self.plate is None else float(self.plate.best_map()[0][0])
+
+    @cached_property
+    def own_torques(self) -> Array:
+        """Cost of each joint's torques where their columns are in order, (n,)."""
+        count = self.search.tree.n if self.torques else 0
+        return np.array([least(self.torques, k, k)[0] for k in range(count)])  # type: ignore[arg-type]
+
+    @cached_property
+    def bound(self) -> float:
+        """About what the best explanation costs."""
+        plate = 3 * WEIGHT * np.log(self.least) if self.plate is not None else 0.0
+        doubt = sum(each.doubt for each in self.mistakes)
+        return float(plate + self.own_torques.sum() + 2 * doubt)
 
 
-def larger_motion(tree: Tree, given: Reading, rate: float) -> Reading:
-    """The data with radians that were taken for degrees, if that explains them better.
+    @cached_property
+    def torque_choice(self) -> Choice:
+        """Order, senses and sizes of the torques by the model file's masses."""
+        return chosen(self.search.tree, self.torques)
 
-    Friction explains most of a tiny motion's torques, so that nothing need be odd about them.
+    def with_told_torques(self, each: Explanation, changed: bool) -> Explanation:
+        """An explanation of its own, with torques chosen by what the plate has told."""
+        if self.torques is None:
+            return each
+        by_plate = self.torque_choice
+        if self.plate is not None:
+            by_plate = chosen(self.search.tree, self.evidence(*self.posterior(each)))
+        of_plate = each.cost - self.torque_choice.cost
+        if not changed:
+            by_plate = by_plate.undoing_nothing()
+        kept = [m for m in each.mistakes if not m.kind.startswith("torque")]
+        return replace(
+            each,
+            mistakes=merged((*kept, *by_plate.mistakes)),
+            left=np.concatenate([by_plate.left, each.left[-6:]]),
+            unchanged=by_plate.unchanged,
+            cost=of_plate + by_plate.cost,
+            sizes=by_plate.sizes,
+        )
 
-    Args:
-        tree: The robot, its masses roughly right.
-        given: The data as they are.
-        rate: Samples a second [Hz].
-    """
-    few = [m for m in mistakes_of_all(tree, given.signals) if m.kind == "radians"]
-    return _best(tree, given, rate, few, given)
+    def posterior(self, each: Explanation) -> tuple[Array, Array]:
+        """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).
 
+        Args:
+            each: An explanation of its own, with a wrench.
+        """
+        search, wrench = self.search, self.taken.wrench
+        assert each.map is not None
+        assert wrench is not None
+        true = wrench @ each.map.T
+        rest, moved = true - self.base @ search.mean, self.base @ search.root
+        sigma = np.sqrt(np.maximum(each.left[-6:], LEAST_LEFT) * np.maximum(true.var(axis=0), 1e-12))
+        columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
+        target = ((rest - rest.mean(axis=0)) / sigma).ravel()
+        covariance = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
+        values = covariance @ (columns.T @ target)
+        return search.mean + search.root @ values, search.root @ np.linalg.cholesky(covariance)
 
-def _of_zeros(reading: Reading) -> bool:
-    """Whether its last mistake is a zero: those of neighbours may hide behind one."""
-    return reading.mistakes[-1].kind == "zero"
+    def explanations(self, kinds: int) -> list[Explanation]:
+        """All that this reading leaves open, judged; of the plate's maps the best forty.
 
+        Args:
+            kinds: Mistakes about a plate at once, at most.
+        """
+        if self.plate is None:
+            return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
+        several = list(plate_hypotheses(self.search.frame, kinds))
+        return self._of_plate([m for m, _ in several], [a for _, a in several])
 
-def _good(reading: Reading) -> bool:
-    """Whether nothing is left that a rarer mistake would have to explain."""
-    allowed = GOOD + NOISY * reading.rows.noise_share
-    return bool((reading.fit.left < allowed)[odd_channels(reading)].all())
-
-
-def _refined(tree: Tree, start: Reading, found: Reading, rate: float) -> Reading:
-    """A reading whose last mistake's odd angles are the best, not those that were tried."""
-    mistake = found.mistakes[-1]
-    if set(mistake.angles) <= set(QUARTERS):
+    def _of_plate(
+        self, mistakes: Sequence[tuple[Mistake, ...]], maps: Sequence[Array],
+        free: Sequence[int] = (*SHIFT, LATE),
+    ) -> list[Explanation]:  # fmt: skip
+        """Explanations by maps of the plate, a shift and lateness fitted."""
+        assert self.plate is not None
+        judged = self.plate.judge(maps, free)
+        size = np.log(np.maximum(np.abs(judged.size), 1e-9)) / ROUGH
+        costs = WEIGHT * (np.log(judged.left + TINY).sum(axis=1) + size**2)
+        found = []
+        for k in np.argsort(costs, kind="stable")[:40]:
+            said, each, shift = list(mistakes[k]), maps[k], judged.extras[k, :3]
+            distance, sigma = np.linalg.norm(shift), np.linalg.norm(judged.sigma[k, :3])
+            if distance > max(SHIFTED, CLEAR * sigma):
+                place = self.search.frame.place + shift
+                said.append(Mistake("shift", (), tuple(np.round(place, 4).tolist())))
+            each = each + np.einsum("e,ecd->cd", shift, SLOPES[:3]) @ each
+            if judged.size[k] < 0:
+                said.append(Mistake("sense"))
+                each = -each
+            late = float(judged.extras[k, LATE])
+            found.append(self._explained(tuple(said), judged.left[k], float(costs[k]), each, late))
         return found
-    for place, width in product(range(len(mistake.angles)), WIDTHS):
-        angles = np.array(mistake.angles)
-        for side in (-width, width):
-            moved = replace(mistake, angles=tuple(angles + side * np.eye(len(angles))[place]))
-            tried = _without(tree, start, moved, rate)
-            if tried.fit.cost < found.fit.cost:
-                found, mistake = tried, moved
-    return found
+
+    def _explained(
+        self, plate: tuple[Mistake, ...], left: Array, cost: float, each: Array | None, late: float
+    ) -> Explanation:
+        choice = self.torque_choice
+        mistakes = merged((*self.mistakes, *plate, *choice.mistakes))
+        return self._left(mistakes, choice.left, left, cost + choice.cost, each, late)
+
+    def _left(self, mistakes: tuple[Mistake, ...], torques: Array, left: Array, cost: float,
+              each: Array | None, late: float) -> Explanation:  # fmt: skip
+        noise = np.zeros(0)
+        if self.plate is not None and each is not None:
+            noise = self.plate.noise_share(each)
+        choice = self.torque_choice
+        return Explanation(
+            mistakes, np.concatenate([torques, left]), np.concatenate([self.torque_noise, noise]),
+            cost, each, late, self, choice.unchanged, choice.sizes,
+        )  # fmt: skip
+
+    @cached_property
+    def torque_noise(self) -> Array:
+        """Part of each torque's variance that is its noise, (n,) or (0,)."""
+        if self.taken.torque is None:
+            return np.zeros(0)
+        share: Array = self.taken.noise[:-6] / np.maximum(self.taken.torque.var(axis=0), 1e-30)
+        return share
+
+    def as_read(self) -> Explanation:
+        """The plate as it was read; lateness is nobody's mistake."""
+        left, cost, late, each = np.zeros(0), 0.0, 0.0, None
+        if self.plate is not None:
+            each = np.eye(6)
+            judged = self.plate.judge([each], [LATE])
+            size = np.log(max(judged.size[0], 1e-9)) / ROUGH
+            left, late = judged.left[0], float(judged.extras[0, LATE])
+            cost = float(WEIGHT * (np.log(left + TINY).sum() + min(size**2, 1e3)))
+        return self._explained((), left, cost, each, late)
+
+    def fine(self, read: Explanation) -> bool:
+        """Whether a plate says that positions and plate are right, and torques have nothing odd."""
+        return self.plate is not None and read.explained(EXPLAINED) and not read.told().mistakes
+
+    def any_turn(self) -> list[Explanation]:
+        """Explanations by a frame turned by any angle: that of the best map of all, refined."""
+        from scipy.linalg import polar
+
+        if self.plate is None:
+            return []
+        frame, found = self.search.frame, []
+        blind = self.plate.best_map()[1] @ placed(frame.turn, frame.place)
+        turn, stretch = polar(blind[:3, :3])
+        if np.linalg.det(turn) < 0:
+            return []
+        ratio = np.trace(polar(blind[3:, 3:])[1]) / np.trace(stretch)
+        given = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
+        for force, moment in ((f, m) for f in FORCES for m in MOMENTS):
+            if abs(MOMENTS[moment] / FORCES[force] / given / ratio - 1) > NEAR:
+                continue
+            own = turn
+            for _ in range(3):
+                each = frame.map(own, (force, moment), AS_READ)
+                judged = self.plate.judge([each], (*SHIFT, LATE, *TURN))
+                own = from_vector(judged.extras[0, list(TURN)]) @ own
+            each = frame.map(own, (force, moment), AS_READ)
+            mistakes = [turned(own)]
+            if (force, moment) != frame.units:
+                mistakes.insert(0, Mistake("units", (), (force, moment)))
+            found += self._of_plate([tuple(mistakes)], [each])
+        return found
 
 
-def doubted_joints(tree: Tree, reading: Reading) -> list[int]:
-    """Joints of which something is not explained; all, if it is the wrench.
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Which columns are which joint's torques.
+
+    Attributes:
+        mistakes: Order, senses and sizes.
+        cost: Without these mistakes [nats].
+        gain: By how much it is less than with them [nats].
+        left: Part of each joint's torque that is not explained, (n,).
+        unchanged: The same with the mistakes, (n,).
+        sizes: Times what the masses make that torques are; nan where they do not tell, (n,).
+    """
+
+    mistakes: tuple[Mistake, ...]
+    cost: float
+    gain: float
+    left: Array
+    unchanged: Array
+    sizes: Array
+
+    def undoing_nothing(self) -> Choice:
+        """Columns as they were recorded."""
+        return replace(self, mistakes=(), cost=self.cost + self.gain, gain=0.0, left=self.unchanged)
+
+
+NO_TORQUES = Choice((), 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+
+
+def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
+    """Order, senses and sizes of recorded torques.
 
     Args:
         tree: The robot.
-        reading: Of the data.
+        torques: Their evidence, if they were measured.
     """
-    odd = odd_channels(reading)
-    if (odd >= reading.rows.joints).any():
-        return list(own_joints(tree))
-    return [int(k) for k in odd]
+    if torques is None:
+        return NO_TORQUES
+    from scipy.optimize import linear_sum_assignment
+
+    order, several = np.arange(tree.n), range(tree.n)
+    pairs = {(k, k): least(torques, k, k) for k in several}
+    if tree.n <= MOST_JOINTS:
+        for j, k in ((j, k) for j in several for k in several if j != k):
+            if tree.joints[j].kind == tree.joints[k].kind:
+                pairs[j, k] = least(torques, j, k)
+        costs = np.full((tree.n, tree.n), 1e9)
+        for pair, found in pairs.items():
+            costs[pair] = found[0]
+        better = linear_sum_assignment(costs)[1]
+        if costs[order, better].sum() < costs[order, order].sum() - ORDER:
+            order = better
+    columns: list[int] = order.tolist()
+    best = [pairs[j, k] for j, k in enumerate(columns)]
+    moved = tuple(k for k, place in enumerate(columns) if place != k)
+    turned_over = tuple(k for k, (_, sense, _) in enumerate(best) if sense < 0)
+    odd = tuple(k for k, (_, _, gain) in enumerate(best) if gain != 1.0)
+    mistakes = [Mistake("torque_order", moved, tuple(columns))] if moved else []
+    mistakes += [Mistake("torque_sign", turned_over)] if turned_over else []
+    mistakes += [Mistake("torque_size", odd, tuple(best[k][2] for k in odd))] if odd else []
+    cost = sum(each[0] for each in best)
+    given = -sum(float(torques.log(k, k)[0]) for k in several)
+    return Choice(
+        tuple(mistakes),
+        cost,
+        given - cost,
+        np.array([torques.left(j, k, *best[j][1:]) for j, k in enumerate(columns)]),
+        np.array([torques.left(k, k, 1.0) for k in several]),
+        np.array([torques.size(j, k) * best[j][1] for j, k in enumerate(columns)]),
+    )
 
 
-def odd_channels(reading: Reading) -> NDArray[np.intp]:
-    """Channels of which something is not explained.
+def least(torques: TorqueEvidence, joint: int, column: int) -> tuple[float, float, float]:
+    """Least cost, sense and gain with which a column is a joint's torques.
 
     Args:
-        reading: Of the data.
+        torques: Their evidence.
+        joint: Of the robot.
+        column: Of the recording.
     """
-    rows, left = reading.rows, reading.fit.left
-    variance = np.maximum(rows.measured.var(axis=0), 1e-30)
-    bodies = rows.bodies.sum(axis=2).var(axis=0) / variance
-    bodies[: rows.joints] *= reading.fit.gains[: rows.joints] ** 2
-    least = EXPLAINED + NOISY * rows.noise_share
-    return np.flatnonzero((left > least) & ((bodies > CONCERNS * left) | (left > PUSHING)))
+    logs = torques.log(joint, column)
+    found = min((-logs[0], 1.0, 1.0), (SIGN - logs[1], -1.0, 1.0))
+    size = abs(torques.size(joint, column))
+    if size > LARGE or size < 1 / LARGE:
+        logs = torques.log(joint, column, size)
+        found = min(found, (GAIN - logs[0], 1.0, size), (GAIN + SIGN - logs[1], -1.0, size))
+    return found
 
 
-def _best(
-    tree: Tree,
-    start: Reading,
-    rate: float,
-    mistakes: Iterable[Mistake],
-    best: Reading,
-) -> Reading:
-    """The reading with one mistake less that is better than all others by a step, if any is."""
-    for mistake in mistakes:
-        tried = _without(tree, start, mistake, rate)
-        if _price(tried) < _price(best):
-            best = tried
-    return best
-
-
-def _price(reading: Reading) -> float:
-    """Its cost, and that of its mistakes: of two joints or of odd angles they must explain more."""
-    odd = [not set(m.angles) <= set(QUARTERS) for m in reading.mistakes]
-    steps = sum(max(1, len(m.angles)) for m in reading.mistakes) + sum(odd)
-    return reading.fit.cost + STEP * steps
-
-
-def _without(tree: Tree, start: Reading, mistake: Mistake, rate: float) -> Reading:
-    """A reading with one mistake less; where positions stay, so does what the model says."""
-    signals = mistake.undone(start.signals)
-    if signals.position is start.signals.position:
-        joints, rows = start.rows.joints, start.rows
-        there = Signals(rows.speed, rows.measured[:, :joints], rows.measured[:, joints:])
-        changed = mistake.undone(there)
-        measured = [part for part in (changed.torque, changed.wrench) if part is not None]
-        rows = replace(rows, measured=np.hstack(measured))
-    else:
-        rows = model_rows(tree, signals.position, signals.torque, signals.wrench, rate)
-    fit = scaled_fit(rows, free_gains=start.free_gains)
-    return Reading((*start.mistakes, mistake), signals, start.free_gains, rows, fit)
+def ranked(found: Iterable[Explanation]) -> list[Explanation]:
+    """Explanations, the best first: of those that explain about as much the simplest."""
+    several = list(found)
+    best = min(each.cost for each in several)
+    near = [each for each in several if each.cost < best + TOLERANCE]
+    far = [each for each in several if each.cost >= best + TOLERANCE]
+    return sorted(near, key=lambda e: (e.rank, e.cost)) + sorted(far, key=lambda e: e.cost)
