@@ -47,9 +47,12 @@ SCALAR_LAST = (3, 0, 1, 2)
 """Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 DOUBT: dict[str, float] = {
-    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 3.0,
+    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0,
 }  # fmt: skip
 """Of two mistakes that explain the same, the one that files hold more often comes first [nats]."""
+
+STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
+"""Steps of angles that people write [rad]; and what a turn must explain more that is none of these [nats]."""
 
 MOST_JOINTS = 12
 """Joints of a robot up to which orders and zeros are tried: their number grows fast."""
@@ -75,7 +78,11 @@ class Mistake:
     @property
     def doubt(self) -> float:
         """What it must explain more than another mistake [nats]."""
-        return DOUBT.get(self.kind, 0.0) * max(1, len(self.joints) if self.kind == "zero" else 1)
+        if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
+            odd = [step for step in STEPS if not np.allclose(np.remainder(np.add(self.values, step / 2), step), step / 2, atol=1e-4)]  # fmt: skip
+            return ODD * len(odd)
+        times = len(self.joints) if self.kind == "zero" else 1
+        return DOUBT.get(self.kind, 0.0) * times
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,10 +176,18 @@ def position_hypotheses(tree: Tree, position: Array, beside: Sequence[Mistake]) 
 
 
 def rarer_hypotheses(tree: Tree) -> Iterator[Mistake]:
-    """Zeros by any angle; for what nothing else explains."""
-    for joint in own_joints(tree) if tree.n <= MOST_JOINTS else ():
-        if tree.joints[joint].revolute and tree.children(joint):
-            yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
+    """Zeros of neighbours that are wrong together, and zeros by any angle.
+
+    Args:
+        tree: The robot.
+    """
+    own = own_joints(tree) if tree.n <= MOST_JOINTS else ()
+    turning = [k for k in own if tree.joints[k].revolute and tree.children(k)]
+    for joint in turning:
+        for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
+            if other in turning:
+                yield Mistake("zero", (joint, other), angles)
+        yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
 
 
 def joint_map(mistake: Mistake, n: int, offset: Array) -> tuple[Array, Array]:

@@ -38,7 +38,7 @@ from testbed.sanity.plate_findings import (
 )
 from testbed.sanity.search import Explanation, Progress, Search
 
-CERTAIN, LIKELY = 20.0, 8.0
+CERTAIN, LIKELY = 12.0, 6.0
 """Differences of minus the logarithm of likelihood from which a mistake is certain, or likely."""
 
 WELL, NOISY, TIMES = 0.4, 3.0, 4.0

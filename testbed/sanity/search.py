@@ -7,7 +7,7 @@ torques by one assignment of their evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -22,16 +22,19 @@ from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.robot.free_base import FREE, coordinates, poses
-from testbed.robot.rotations import from_vector
+from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.instants import Instants, instants
 from testbed.sanity.mistakes import (
     AS_READ,
     MOST_JOINTS,
+    QUARTERS,
+    STEPS,
     Frame,
     Mistake,
     joint_map,
     merged,
+    own_joints,
     plate_hypotheses,
     position_hypotheses,
     rarer_hypotheses,
@@ -69,11 +72,23 @@ EXPLAINED = 1e-3
 ENOUGH = 0.02
 """Share of a channel above which an explanation is not good enough to stop at."""
 
+DOUBTED = 10.0
+"""Gain of a single mistake below which no others are looked for where there is no plate [nats]."""
+
+GOOD = 0.3
+"""Share of a torque above which rarer mistakes are looked for where there is no plate."""
+
+MUCH = 20.0
+"""Times more than the least that some map of a plate leaves of another reading: it is none."""
+
 READ = 6
 """Readings whose plates are judged; the others cannot come up to them."""
 
 SHIFTED, CLEAR = 5e-3, 5.0
 """Least shift of a plate's frame that is one [m], and its sigmas."""
+
+SNAPPED = 0.02
+"""Distance of a turn's matrix to one by multiples of 15 degrees from which that is tried."""
 
 SAID = 6
 """Explanations that are kept, the best first."""
@@ -114,8 +129,16 @@ class Explanation:
     @property
     def count(self) -> int:
         """How many mistakes: signs and zeros joint by joint."""
+        own = len(own_joints(self.reading.search.tree))
         each = ("position_sign", "torque_sign", "zero")
-        return sum(max(1, len(m.joints)) if m.kind in each else 1 for m in self.mistakes)
+        return sum(
+            len(m.joints) if m.kind in each and len(m.joints) < own else 1 for m in self.mistakes
+        )
+
+    @property
+    def price(self) -> float:
+        """Its cost, and what its mistakes must explain besides [nats]."""
+        return self.cost + sum(each.doubt for each in self.mistakes)
 
     def explained(self, share: float) -> bool:
         """Whether nothing is odd, noise aside.
@@ -134,9 +157,14 @@ class Explanation:
         return self.reading.with_told_torques(self, changed)
 
     @property
+    def wrong_torques(self) -> bool:
+        """Whether a torque's order or sense is undone: the positions' may be wrong as well."""
+        return any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+
+    @property
     def rank(self) -> float:
         """What decides among those that explain as much."""
-        return self.count * TOLERANCE + sum(m.doubt for m in self.mistakes) + self.cost
+        return self.count * TOLERANCE + self.price
 
 
 class Search:
@@ -196,39 +224,44 @@ class Search:
         as_given = as_read.told(changed=False)
         if given.fine(as_read):
             return as_given, [as_given]
-        found = ranked([as_read, *self._found(given, as_read)])
+        found = ranked(self._found(given, as_read))
         return as_given, ranked(each.told() for each in found[:SAID])
 
-    def _found(self, given: Reading, best: Explanation) -> Iterator[Explanation]:
-        """What may explain it, from the simple to the rare; no more once the plate is explained."""
-        def settled(found: Iterable[Explanation], share: float = EXPLAINED) -> bool:
-            nonlocal best
-            for each in found:
-                best = min(best, each, key=lambda e: e.cost)
-                several.append(each)
-            return self.plate and best.explained(share)
+    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:
+        """What may explain it, from the simple to the rare; no more once all is explained."""
+        several = [best]
 
-        several: list[Explanation] = []
+        def done(found: Iterable[Explanation], share: float | None = None) -> bool:
+            several.extend(found)
+            likeliest = min(several, key=lambda each: each.cost)
+            if share is not None:
+                return likeliest.explained(share)
+            return self.plate and likeliest.explained(EXPLAINED) and not likeliest.told().wrong_torques
+
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
         units = [each for each in hypotheses if each.kind in UNITS]
-        if not settled(given.explanations(2)) and not settled(given.any_turn()):
-            self._look(given, units)
-            if not units or not settled(self._judged(2)):
-                self._look(given, hypotheses)
-                settled(self._judged(2))
-                settled(chain.from_iterable(r.any_turn() for r in self._nearest(3)), ENOUGH)
-                if not best.explained(ENOUGH) and self.plate:
-                    settled(self._judged(3))
-                if not best.explained(ENOUGH) or not self.plate:
-                    for each in self._nearest(4):
-                        more = position_hypotheses(self.tree, each.taken.position, each.mistakes)
-                        self._look(each, more)
-                    settled(self._judged(2))
-                if not best.explained(ENOUGH):
-                    self._look(given, rarer_hypotheses(self.tree))
-                    zeros = [r for r in self._nearest(3) if r.mistakes and r.mistakes[-1].kind == "zero"]
-                    settled(chain.from_iterable(self._refined(r).explanations(1) for r in zeros))
-        yield from several
+        if done(given.explanations(2)) or done(given.any_turn()):
+            return several
+        self._look(given, units)
+        if units and done(self._judged(2)):
+            return several
+        self._look(given, hypotheses)
+        if not self.plate:
+            done(self._judged(1))
+            gain = several[0].told(changed=False).cost - min(each.cost for each in several)
+            if gain < DOUBTED or done((), GOOD):
+                return several
+        if done(self._judged(2)) or done(self._turned(), ENOUGH) or done(self._judged(3), ENOUGH):
+            return several
+        for each in self._nearest(4):
+            self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
+        if done(self._judged(2), ENOUGH) or done(self._turned(), ENOUGH):
+            return several
+        self._look(given, rarer_hypotheses(self.tree))
+        zeros = [each for each in self._nearest(3) if each.rare]
+        done(self._judged(1))
+        done(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        return several
 
     def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
         several = list(hypotheses)
@@ -242,7 +275,17 @@ class Search:
 
     def _judged(self, kinds: int) -> list[Explanation]:
         """What the readings leave that may be the best."""
-        return list(chain.from_iterable(r.explanations(kinds) for r in self._nearest(READ)))
+        return list(chain.from_iterable(each.explanations(kinds) for each in self._promising()))
+
+    def _turned(self) -> list[Explanation]:
+        """The same with a plate's frame turned by any angle."""
+        return list(chain.from_iterable(each.any_turn() for each in self._promising()[:3]))
+
+    def _promising(self) -> list[Reading]:
+        """The nearest readings, but for those that no map of a plate could explain as well."""
+        nearest = self._nearest(READ)
+        least = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
+        return [each for each in nearest if each.least <= least]
 
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
@@ -290,6 +333,12 @@ class Reading:
             taken.spacing,
         )  # fmt: skip
 
+    @property
+    def rare(self) -> bool:
+        """Whether its last mistake is a zero that is no quarter turn."""
+        last = self.mistakes[-1:]
+        return any(each.kind == "zero" and not set(each.values) <= set(QUARTERS) for each in last)
+
     @cached_property
     def least(self) -> float:
         """Share that no map of the plate can mend; 0 without a plate."""
@@ -302,9 +351,14 @@ class Reading:
 
     @cached_property
     def own_torques(self) -> Array:
-        """Cost of each joint's torques where their columns are in order, (n,)."""
-        count = self.search.tree.n if self.torques else 0
-        return np.array([least(self.torques, k, k)[0] for k in range(count)])  # type: ignore[arg-type]
+        """Cost of each joint's torques in their order, or in that of the positions, (n,)."""
+        if self.torques is None:
+            return np.zeros(0)
+        same = range(self.search.tree.n)
+        orders = [m.values for m in self.mistakes if m.kind == "position_order"]
+        found = [np.array([least(self.torques, j, k)[0] for j, k in zip(same, order, strict=True)])
+                 for order in (same, *orders)]  # fmt: skip
+        return min(found, key=lambda costs: float(costs.sum()))
 
     @cached_property
     def bound(self) -> float:
@@ -333,7 +387,7 @@ class Reading:
         return replace(
             each,
             mistakes=merged((*kept, *by_plate.mistakes)),
-            left=np.concatenate([by_plate.left, each.left[-6:]]),
+            left=np.concatenate([by_plate.left, each.left[len(by_plate.left) :]]),
             unchanged=by_plate.unchanged,
             cost=of_plate + by_plate.cost,
             sizes=by_plate.sizes,
@@ -426,12 +480,14 @@ class Reading:
             judged = self.plate.judge([each], [LATE])
             size = np.log(max(judged.size[0], 1e-9)) / ROUGH
             left, late = judged.left[0], float(judged.extras[0, LATE])
+            left = left if judged.size[0] > 0 else np.ones(6)  # of a robot of negative masses
             cost = float(WEIGHT * (np.log(left + TINY).sum() + min(size**2, 1e3)))
         return self._explained((), left, cost, each, late)
 
     def fine(self, read: Explanation) -> bool:
-        """Whether a plate says that positions and plate are right, and torques have nothing odd."""
-        return self.plate is not None and read.explained(EXPLAINED) and not read.told().mistakes
+        """Whether nothing is odd, neither about the plate nor about the torques."""
+        share = ENOUGH if self.plate is None else EXPLAINED
+        return read.explained(share) and not read.told().mistakes
 
     def any_turn(self) -> list[Explanation]:
         """Explanations by a frame turned by any angle: that of the best map of all, refined."""
@@ -441,24 +497,25 @@ class Reading:
             return []
         frame, found = self.search.frame, []
         blind = self.plate.best_map()[1] @ placed(frame.turn, frame.place)
-        turn, stretch = polar(blind[:3, :3])
-        if np.linalg.det(turn) < 0:
+        blind_turn, stretch = polar(blind[:3, :3])
+        if np.linalg.det(blind_turn) < 0:
             return []
         ratio = np.trace(polar(blind[3:, 3:])[1]) / np.trace(stretch)
         given = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
         for force, moment in ((f, m) for f in FORCES for m in MOMENTS):
             if abs(MOMENTS[moment] / FORCES[force] / given / ratio - 1) > NEAR:
                 continue
-            own = turn
+            own = blind_turn
             for _ in range(3):
                 each = frame.map(own, (force, moment), AS_READ)
                 judged = self.plate.judge([each], (*SHIFT, LATE, *TURN))
                 own = from_vector(judged.extras[0, list(TURN)]) @ own
-            each = frame.map(own, (force, moment), AS_READ)
-            mistakes = [turned(own)]
-            if (force, moment) != frame.units:
-                mistakes.insert(0, Mistake("units", (), (force, moment)))
-            found += self._of_plate([tuple(mistakes)], [each])
+            written = from_rpy(np.round(np.array(to_rpy(own)) / STEPS[-1]) * STEPS[-1])
+            near = np.linalg.norm(own - written) < SNAPPED
+            units = [Mistake("units", (), (force, moment))] * ((force, moment) != frame.units)
+            for turn in (own, written) if near else (own,):
+                each = frame.map(turn, (force, moment), AS_READ)
+                found += self._of_plate([(*units, turned(turn))], [each])
         return found
 
 
@@ -529,8 +586,13 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
         given - cost,
         np.array([torques.left(j, k, *best[j][1:]) for j, k in enumerate(columns)]),
         np.array([torques.left(k, k, 1.0) for k in several]),
-        np.array([torques.size(j, k) * best[j][1] for j, k in enumerate(columns)]),
+        _positive([torques.size(j, k) * best[j][1] for j, k in enumerate(columns)]),
     )
+
+
+def _positive(sizes: Sequence[float]) -> Array:
+    """Sizes; nan where one is none."""
+    return np.array([size if size > 0 else np.nan for size in sizes])
 
 
 def least(torques: TorqueEvidence, joint: int, column: int) -> tuple[float, float, float]:
@@ -553,7 +615,7 @@ def least(torques: TorqueEvidence, joint: int, column: int) -> tuple[float, floa
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
     """Explanations, the best first: of those that explain about as much the simplest."""
     several = list(found)
-    best = min(each.cost for each in several)
-    near = [each for each in several if each.cost < best + TOLERANCE]
-    far = [each for each in several if each.cost >= best + TOLERANCE]
-    return sorted(near, key=lambda e: (e.rank, e.cost)) + sorted(far, key=lambda e: e.cost)
+    best = min(each.price for each in several)
+    near = [each for each in several if each.price < best + TOLERANCE]
+    far = [each for each in several if each.price >= best + TOLERANCE]
+    return sorted(near, key=lambda e: e.rank) + sorted(far, key=lambda e: e.price)

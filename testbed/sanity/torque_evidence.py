@@ -19,7 +19,7 @@ from testbed.parameters.barycentric import standard, to_barycentric
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 
-MASS, REACH, LIGHT = 0.5, 0.05, 0.1
+MASS, REACH, LIGHT = 0.4, 0.03, 0.1
 """Relative sigma of masses, sigma of centres of mass [m]; and part of the robot's mass that a body counts
 with at least: tools that the model does not know are at light links."""
 
@@ -120,10 +120,25 @@ class TorqueEvidence:
         """
         if self.constant[column]:
             return np.zeros(2)
-        return self._solved(joint, column, gain)[0]
+        columns = self._scaled(self._columns[joint], gain, column)
+        expected = columns[:, 0] + columns[:, 1:5] @ FRICTION
+        moved = np.hstack([columns[:, 1:5] * SPREAD, columns[:, 5:]])
+        spread, axes = np.linalg.eigh(moved.T @ moved)
+        spread = np.maximum(spread, 0.0)
+        target = self._white_torque[:, column] / self._rms[column]
+        variance = LEFT**2
+        within = spread[:, None] + variance
+        size = np.log(within).sum(axis=0) + (self._count - len(spread)) * np.log(variance)
+        found = []
+        for sense in (1.0, -1.0):
+            rest = sense * target - expected
+            along = (axes.T @ (moved.T @ rest)) ** 2
+            square = (rest @ rest - (along[:, None] / within).sum(axis=0)) / variance
+            found.append(float((-0.5 * (square + size)).max()))
+        return np.array(found)
 
     def left(self, joint: int, column: int, sense: float, gain: float = 1.0) -> float:
-        """Part of a torque's variance that is not explained.
+        """Part of a torque's variance that the mean's masses and friction that brakes leave.
 
         Args:
             joint: Of the robot.
@@ -131,14 +146,14 @@ class TorqueEvidence:
             sense: 1 or -1.
             gain: Recorded numbers are so many times the torques.
         """
+        from scipy.optimize import nnls
+
         if self.constant[column]:
             return 0.0
-        _, values = self._solved(joint, column, gain, sense)
-        rest = sense * self._torque[:, column] / self._rms[column] - self._scaled(
-            self._raw[joint], gain, column
-        ) @ values
-        signal = self._torque[:, column] / self._rms[column]
-        return float((rest - rest.mean()) @ (rest - rest.mean()) / max(signal.var() * len(rest), 1e-30))
+        columns = self._raw[joint][:, :5] - self._raw[joint][:, :5].mean(axis=0)
+        true = sense * (self._torque[:, column] - self._torque[:, column].mean()) / gain
+        _, rest = nnls(columns[:, [1, 2, 4]], true - columns[:, 0])
+        return float(rest**2 / (true @ true))
 
     def size(self, joint: int, column: int) -> float:
         """Times what the mean's masses make that a recorded column is; nan where they do not tell."""
@@ -156,34 +171,6 @@ class TorqueEvidence:
         scale = np.full(columns.shape[1], gain / self._rms[column])
         scale[1:5] = 1.0
         return columns * scale
-
-    def _solved(
-        self, joint: int, column: int, gain: float, sense: float = 1.0
-    ) -> tuple[Array, Array]:
-        """Log evidence in both senses; and the likeliest values of all columns in one sense."""
-        columns = self._scaled(self._columns[joint], gain, column)
-        expected = columns[:, 0] + columns[:, 1:5] @ FRICTION
-        moved = np.hstack([columns[:, 1:5] * SPREAD, columns[:, 5:]])
-        spread, axes = np.linalg.eigh(moved.T @ moved)
-        spread = np.maximum(spread, 0.0)
-        target = self._white_torque[:, column] / self._rms[column]
-        logs, values = [], None
-        for sign in (1.0, -1.0):
-            rest = sign * target - expected
-            along = (axes.T @ (moved.T @ rest)) ** 2
-            variance = LEFT**2
-            within = spread[:, None] + variance
-            square = (rest @ rest - (along[:, None] / within).sum(axis=0)) / variance
-            size = np.log(within).sum(axis=0) + (self._count - len(spread)) * np.log(variance)
-            found = -0.5 * (square + size)
-            logs.append(float(found.max()))
-            if sign == sense:
-                best = variance[int(np.argmax(found))]
-                values = axes @ ((axes.T @ (moved.T @ rest)) / (spread + best))
-        assert values is not None
-        means = np.concatenate([[1.0], FRICTION, np.zeros(len(values) - 4)])
-        steps = np.concatenate([[0.0], SPREAD * values[:4], values[4:]])
-        return np.array(logs), means + steps
 
 
 def _friction(velocity: Array, acceleration: Array) -> Array:
