@@ -76,7 +76,10 @@ def import_(
     else:
         reading = Reading(settings, False, weld_root, accept_inertia, lock, lock_mimic)
         tree = reading.tree(model)
-        made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
+        with output.Progress("looking for mistakes") as bar:
+            made, cuts, found = accepted_import(
+                mapping, tree, align=align, unchecked=unchecked, progress=bar
+            )
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
         warnings = [*tree.warnings, *found.warnings]

@@ -78,10 +78,8 @@ def zero_of_plate(best: Explanation) -> tuple[Array, Array]:
         best: What explains the recording best; with a wrench.
     """
     reading = best.reading
-    assert best.map is not None
-    assert reading.taken.wrench is not None
     mean, root = reading.posterior(best)
-    rest = reading.taken.wrench @ best.map.T - reading.base @ mean
+    rest = reading.wrench(best) - reading.base @ mean
     spread = reading.base.mean(axis=0) @ root
     return rest.mean(axis=0), np.linalg.norm(spread, axis=1)
 
@@ -111,9 +109,7 @@ def weight_finding(best: Explanation, tare: Array | None) -> Iterator[Finding]:
     """
     tree = best.reading.search.tree
     known = pedestal_wrench(tree) if tare is None else tare
-    assert best.map is not None
-    assert best.reading.taken.wrench is not None
-    mean = best.reading.taken.wrench.mean(axis=0) @ best.map.T - known
+    mean = best.reading.wrench(best).mean(axis=0) - known
     gravity = tree.gravity
     size = float(np.linalg.norm(gravity))
     carried = float(-mean[:3] @ gravity / size**2) if size else 0.0

@@ -48,8 +48,8 @@ Progress = Callable[[int, int], None]
 WEIGHT = 2.5
 """Of the logarithm of a channel's unexplained share [nats]: what is left lasts, and is no noise."""
 
-LEAST_LEFT = 1e-4
-"""Share of a channel's variance that models leave at least."""
+LEAST_LEFT, LASTS = 1e-4, 10.0
+"""Share of a channel's variance that models leave at least, and instants over which it lasts."""
 
 TINY = 1e-5
 """Share below which what is left says nothing more."""
@@ -393,18 +393,26 @@ class Reading:
             sizes=by_plate.sizes,
         )
 
+    def wrench(self, each: Explanation) -> Array:
+        """The bedplate's wrench by an explanation of its own, in time, (T, 6)."""
+        taken = self.taken
+        assert each.map is not None
+        assert taken.wrench is not None
+        assert taken.wrench_rate is not None
+        found: Array = (taken.wrench + each.late * taken.wrench_rate) @ each.map.T
+        return found
+
     def posterior(self, each: Explanation) -> tuple[Array, Array]:
         """Parameters by the varying part of the wrench, (10 n,), and their sigmas' root, (10 n, k).
 
         Args:
             each: An explanation of its own, with a wrench.
         """
-        search, wrench = self.search, self.taken.wrench
-        assert each.map is not None
-        assert wrench is not None
-        true = wrench @ each.map.T
+        search = self.search
+        true = self.wrench(each)
         rest, moved = true - self.base @ search.mean, self.base @ search.root
-        sigma = np.sqrt(np.maximum(each.left[-6:], LEAST_LEFT) * np.maximum(true.var(axis=0), 1e-12))
+        left = np.maximum(each.left[-6:], LEAST_LEFT) * LASTS
+        sigma = np.sqrt(left * np.maximum(true.var(axis=0), 1e-12))
         columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
         target = ((rest - rest.mean(axis=0)) / sigma).ravel()
         covariance = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
