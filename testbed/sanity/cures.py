@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.finding import Finding, few
+from testbed.identification.finding import Finding, components, few
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.foreign_units import factor, plain
 from testbed.robot.rotations import from_rpy, to_rpy
@@ -48,6 +48,10 @@ OF_BASE = ("base_unit", "quaternion_order")
 
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
+
+
+CLEARLY = 1.2
+"""Times as much as the best leaves from which another explanation leaves more."""
 
 
 @dataclass(frozen=True)
@@ -276,17 +280,42 @@ def cure_finding(
     subject = " and ".join([*others, *([subject] if names else [])])
     worst = max(cures, key=lambda each: each.before - each.after)
     said = (
-        f"cannot be as recorded: whatever the masses, {min(worst.before, 1):.0%} of {worst.channel} "
-        f"is unexplained, {worst.after:.2g} with the cure"
-    ).replace(f"{worst.after:.2g} with", f"{worst.after:.2%} with")
+        f"cannot be as recorded: {share(worst.before)} of {worst.channel} is unexplained, "
+        f"{share(worst.after)} with the cure"
+    )
     if runner_up:
         next_best = " and ".join(WHAT[kind] for kind in runner_up)
-        said += f"; the next best explanation, {next_best}, leaves {times:.2g} times more"
+        more = f"{times:.2g} times as much" if times > CLEARLY else "as much, with masses less likely"
+        said += f"; the next best explanation, {next_best}, leaves {more}"
     if equals:
         said += f"; the data cannot tell this from {', or '.join(equals)}"
     causes = " and ".join(dict.fromkeys(WHAT[each.kind] for each in cures))
     remedy = "; ".join(each.remedy for each in cures)
     return Finding(subject, said, worst.before, (causes,), f"in the mapping: {remedy}")
+
+
+def zero_finding(cure: Cure) -> Finding:
+    """A plate whose zero is another one, and nothing else wrong.
+
+    Args:
+        cure: Of the kind `tare`.
+    """
+    return Finding(
+        "the plate",
+        f"shows {components(np.array(cure.values))} N, N m without the robot, by rough masses",
+        float(np.abs(cure.values).max()),
+        (WHAT["tare"],),
+        f'identify with --set identification.tare=unknown, or in the mapping: {cure.remedy}',
+    )
+
+
+def share(part: float) -> str:
+    """A part of a channel's variance as a person reads it.
+
+    Args:
+        part: 1 for all.
+    """
+    return f"{100 * min(part, 1.0):.3g}%"
 
 
 def gain_finding(

@@ -25,7 +25,7 @@ Kind = Literal[
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
 
-SCANNED = tuple(np.deg2rad(angle) for angle in range(-165, 180, 15) if angle % 90)
+SCANNED = tuple(np.deg2rad(angle) for angle in range(-150, 180, 30) if angle % 90)
 """Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi
@@ -79,8 +79,9 @@ class Mistake:
     def doubt(self) -> float:
         """What it must explain more than another mistake [nats]."""
         if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
-            odd = [step for step in STEPS if not np.allclose(np.remainder(np.add(self.values, step / 2), step), step / 2, atol=1e-4)]  # fmt: skip
-            return ODD * len(odd)
+            angles = np.array(self.values)
+            odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
+            return ODD * sum(odd)
         times = len(self.joints) if self.kind == "zero" else 1
         return DOUBT.get(self.kind, 0.0) * times
 
@@ -175,17 +176,18 @@ def position_hypotheses(tree: Tree, position: Array, beside: Sequence[Mistake]) 
             yield Mistake("position_order", moved, order)
 
 
-def rarer_hypotheses(tree: Tree) -> Iterator[Mistake]:
+def rarer_hypotheses(tree: Tree, *, pairs: bool) -> Iterator[Mistake]:
     """Zeros of neighbours that are wrong together, and zeros by any angle.
 
     Args:
         tree: The robot.
+        pairs: Whether to try neighbours.
     """
     own = own_joints(tree) if tree.n <= MOST_JOINTS else ()
     turning = [k for k in own if tree.joints[k].revolute and tree.children(k)]
     for joint in turning:
         for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
-            if other in turning:
+            if pairs and other in turning:
                 yield Mistake("zero", (joint, other), angles)
         yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
 

@@ -12,6 +12,7 @@ from testbed.identification.finding import Finding, components
 from testbed.recordings.columns import AXES
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
+from testbed.sanity.cures import share
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.search import Explanation
 
@@ -34,12 +35,11 @@ ALONG = 1e-3
 """By how much a turn's axis may differ from a joint's."""
 
 
-def map_findings(best: Explanation, seconds: float) -> tuple[list[Finding], list[Finding]]:
+def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
     """What is certainly wrong, and what may be, where no mapping explains the plate.
 
     Args:
         best: What explains the recording best.
-        seconds: How long the recording is.
     """
     left, noise = best.left[-6:], best.noise[-6:]
     odd = left > MIXED + NOISY * noise
@@ -47,11 +47,11 @@ def map_findings(best: Explanation, seconds: float) -> tuple[list[Finding], list
     if not odd.any():
         return [], []
     any_map = best.reading.linear_share
-    said = f"{left[channel]:.2%} of {AXES[channel]} is unexplained by every turn, unit and order"
+    said = f"{share(left[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
     if any_map * GAP < left.mean() and any_map < MIXED:
         mixed = Finding(
             "the plate",
-            f"mixes its channels: {said}, {any_map:.2%} by a matrix of all six",
+            f"mixes its channels: {said}, {share(any_map)} by a matrix of all six",
             float(left[channel]),
             ("crosstalk", "a calibration matrix that is not used"),
             "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
@@ -61,7 +61,7 @@ def map_findings(best: Explanation, seconds: float) -> tuple[list[Finding], list
         "the plate",
         f"has measured another robot, or in other columns: {said}",
         float(left[channel]),
-        ("another robot or tool configuration", "columns that are not the plate's"),
+        ("another robot", "columns that are not the plate's", "a plate that drifts"),
         "look at the columns of [position] and [wrench], and at the model",
     )
     sure = (left > UNEXPLAINED + NOISY * noise).any()

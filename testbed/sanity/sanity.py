@@ -8,7 +8,7 @@ weight. Where that is less clear, or torques are only too small or too large, th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,7 +29,9 @@ from testbed.sanity.cures import (
     gain_finding,
     position_finding,
     position_offset,
+    zero_finding,
 )
+from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
     map_findings,
@@ -124,32 +126,60 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     given, found = search.best()
     best = found[0]
     gain = given.cost - best.cost
-    certain = list(outside)
-    likely: list[Finding] = []
+    foreign, certain, likely, more = _about_plate(best, source.tare)
+    wrong = [m for m in best.mistakes if m.kind != "torque_size"]
+    if foreign or gain <= LIKELY:
+        wrong = []
     cures: tuple[Cure, ...] = ()
     runner_up, times, equals = _others(tree, found)
-    sizes = best.sizes
-    before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
-    wrong = [m for m in best.mistakes if m.kind != "torque_size"]
-    if best.map is not None:
-        sure, maybe = map_findings(best, search.given.spacing * len(search.given.position))
-        certain, likely = [*certain, *sure], [*likely, *maybe]
-        wrong = [] if sure else wrong
-        zero = None if sure else zero_mistake(best, source.tare)
-        certain += [] if sure else weight_finding(best, source.tare)
-        wrong += [] if zero is None else [zero]
-    if wrong and (gain > LIKELY or wrong[-1].kind == "tare"):
-        cures = cures_of(tree, wrong, before, best.left, mapping)
+    if wrong or more:
+        before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
+        cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
+    if wrong:
         said = cure_finding(tree, cures, runner_up, times, equals)
-        clear = gain > CERTAIN and explains(given, best)
-        certain, likely = ([said], []) if clear else (certain, [*likely, said])
-    if len(wrong) < len(best.mistakes) and not _within(sizes, LEAST, MOST):
-        certain.append(gain_finding(tree, sizes, LEAST, MOST, mapping))
-    elif not _within(sizes, SMALL, LARGE):
-        likely.append(gain_finding(tree, sizes, SMALL, LARGE, mapping))
+        if gain > CERTAIN and explains(given, best):
+            certain, likely = [said, *certain], []
+        else:
+            likely = [*likely, said]
+    elif more:
+        likely = [*likely, zero_finding(cures[-1])]
+    if not foreign:
+        sizes = [*gain_findings(tree, best, mapping)]
+        certain += [each for sure, each in sizes if sure]
+        likely += [each for sure, each in sizes if not sure]
+    certain = [*(outside if not wrong else ()), *certain]
     return Sanity(
-        tree.names, given.left, sizes, cures, runner_up, times, tuple(certain), tuple(likely)
+        tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
     )
+
+
+def _about_plate(best: Explanation, tare: Array | None
+                 ) -> tuple[bool, list[Finding], list[Finding], list[Mistake]]:  # fmt: skip
+    """Whether no mapping explains the plate; what is certain, what likely; its zero's mistake."""
+    if best.map is None:
+        return False, [], [], []
+    sure, maybe = map_findings(best)
+    if sure or maybe:
+        return bool(sure), sure, maybe, []
+    zero = zero_mistake(best, tare)
+    return False, list(weight_finding(best, tare)), [], [zero] if zero is not None else []
+
+
+def gain_findings(
+    tree: Tree, best: Explanation, mapping: Mapping[str, Any]
+) -> Iterator[tuple[bool, Finding]]:
+    """Torques of another size, and whether that is certain.
+
+    Args:
+        tree: The robot.
+        best: What explains the recording best.
+        mapping: What the recording's mapping file says.
+    """
+    odd = any(m.kind == "torque_size" for m in best.mistakes)
+    if odd and not _within(best.sizes, LEAST, MOST):
+        yield True, gain_finding(tree, best.sizes, LEAST, MOST, mapping)
+    elif not _within(best.sizes, SMALL, LARGE):
+        yield False, gain_finding(tree, best.sizes, SMALL, LARGE, mapping)
 
 
 def explains(given: Explanation, found: Explanation) -> bool:
@@ -161,6 +191,7 @@ def explains(given: Explanation, found: Explanation) -> bool:
     """
     before, after = given.left, found.left
     better = (before > TIMES * after) & (before > NOISY * given.noise)
+    better |= np.array([m.kind == "shift" for m in found.mistakes]).any() & (before < WELL)
     return bool(better.any() and (after < WELL + NOISY * found.noise)[better].all())
 
 
@@ -179,7 +210,8 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     if not others:
         return (), 1.0, tuple(equals)
     nearest = min(others, key=lambda each: each.cost)
-    times = float(np.exp(np.abs(np.log((nearest.left + 1e-9) / (best.left + 1e-9))).max()))
+    about = slice(-6, None) if best.map is not None else slice(None)
+    times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
     return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 
@@ -28,6 +28,7 @@ from testbed.sanity.instants import Instants, instants
 from testbed.sanity.mistakes import (
     AS_READ,
     MOST_JOINTS,
+    PLATE_ORDERS,
     QUARTERS,
     STEPS,
     Frame,
@@ -81,11 +82,14 @@ GOOD = 0.3
 MUCH = 20.0
 """Times more than the least that some map of a plate leaves of another reading: it is none."""
 
-READ = 6
+READ = 4
 """Readings whose plates are judged; the others cannot come up to them."""
 
-SHIFTED, CLEAR = 5e-3, 5.0
-"""Least shift of a plate's frame that is one [m], and its sigmas."""
+SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
+"""Least shift of a plate's frame that is one [m], its sigmas, and what one counts at most [nats]."""
+
+BRAKED = 0.1
+"""Share of a torque that the plate's parameters and friction that brakes leave of right positions."""
 
 SNAPPED = 0.02
 """Distance of a turn's matrix to one by multiples of 15 degrees from which that is tried."""
@@ -95,6 +99,9 @@ SAID = 6
 
 UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 """Mistakes that concern all joints, which are looked at before those of some."""
+
+ALIKE = 0.2
+"""By how much the turns of forces and of moments in the best map may differ."""
 
 NEAR = 0.1
 """By how much the ratio of gains in the best map may be off for a pair of units to be tried."""
@@ -253,11 +260,13 @@ class Search:
                 return several
         if done(self._judged(2)) or done(self._turned(), ENOUGH) or done(self._judged(3), ENOUGH):
             return several
-        for each in self._nearest(4):
+        if self.plate and given.linear_share < EXPLAINED:  # a matrix explains it: positions are right
+            return several
+        for each in self._nearest(2 if self.plate else 4):
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
         if done(self._judged(2), ENOUGH) or done(self._turned(), ENOUGH):
             return several
-        self._look(given, rarer_hypotheses(self.tree))
+        self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
         zeros = [each for each in self._nearest(3) if each.rare]
         done(self._judged(1))
         done(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
@@ -290,7 +299,7 @@ class Search:
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
         *before, last = reading.mistakes
-        for width in np.deg2rad([8, 4, 2, 1, 0.5]):
+        for width in np.deg2rad([12, 6, 3, 1.5, 0.7]):
             for side in (-width, width):
                 scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
                 added[list(last.joints)] = side
@@ -489,13 +498,28 @@ class Reading:
             size = np.log(max(judged.size[0], 1e-9)) / ROUGH
             left, late = judged.left[0], float(judged.extras[0, LATE])
             left = left if judged.size[0] > 0 else np.ones(6)  # of a robot of negative masses
-            cost = float(WEIGHT * (np.log(left + TINY).sum() + min(size**2, 1e3)))
+            cost = self.shift_cost
+            cost += float(WEIGHT * (np.log(left + TINY).sum() + min(size**2, 1e3)))
         return self._explained((), left, cost, each, late)
+
+    @cached_property
+    def shift_cost(self) -> float:
+        """What the plate's frame, taken to lie where it was read, costs beside one that is fitted."""
+        if self.plate is None:
+            return 0.0
+        fitted = self.plate.judge([np.eye(6)])
+        distance, sigma = (float(np.linalg.norm(x[0, :3])) for x in (fitted.extras, fitted.sigma))
+        beyond = max(0.0, distance - SHIFTED) / (CLEAR * sigma + 1e-9)
+        return min(0.5 * beyond**2, MOST_SHIFT)
 
     def fine(self, read: Explanation) -> bool:
         """Whether nothing is odd, neither about the plate nor about the torques."""
+        if self.shift_cost > 0.5:
+            return False
         share = ENOUGH if self.plate is None else EXPLAINED
-        return read.explained(share) and not read.told().mistakes
+        told = read.told()
+        torques = (told.left < BRAKED + 3 * told.noise)[: len(told.unchanged)]
+        return read.explained(share) and not told.mistakes and (self.plate is None or bool(torques.all()))
 
     def any_turn(self) -> list[Explanation]:
         """Explanations by a frame turned by any angle: that of the best map of all, refined."""
@@ -505,25 +529,32 @@ class Reading:
             return []
         frame, found = self.search.frame, []
         blind = self.plate.best_map()[1] @ placed(frame.turn, frame.place)
-        blind_turn, stretch = polar(blind[:3, :3])
-        if np.linalg.det(blind_turn) < 0:
-            return []
-        ratio = np.trace(polar(blind[3:, 3:])[1]) / np.trace(stretch)
         given = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
-        for force, moment in ((f, m) for f in FORCES for m in MOMENTS):
-            if abs(MOMENTS[moment] / FORCES[force] / given / ratio - 1) > NEAR:
+        for order in (AS_READ, *PLATE_ORDERS):
+            ordered = blind @ np.eye(6)[list(order)].T
+            (turn, forces), (other, moments) = (polar(ordered[k : k + 3, k : k + 3]) for k in (0, 3))
+            if np.linalg.det(turn) < 0 or np.linalg.norm(turn - other) > ALIKE:
                 continue
-            own = blind_turn
-            for _ in range(3):
-                each = frame.map(own, (force, moment), AS_READ)
-                judged = self.plate.judge([each], (*SHIFT, LATE, *TURN))
-                own = from_vector(judged.extras[0, list(TURN)]) @ own
-            written = from_rpy(np.round(np.array(to_rpy(own)) / STEPS[-1]) * STEPS[-1])
-            near = np.linalg.norm(own - written) < SNAPPED
-            units = [Mistake("units", (), (force, moment))] * ((force, moment) != frame.units)
-            for turn in (own, written) if near else (own,):
-                each = frame.map(turn, (force, moment), AS_READ)
-                found += self._of_plate([(*units, turned(turn))], [each])
+            ratio = np.trace(moments) / np.trace(forces) * given
+            for units in product(FORCES, MOMENTS):
+                if abs(MOMENTS[units[1]] / FORCES[units[0]] / ratio - 1) < NEAR:
+                    found += self._turned_near(turn, units, order)
+        return found
+
+    def _turned_near(self, turn: Array, units: tuple[str, str], order: tuple[int, ...]
+                     ) -> list[Explanation]:  # fmt: skip
+        """Explanations by a frame turned about so, and by what a person would write of it."""
+        assert self.plate is not None
+        frame = self.search.frame
+        for _ in range(3):
+            judged = self.plate.judge([frame.map(turn, units, order)], (*SHIFT, LATE, *TURN))
+            turn = from_vector(judged.extras[0, list(TURN)]) @ turn
+        written = from_rpy(np.round(np.array(to_rpy(turn)) / STEPS[-1]) * STEPS[-1])
+        mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
+        mistakes += [Mistake("units", (), units)] * (units != frame.units)
+        found = []
+        for each in (turn, written) if np.linalg.norm(turn - written) < SNAPPED else (turn,):
+            found += self._of_plate([(*mistakes, turned(each))], [frame.map(each, units, order)])
         return found
 
 

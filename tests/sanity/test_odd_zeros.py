@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -27,10 +26,10 @@ def test_a_zero_between_those_that_are_tried_is_found(
     position = np.array(recording.position)
     position[:, joint] -= np.deg2rad(degrees)
     found = check_sanity(tree, replace(recording, position=position))
-    (told,) = found.certain
-    assert told.text.startswith(f"joint '{tree.names[joint]}' cannot be as recorded")
-    written = re.search(r"offset = \[(.*)\]", told.text)
-    assert written is not None
-    offset = np.rad2deg([float(each) for each in written[1].split(",")])
-    assert offset[joint] == pytest.approx(degrees, abs=within)
+    assert found.certain
+    (cure,) = found.cures
+    assert (cure.kind, cure.joints) == ("zero", (tree.names[joint],))
+    ((table, key, offset),) = cure.lines
+    assert (table, key) == ("position", "offset")
+    assert np.rad2deg(offset[joint]) == pytest.approx(degrees, abs=within)
     assert not np.delete(offset, joint).any()
