@@ -111,8 +111,12 @@ class Frame:
         sizes = (FORCES[units[0]], MOMENTS[units[1]])
         given = (FORCES[self.units[0]], MOMENTS[self.units[1]])
         scale = np.repeat(sizes, 3)
-        columns = np.diag(scale) @ np.eye(6)[list(order)] @ np.diag(np.repeat(1 / np.array(given), 3))
-        found: Array = placed(turn, self.place) @ columns @ np.linalg.inv(placed(self.turn, self.place))
+        columns = (
+            np.diag(scale) @ np.eye(6)[list(order)] @ np.diag(np.repeat(1 / np.array(given), 3))
+        )
+        found: Array = (
+            placed(turn, self.place) @ columns @ np.linalg.inv(placed(self.turn, self.place))
+        )
         return found
 
 
@@ -145,7 +149,9 @@ def turned(turn: Array) -> Mistake:
     return Mistake("turn", (), tuple(np.round(to_rpy(turn), 6).tolist()))
 
 
-def position_hypotheses(tree: Tree, position: Array, beside: Sequence[Mistake]) -> Iterator[Mistake]:
+def position_hypotheses(
+    tree: Tree, position: Array, beside: Sequence[Mistake]
+) -> Iterator[Mistake]:
     """Mistakes about positions that may be there besides others.
 
     Args:
@@ -168,7 +174,9 @@ def position_hypotheses(tree: Tree, position: Array, beside: Sequence[Mistake]) 
     if tree.n > MOST_JOINTS:
         return
     for joint, angle in product(turning, QUARTERS):
-        if tree.children(joint):  # another zero of the last joint only renames its body's parameters
+        if tree.children(
+            joint
+        ):  # another zero of the last joint only renames its body's parameters
             yield Mistake("zero", (joint,), (angle,))
     for order in _orders(tree, own):
         moved = tuple(k for k in own if order[k] != k)

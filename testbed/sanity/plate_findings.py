@@ -12,9 +12,9 @@ from testbed.identification.finding import Finding, components
 from testbed.recordings.columns import AXES
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
-from testbed.sanity.cures import share
+from testbed.sanity.cure_words import share
 from testbed.sanity.mistakes import Mistake
-from testbed.sanity.search import Explanation
+from testbed.sanity.explanation import Explanation
 
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
@@ -91,7 +91,7 @@ def zero_mistake(best: Explanation, tare: Array | None) -> Mistake | None:
         best: What explains the recording best; with a wrench.
         tare: What the recording says that it shows, (6,) [N, N m]; None for the model's pedestal.
     """
-    tree = best.reading.search.tree
+    tree = best.reading.prior.tree
     known = pedestal_wrench(tree) if tare is None else tare
     found, sigma = zero_of_plate(best)
     least = MOVED * weight(tree) * np.repeat([1.0, ARM], 3)
@@ -107,7 +107,7 @@ def weight_finding(best: Explanation, tare: Array | None) -> Iterator[Finding]:
         best: What explains the recording best; with a wrench.
         tare: As of `zero_mistake`.
     """
-    tree = best.reading.search.tree
+    tree = best.reading.prior.tree
     known = pedestal_wrench(tree) if tare is None else tare
     mean = best.reading.wrench(best).mean(axis=0) - known
     gravity = tree.gravity

@@ -20,17 +20,9 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.cures import (
-    WHAT,
-    Cure,
-    cure_finding,
-    cures_of,
-    frame_of,
-    gain_finding,
-    position_finding,
-    position_offset,
-    zero_finding,
-)
+from testbed.sanity.cure_words import cure_finding, gain_finding, position_finding, zero_finding
+from testbed.sanity.cures import WHAT, Cure, cures_of, frame_of, position_offset
+from testbed.sanity.explanation import Explanation
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
@@ -38,7 +30,7 @@ from testbed.sanity.plate_findings import (
     weight_finding,
     zero_mistake,
 )
-from testbed.sanity.search import Explanation, Progress, Search
+from testbed.sanity.search import Progress, Search
 
 CERTAIN, LIKELY = 12.0, 6.0
 """Differences of minus the logarithm of likelihood from which a mistake is certain, or likely."""

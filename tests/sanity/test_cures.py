@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from testbed.arrays import Array
-from testbed.sanity.cures import cures_of, gain_finding, with_lines
+from testbed.sanity.cure_words import gain_finding
+from testbed.sanity.cures import cures_of, with_lines
 from testbed.sanity.mistakes import Mistake, joint_map
 from tests.helpers.runs import robot
 
@@ -56,9 +57,7 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
     np.testing.assert_allclose(mapped(raw, changed), wanted, atol=1e-4)  # as it is printed
 
 
-@pytest.mark.parametrize(
-    ("joints", "said"), [((0, 1, 2), "deg"), ((0,), ["rad", "deg", "rad"])]
-)
+@pytest.mark.parametrize(("joints", "said"), [((0, 1, 2), "deg"), ((0,), ["rad", "deg", "rad"])])
 def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: Any) -> None:
     mapping = {"joints": list(JOINTS), "position": {}}
     (cure,) = cures_of(robot("puma"), [Mistake("degrees", joints)], LEFT, 0 * LEFT, mapping)
@@ -69,7 +68,11 @@ def test_lines_of_several_mistakes_build_on_each_other() -> None:
     """The sign turns the zero that is there, and another zero is added to that."""
     mapping = {"joints": list(JOINTS), "position": {"offset": [0.0, 0.5, 0.0]}}
     made = [Mistake("position_sign", (0,)), Mistake("zero", (0,), (1.0,))]
-    lines = [line for cure in cures_of(robot("puma"), made, LEFT, 0 * LEFT, mapping) for line in cure.lines]
+    lines = [
+        line
+        for cure in cures_of(robot("puma"), made, LEFT, 0 * LEFT, mapping)
+        for line in cure.lines
+    ]
     assert with_lines(mapping, lines)["position"] == {"sign": [1, -1, 1], "offset": [0.0, 0.5, 0.0]}
 
 

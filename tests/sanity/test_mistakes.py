@@ -51,7 +51,10 @@ def test_what_slides_has_no_angles_and_changes_place_with_what_slides(
 ) -> None:
     tree = arm(name)
     turning = {k for k, joint in enumerate(tree.joints) if joint.revolute}
-    tried = [*position_hypotheses(tree, positions(tree, size), ()), *rarer_hypotheses(tree, pairs=True)]
+    tried = [
+        *position_hypotheses(tree, positions(tree, size), ()),
+        *rarer_hypotheses(tree, pairs=True),
+    ]
     for mistake in tried:
         if mistake.kind in ("degrees", "radians", "zero"):
             assert turning.issuperset(mistake.joints), mistake
@@ -106,7 +109,11 @@ def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
 
     rng = np.random.default_rng(seed)
     rpy = (0.0, 0.0, 0.0) if seed % 2 else (0.3, -0.2, 1.1)
-    given = {**RIGHT, "units": ["lbf", "N mm"], "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)}}
+    given = {
+        **RIGHT,
+        "units": ["lbf", "N mm"],
+        "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
+    }
     mapping = {"wrench": given}
     several = list(plate_hypotheses(frame_of(mapping), 2))
     columns = rng.normal(size=(5, 6))
@@ -122,7 +129,9 @@ def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
         for lines in lines_of(arm("ur5"), mistakes, mapping).values():
             said = with_lines(said, lines)
         wanted = made(given) @ each.T
-        np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max())
+        np.testing.assert_allclose(
+            made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max()
+        )
 
 
 def test_a_shift_of_the_frame_moves_moments_alone() -> None:
