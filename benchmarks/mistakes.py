@@ -332,15 +332,16 @@ def _kinds(cures: tuple[Cure, ...]) -> tuple[str, ...]:
     return tuple(cure.kind for cure in cures)
 
 
-def study(count: int, seed: int) -> Iterator[dict[str, Any]]:
+def study(count: int, seed: int, only: str = "") -> Iterator[dict[str, Any]]:
     """Each recording of the study: right ones, then mistakes, one and two at once.
 
     Args:
         count: Mistakes on each robot; half as many recordings are right.
         seed: Of robots, motions and mistakes.
+        only: Robots whose names hold this.
     """
     turn = itertools.cycle(range(1, 24))
-    for robot in ROBOTS:
+    for robot in (name for name in ROBOTS if only in name):
         tree = tree_of(robot)
         rng = np.random.default_rng([seed, sum(map(ord, robot))])
         seeds = rng.integers(1 << 31, size=count // 2)
@@ -364,7 +365,7 @@ def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
     cpu = {
         robot: [round(float(f([o["cpu"] for o in lines if o["robot"] == robot])), 2)
                 for f in (np.median, np.max)]
-        for robot in ROBOTS
+        for robot in dict.fromkeys(o["robot"] for o in lines)
     }  # fmt: skip
     return {
         "mistakes": len(wrong),
@@ -375,3 +376,9 @@ def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
         "right accepted with a cure": sum(bool(line["said"]) for line in clean),
         "cpu median, most [s]": cpu,
     }
+
+
+def reached(found: dict[str, Any]) -> bool:
+    """Whether a study's total is good enough: 95 % cured, nothing wrong accepted or right refused."""
+    cured = found["right cure first"] >= 0.95 * found["mistakes"]
+    return bool(cured and not found["wrong accepted"] and not found["right refused"])

@@ -12,6 +12,9 @@ from testbed.sanity.mistakes import Mistake, own_joints
 if TYPE_CHECKING:
     from testbed.sanity.reading import Reading
 
+BRAKED = 0.1
+"""Share of a torque that the plate's parameters and friction that brakes leave at most."""
+
 TOLERANCE = 5.0
 """Among explanations within this of the best the one with the fewest mistakes is taken [nats]."""
 
@@ -73,9 +76,14 @@ class Explanation:
         return self.reading.with_told_torques(self, changed)
 
     @property
-    def wrong_torques(self) -> bool:
-        """Whether a torque's order or sense is undone: the positions' may be wrong as well."""
-        return any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+    def torques_fit(self) -> bool:
+        """Whether torques are in order and sense, and nothing of them is odd; else positions may be.
+
+        With a plate only: without one, masses that are rough leave more.
+        """
+        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+        left = (self.left < BRAKED + 3 * self.noise)[: len(self.unchanged)]
+        return not wrong and bool(left.all())
 
     @property
     def rank(self) -> float:

@@ -42,9 +42,6 @@ ENOUGH = 0.02
 SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
 """Least shift of a plate's frame that is one [m], its sigmas, and what one counts at most [nats]."""
 
-BRAKED = 0.1
-"""Share of a torque that the plate's parameters and friction that brakes leave of right positions."""
-
 
 @dataclass(frozen=True, eq=False)
 class Prior:
@@ -177,9 +174,11 @@ class Reading:
         sigma = np.sqrt(left * np.maximum(true.var(axis=0), 1e-12))
         columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
         target = ((rest - rest.mean(axis=0)) / sigma).ravel()
-        covariance = np.linalg.inv(columns.T @ columns + np.eye(columns.shape[1]))
-        values = covariance @ (columns.T @ target)
-        return prior.mean + prior.root @ values, prior.root @ np.linalg.cholesky(covariance)
+        spread, axes = np.linalg.eigh(columns.T @ columns + np.eye(columns.shape[1]))
+
+        scaled = axes / np.sqrt(np.maximum(spread, 1.0))
+        root = prior.root @ scaled
+        return prior.mean + root @ (scaled.T @ (columns.T @ target)), root
 
     def explanations(self, kinds: int) -> list[Explanation]:
         """All that this reading leaves open, judged; of the plate's maps the best forty.
@@ -271,9 +270,5 @@ class Reading:
             return False
         share = ENOUGH if self.plate is None else EXPLAINED
         told = read.told()
-        torques = (told.left < BRAKED + 3 * told.noise)[: len(told.unchanged)]
-        return (
-            read.explained(share)
-            and not told.mistakes
-            and (self.plate is None or bool(torques.all()))
-        )
+        fits = self.plate is None or told.torques_fit
+        return read.explained(share) and not told.mistakes and fits

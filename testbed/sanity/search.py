@@ -118,9 +118,7 @@ class Search:
             likeliest = min(several, key=lambda each: each.cost)
             if share is not None:
                 return likeliest.explained(share)
-            return (
-                self.plate and likeliest.explained(EXPLAINED) and not likeliest.told().wrong_torques
-            )
+            return self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit
 
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
         units = [each for each in hypotheses if each.kind in UNITS]
