@@ -1,10 +1,10 @@
 """Mistakes of mappings planted in recordings that the project's simulator has not made.
 
 MuJoCo's inverse dynamics, of a robot whose masses and centres are not the file's, on a free base
-that rests: what holds the base is the plate's wrench. Friction, noise, a 17-bit encoder and the plate's
-zero are added here. Each recording goes through columns as a file would have them and a mapping with
-up to two mistakes; what the check proposes is written into the mapping, and the recording is made
-and held against the robot again.
+that rests: what holds the base is the plate's wrench. Friction, noise, a 17-bit encoder and the
+plate's zero are added here. Each recording goes through columns as a file would have them and a
+mapping with up to two mistakes; what the check proposes is written into the mapping, and the
+recording is made and held against the robot again.
 """
 
 from __future__ import annotations
@@ -175,13 +175,14 @@ def _mjcf(tree: tb.Tree) -> str:
 
     roots = "".join(body(k) for k in range(tree.n) if tree.parents[k] < 0)
     return (
-        f'<mujoco><compiler angle="radian" balanceinertia="true"/><option gravity="{text(tree.gravity)}"/>'
+        '<mujoco><compiler angle="radian" balanceinertia="true"/>'
+        f'<option gravity="{text(tree.gravity)}"/>'
         '<worldbody><body name="base"><freejoint/><inertial pos="0 0 0" mass="1e-3" '
         f'diaginertia="1e-6 1e-6 1e-6"/>{roots}</body></worldbody></mujoco>'
     )
 
 
-def case(made: Truth, kinds: tuple[str, ...], rng: np.random.Generator, which: int) -> Case:
+def case(made: Truth, kinds: tuple[str, ...], rng: np.random.Generator, which: int) -> Case:  # noqa: PLR0912
     """Columns for which a mapping with these mistakes is wrong; which of the 24 turns."""
     tree, n = made.tree, made.tree.n
     wrench: dict[str, Any] = {"source": "log", "columns": list(AXES), "units": ["N", "N m"],
@@ -379,6 +380,6 @@ def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def reached(found: dict[str, Any]) -> bool:
-    """Whether a study's total is good enough: 95 % cured, nothing wrong accepted or right refused."""
+    """Whether a total is good enough: 95 % cured, nothing wrong accepted or right refused."""
     cured = found["right cure first"] >= 0.95 * found["mistakes"]
     return bool(cured and not found["wrong accepted"] and not found["right refused"])

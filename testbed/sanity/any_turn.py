@@ -53,7 +53,7 @@ def _turned_near(reading: Reading, turn: Array, units: tuple[str, str], order: t
     for _ in range(3):
         judged = reading.plate.judge([frame.map(turn, units, order)], (*SHIFT, LATE, *TURN))
         turn = from_vector(judged.extras[0, list(TURN)]) @ turn
-    written = from_rpy(np.round(np.array(to_rpy(turn)) / STEPS[-1]) * STEPS[-1])
+    written = from_rpy([round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(turn)])
     mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
     mistakes += [Mistake("units", (), units)] * (units != frame.units)
     found = []

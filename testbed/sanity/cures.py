@@ -250,7 +250,7 @@ def cures_of(tree: Tree, mistakes: Sequence[Mistake], before: Array, after: Arra
                 names[best],
                 float(before[best]),
                 float(after[best]),
-            )  # fmt: skip
+            )
         )
     return tuple(found)
 
@@ -296,4 +296,5 @@ def _value(value: Any) -> str:
 
 
 def numbers(values: Sequence[float]) -> str:
+    """A list as a mapping file has it."""
     return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"

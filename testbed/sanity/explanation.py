@@ -32,7 +32,7 @@ class Explanation:
         late: How late the wrench is [s].
         reading: Of the positions.
         unchanged: What is left of the torques where only theirs are not undone, (n,) or (0,).
-        sizes: Times what the masses make that torques are; nan where they do not tell, (n,) or (0,).
+        sizes: Times what the masses make that torques are; nan where not told, (n,) or (0,).
     """
 
     mistakes: tuple[Mistake, ...]
@@ -76,8 +76,14 @@ class Explanation:
         return self.reading.with_told_torques(self, changed)
 
     @property
+    def sized(self) -> bool:
+        """Whether half of the torques or more are taken as of another size."""
+        odd = sum(len(each.joints) for each in self.mistakes if each.kind == "torque_size")
+        return 2 * odd >= len(self.unchanged) > 0
+
+    @property
     def torques_fit(self) -> bool:
-        """Whether torques are in order and sense, and nothing of them is odd; else positions may be.
+        """Whether torques are in order and sense and nothing of them is odd.
 
         With a plate only: without one, masses that are rough leave more.
         """

@@ -82,7 +82,8 @@ def instants(
     at = np.linspace(0, inside - 1, count).astype(int)
 
     def taken(signal: Array, derivative: int) -> Array:
-        return thinned(signal, taps[derivative, ::-1], lost, 1)[at]
+        found: Array = thinned(signal, taps[derivative, ::-1], lost, 1)[at]
+        return found
 
     n = position.shape[1]
     smoothing = float((taps[0] ** 2).sum())
@@ -91,7 +92,9 @@ def instants(
         if signal is not None:
             noise[place] = _noise(signal) * smoothing
     return Instants(
-        *(taken(position, k) for k in range(3)),
+        taken(position, 0),
+        taken(position, 1),
+        taken(position, 2),
         torque=None if torque is None else taken(torque, 0),
         wrench=None if wrench is None else taken(wrench, 0),
         wrench_rate=None if wrench is None else taken(wrench, 1),

@@ -19,7 +19,7 @@ from testbed.sanity.plate_map import placed, quarter_turns
 Kind = Literal[
     "degrees", "radians", "position_sign", "position_order", "zero", "base_unit",
     "quaternion_order", "torque_sign", "torque_order", "torque_size", "units", "plate_order",
-    "turn", "shift", "sense",
+    "turn", "shift", "sense", "tare",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
@@ -52,7 +52,7 @@ DOUBT: dict[str, float] = {
 """Of two mistakes that explain the same, the one that files hold more often comes first [nats]."""
 
 STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
-"""Steps of angles that people write [rad]; and what a turn must explain more that is none of these [nats]."""
+"""Steps of angles that people write [rad]; what another turn must explain more [nats]."""
 
 MOST_JOINTS = 12
 """Joints of a robot up to which orders and zeros are tried: their number grows fast."""
@@ -81,8 +81,9 @@ class Mistake:
         if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
             angles = np.array(self.values)
             odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
-            return ODD * sum(odd)
-        times = len(self.joints) if self.kind == "zero" else 1
+            return float(ODD * sum(odd))
+        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
+        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
         return DOUBT.get(self.kind, 0.0) * times
 
 

@@ -1,4 +1,4 @@
-"""What a plate's recording says when the best reading of it is known: crosstalk, another robot, its zero."""
+"""What a plate's best reading says besides: crosstalk, another robot, its zero."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from testbed.recordings.columns import AXES
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.cure_words import share
-from testbed.sanity.mistakes import Mistake
 from testbed.sanity.explanation import Explanation
+from testbed.sanity.mistakes import Mistake
 
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""

@@ -1,15 +1,15 @@
 """What a plate's channels can be: one linear map of what was recorded, judged by algebra.
 
-For the right mapping the six channels w, brought into the bedplate's frame, are linear in ONE set of
-inertial parameters: A w + b = Y(q, q', q'') delta_r at all instants. Units, senses, orders of columns,
-the frame's turn and place, and what is left on an unloaded plate are all in A (6x6) and b, and the
-equation is linear in both. So the rows Y, and constants, are projected out once for positions as they
-are taken; of the products w x basis that are left, H, every A leaves vec(A)' H vec(A). A frame that lies
+For the right mapping the six channels w, in the bedplate's frame, are linear in ONE set of inertial
+parameters: A w + b = Y(q, q', q'') delta_r at all instants. Units, senses, orders of columns, the
+frame's turn and place, and what an unloaded plate shows are all in A (6x6) and b, and the equation
+is linear in both. So the rows Y, and constants, are projected out once for positions as they are
+taken; with the products H of what is left, every A leaves vec(A)' H vec(A). A frame that lies
 elsewhere by r (moments gain r x F), one that is turned a little more, and a wrench that is a little
 late (A dw/dt) are linear as well: they are fitted beside each A, not searched.
 
-The least generalized eigenvector of H against the signal's own products G is the best A of all: what
-it leaves is what no mapping of a plate can mend, and it holds a frame turned by any angle.
+The least generalized eigenvector of H against the signal's own products G is the best A of all:
+what it leaves no mapping of a plate can mend, and it holds a frame turned by any angle.
 """
 
 from __future__ import annotations
@@ -57,7 +57,9 @@ def both(turn: Array) -> Array:
     Args:
         turn: (3, 3).
     """
-    return np.kron(np.eye(2), turn)
+    found: Array = np.zeros((6, 6))
+    found[:3, :3] = found[3:, 3:] = turn
+    return found
 
 
 def placed(turn: Array, place: Array) -> Array:

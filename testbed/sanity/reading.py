@@ -40,7 +40,7 @@ ENOUGH = 0.02
 """Share of a channel above which an explanation is not good enough to stop at."""
 
 SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
-"""Least shift of a plate's frame that is one [m], its sigmas, and what one counts at most [nats]."""
+"""Least shift of a plate's frame that is one [m], its sigmas, and and most cost [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ class Reading:
         orders = [m.values for m in self.mistakes if m.kind == "position_order"]
         found = [np.array([least(self.torques, j, k)[0] for j, k in zip(same, order, strict=True)])
                  for order in (same, *orders)]  # fmt: skip
-        return min(found, key=lambda costs: float(costs.sum()))
+        return found[int(np.argmin([float(costs.sum()) for costs in found]))]
 
     @cached_property
     def bound(self) -> float:
@@ -203,7 +203,7 @@ class Reading:
         found = []
         for k in np.argsort(costs, kind="stable")[:40]:
             said, each, shift = list(mistakes[k]), maps[k], judged.extras[k, :3]
-            distance, sigma = np.linalg.norm(shift), np.linalg.norm(judged.sigma[k, :3])
+            distance, sigma = (float(np.linalg.norm(x)) for x in (shift, judged.sigma[k, :3]))
             if distance > max(SHIFTED, CLEAR * sigma):
                 place = self.prior.frame.place + shift
                 said.append(Mistake("shift", (), tuple(np.round(place, 4).tolist())))
@@ -256,7 +256,7 @@ class Reading:
 
     @cached_property
     def shift_cost(self) -> float:
-        """What the plate's frame, taken to lie where it was read, costs beside one that is fitted."""
+        """What the plate's frame where it was read costs beside one that is fitted [nats]."""
         if self.plate is None:
             return 0.0
         fitted = self.plate.judge([np.eye(6)])

@@ -36,8 +36,8 @@ CERTAIN, LIKELY = 12.0, 6.0
 """Differences of minus the logarithm of likelihood from which a mistake is certain, or likely."""
 
 WELL, NOISY, TIMES = 0.4, 3.0, 4.0
-"""Part of a channel's variance that may be left where a mistake is called certain, times its noise's
-part that may be left besides; and times less than before that must be left."""
+"""Part of a channel's variance that may be left where a mistake is called certain, times its
+noise's part that may be left besides; and times less than before that must be left."""
 
 EQUAL = 1.0
 """Explanations within this of each other are equal [nats]."""

@@ -30,6 +30,9 @@ from testbed.sanity.torque_evidence import prior_root
 
 Progress = Callable[[int, int], None]
 
+Signals = tuple[Array, Array | None, Array | None]
+"""Position, torque, wrench."""
+
 DOUBTED = 10.0
 """Gain of a single mistake below which no others are looked for where there is no plate [nats]."""
 
@@ -52,8 +55,10 @@ UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 class Search:
     """All readings of a recording that were looked at."""
 
-    def __init__(self, tree: Tree, signals: tuple[Array, Array | None, Array | None], rate: float,
-                 offset: Array, frame: Frame, progress: Progress | None = None) -> None:  # fmt: skip
+    def __init__(
+        self, tree: Tree, signals: Signals, rate: float, offset: Array, frame: Frame,
+        progress: Progress | None = None,
+    ) -> None:  # fmt: skip
         """Nothing yet.
 
         Args:
@@ -76,7 +81,7 @@ class Search:
     def read(self, mistakes: tuple[Mistake, ...], taken: Instants) -> Reading:
         """A reading, made once."""
         if mistakes not in self.readings:
-            time = np.arange(len(taken.position)) * taken.spacing
+            time = np.arange(len(taken.position), dtype=np.float64) * taken.spacing
             motion = Motion(time, taken.position, taken.velocity, taken.acceleration)
             joints, base = linear(self.tree, motion, self._theta)
             self.readings[mistakes] = Reading(self.prior, mistakes, taken, joints, base)
@@ -109,7 +114,7 @@ class Search:
         found = ranked(self._found(given, as_read))
         return as_given, ranked(each.told() for each in found[:SAID])
 
-    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:
+    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:  # noqa: PLR0911
         """What may explain it, from the simple to the rare; no more once all is explained."""
         several = [best]
 
@@ -130,6 +135,11 @@ class Search:
         self._look(given, hypotheses)
         if not self.plate:
             done(self._judged(1))
+            plain = [each.cost for each in several if not each.sized]
+            if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
+                return several[:1]  # torques of another size leave little to tell of the rest
+            near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
+            done(chain.from_iterable(self._refined(r).explanations(1) for r in near))
             gain = several[0].told(changed=False).cost - min(each.cost for each in several)
             if gain < DOUBTED or done((), GOOD):
                 return several

@@ -44,6 +44,9 @@ class Choice:
         return replace(self, mistakes=(), cost=self.cost + self.gain, gain=0.0, left=self.unchanged)
 
 
+TOLD = 5.0
+"""Times what is left that bodies must explain of a torque for its size to be said."""
+
 NO_TORQUES = Choice((), 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
 
 
@@ -86,7 +89,7 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
         given - cost,
         np.array([torques.left(j, k, *best[j][1:]) for j, k in enumerate(columns)]),
         np.array([torques.left(k, k, 1.0) for k in several]),
-        _positive([torques.size(j, k) * best[j][1] for j, k in enumerate(columns)]),
+        _positive([torques.size(j, k, TOLD) * best[j][1] for j, k in enumerate(columns)]),
     )
 
 

@@ -1,8 +1,8 @@
 """How likely torques are, whatever the masses within reason: evidence with the model file as prior.
 
-A joint's torques are t = Y theta + F f + e. Parameters theta lie about the model file's (masses within
-a half, centres within some centimetres), friction brakes (F: viscous, dry, a constant, the rotor),
-and what is left, e, lasts: model errors of drives are no white noise. Then t is normal, and log N(t)
+A joint's torques are t = Y theta + F f + e. Parameters theta lie about the model file's (masses
+within a half, centres within some centimetres), friction brakes (F: viscous, dry, a constant, the
+rotor), and what is left, e, lasts: model errors are no white noise. Then t is normal, and log N(t)
 says how well one recorded column, in one sense, can be a joint's torques. A free set of parameters
 would explain anything that is short; this does not. Where a plate has told parameters, what it
 has told is the prior.
@@ -20,8 +20,8 @@ from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
 
 MASS, REACH, LIGHT = 0.4, 0.03, 0.1
-"""Relative sigma of masses, sigma of centres of mass [m]; and part of the robot's mass that a body counts
-with at least: tools that the model does not know are at light links."""
+"""Relative sigma of masses, sigma of centres of mass [m]; and part of the robot's mass that a body
+counts with at least: tools that the model does not know are at light links."""
 
 FRICTION, SPREAD = (0.3, 0.3, 0.0, 0.1), 0.3
 """Viscous, dry, constant and rotor's part of a torque's rms that are expected, and their sigma."""
@@ -35,8 +35,8 @@ LEFT = np.geomspace(0.1, 0.5, 12)
 FAINT = 0.2
 """Part of all torques' rms that a torque counts with at least."""
 
-MOST_GAIN = 1000.0
-"""Times that torques are too large or too small at most: gears have no higher ratios."""
+CLEAR = 0.01
+"""Part of a torque's variance that bodies alone must explain for its size to be told."""
 
 
 def prior_root(tree: Tree) -> Array:
@@ -155,8 +155,8 @@ class TorqueEvidence:
         _, rest = nnls(columns[:, [1, 2, 4]], true - columns[:, 0])
         return float(rest**2 / (true @ true))
 
-    def size(self, joint: int, column: int) -> float:
-        """Times what the mean's masses make that a recorded column is; nan where they do not tell."""
+    def size(self, joint: int, column: int, told_times: float = 1.0) -> float:
+        """Times what the mean's masses make that a column is; nan where they do not tell."""
         columns, target = self._columns[joint][:, :5], self._white_torque[:, column]
         values, rest = np.linalg.lstsq(columns, target, rcond=1e-9)[:2]
         others = np.linalg.lstsq(columns[:, 1:], target, rcond=1e-9)[1]
@@ -164,7 +164,11 @@ class TorqueEvidence:
             return float("nan")
         whole = float(((target - target.mean()) ** 2).sum())
         told = float(others[0] - rest[0])
-        return float(values[0]) if told > max(0.01 * whole, float(rest[0])) else float("nan")
+        return (
+            float(values[0])
+            if told > max(CLEAR * whole, told_times * float(rest[0]))
+            else float("nan")
+        )
 
     def _scaled(self, columns: Array, gain: float, column: int) -> Array:
         """Columns of one scale: mean, friction, what parameters may move."""
@@ -177,4 +181,6 @@ def _friction(velocity: Array, acceleration: Array) -> Array:
     """Viscous and dry friction, a constant, the rotor; of size one, (T, 4)."""
     speed = velocity / max(float(np.abs(velocity).max()), 1e-9)
     rotor = acceleration / max(float(np.abs(acceleration).max()), 1e-9)
-    return np.column_stack([speed, np.tanh(100 * speed), np.ones(len(speed)), rotor])
+    dry = np.tanh(100 * speed)
+    found: Array = np.column_stack([speed, dry, np.ones(len(speed)), rotor])
+    return found

@@ -1,4 +1,4 @@
-"""The verdict on a recording, kept with it: what was held against a robot once is not held again."""
+"""The verdict on a recording, kept with it, so that nothing is held against a robot twice."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def test_units_of_angles_are_doubted_where_angles_are_very_large_or_very_small(n
 
 @pytest.mark.parametrize("seed", range(20))
 def test_any_order_of_signs_and_zeros_is_one_line_each(seed: int) -> None:
-    """Positions without several mistakes, one after the other, are those without the merged ones."""
+    """Positions without several mistakes, one by one, are those without the merged ones."""
     rng = np.random.default_rng(seed)
     tree = arm("ur5")
     zero = np.zeros(tree.n)
