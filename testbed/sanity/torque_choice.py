@@ -89,7 +89,12 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
         given - cost,
         np.array([torques.left(j, k, *best[j][1:]) for j, k in enumerate(columns)]),
         np.array([torques.left(k, k, 1.0) for k in several]),
-        _positive([torques.size(j, k, TOLD) * best[j][1] for j, k in enumerate(columns)]),
+        _positive(
+            [
+                gain if gain != 1.0 else torques.size(j, k, TOLD) * sense
+                for (j, k), (_, sense, gain) in zip(enumerate(columns), best, strict=True)
+            ]
+        ),
     )
 
 

@@ -174,7 +174,8 @@ class TorqueEvidence:
         """Columns of one scale: mean, friction, what parameters may move."""
         scale = np.full(columns.shape[1], gain / self._rms[column])
         scale[1:5] = 1.0
-        return columns * scale
+        found: Array = columns * scale
+        return found
 
 
 def _friction(velocity: Array, acceleration: Array) -> Array:
