@@ -12,7 +12,7 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.mistakes import AS_READ, PLATE_ORDERS, STEPS, Mistake, turned
 from testbed.sanity.plate_map import LATE, SHIFT, TURN, placed
-from testbed.sanity.reading import Reading
+from testbed.sanity.position_reading import Reading
 
 SNAPPED = 0.02
 """Distance of a turn's matrix to one by multiples of 15 degrees from which that is tried."""

@@ -10,7 +10,7 @@ from testbed.arrays import Array
 from testbed.sanity.mistakes import Mistake, own_joints
 
 if TYPE_CHECKING:
-    from testbed.sanity.reading import Reading
+    from testbed.sanity.position_reading import Reading
 
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""

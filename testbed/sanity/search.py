@@ -25,7 +25,7 @@ from testbed.sanity.mistakes import (
     position_hypotheses,
     rarer_hypotheses,
 )
-from testbed.sanity.reading import ENOUGH, EXPLAINED, Prior, Reading
+from testbed.sanity.position_reading import ENOUGH, EXPLAINED, Prior, Reading
 from testbed.sanity.torque_evidence import prior_root
 
 Progress = Callable[[int, int], None]
