@@ -284,6 +284,24 @@ def detection(
 
 
 @app.command()
+def mistakes(
+    count: Annotated[int, typer.Option(min=2, help="Mistakes planted on each of 4 robots.")] = 30,
+    seed: Annotated[int, typer.Option(min=0, help="Of robots, motions and mistakes.")] = 20,
+    only: Annotated[str, typer.Option(help="Only robots whose names hold this.")] = "",
+) -> None:
+    """Mistakes of mappings, found and cured; exit code 1 where the goal is missed."""
+    from benchmarks.mistakes import reached, study, total
+
+    lines = []
+    for line in study(count, seed, only):
+        lines.append(line)
+        _print(line)
+    found = total(lines)
+    _print(found)
+    raise typer.Exit(int(not reached(found)))
+
+
+@app.command()
 def excite(
     seeds: Annotated[int, typer.Option(min=1, help="Designs of each robot.")] = 10,
     baseline: Annotated[int, typer.Option(min=1, help="Random motions to compare with.")] = 40,

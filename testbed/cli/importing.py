@@ -81,8 +81,10 @@ def import_(
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
     else:
-        with output.Progress("importing, holding it against the robot"):
-            made, cuts, found = accepted_import(mapping, tree, align=align, unchecked=unchecked)
+        with output.Progress("importing, holding it against the robot") as bar:
+            made, cuts, found = accepted_import(
+                mapping, tree, align=align, unchecked=unchecked, progress=bar
+            )
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
         warnings = [*tree.warnings, *found.warnings]

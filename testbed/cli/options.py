@@ -115,7 +115,7 @@ LockMimic = Annotated[
 ]
 Unchecked = Annotated[
     bool,
-    typer.Option("--unchecked", help="Go on where an imported recording contradicts the model."),
+    typer.Option("--unchecked", help="Do not hold imported recordings against the model."),
 ]
 Plate = Annotated[
     Path | None, typer.Option(help="The plate's file, as calibrate wrote it: it is corrected.")

@@ -110,10 +110,13 @@ class Reading:
         Raises:
             RecordingError: It cannot be true of this robot, and that matters.
         """
+        from testbed.reporting.output import Progress
         from testbed.sanity.accept import accept
 
-        imported = "mapping" in source.facts
-        return accept(tree, source, unchecked=unchecked).warnings if imported else ()
+        if "mapping" not in source.facts:
+            return ()
+        with Progress("looking for mistakes") as bar:
+            return accept(tree, source, unchecked=unchecked, progress=bar).warnings
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""

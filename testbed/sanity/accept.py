@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,11 @@ from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned, cure
 from testbed.sanity.clock_offset import ClockOffset, clock_offsets
-from testbed.sanity.sanity import ENOUGH, check_sanity
+from testbed.sanity.sanity import MOST_SAMPLES, check_sanity
+from testbed.sanity.search import Progress
+from testbed.sanity.verdict import digest, kept_warnings, verdict
+
+UNCHECKED = "the recording was not held against the robot (--unchecked)"
 
 STILL = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -37,13 +41,16 @@ class Acceptance:
     warnings: tuple[str, ...]
 
 
-def accept(tree: Tree, source: Source, *, unchecked: bool = False) -> Acceptance:
-    """Hold a recording against its robot.
+def accept(
+    tree: Tree, source: Source, *, unchecked: bool = False, progress: Progress | None = None
+) -> Acceptance:
+    """Hold a recording against its robot; what was accepted and kept its verdict is not held again.
 
     Args:
         tree: The robot, its masses right within a factor of a few.
         source: The recording.
-        unchecked: Whether what is certainly wrong becomes a warning, too.
+        unchecked: Whether to accept it without a search for what is wrong.
+        progress: Told how much of the search is done.
 
     Raises:
         RecordingError: The recording cannot be true of this robot; says what would cure it.
@@ -52,13 +59,17 @@ def accept(tree: Tree, source: Source, *, unchecked: bool = False) -> Acceptance
     moved = [] if tree.floating else _moving_base(source)
     if moved and not unchecked:
         raise RecordingError(moved[0])
-    found = check_sanity(tree, source)
+    said = [UNCHECKED]
     if not unchecked:
+        known = kept_warnings(digest(tree, source), source)
+        if known is not None:
+            return Acceptance((), known)
+        found = check_sanity(tree, source, progress)
         found.require()
+        said = [each.text for each in found.likely]
     clocks = clock_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
     late = [f"{each.text}; {cure(each, mapping)}" for each in clocks if each.late or each.drifts]
-    said = [each.text for each in (*found.certain, *found.likely)]
     return Acceptance(tuple(clocks), (*moved, *said, *late))
 
 
@@ -66,7 +77,7 @@ def _moving_base(source: Source) -> list[str]:
     """What is wrong where a base moves and the robot's is taken as welded."""
     if "base" not in source.signals:
         return []
-    base = source.part(0, min(source.samples, ENOUGH)).measured("base")
+    base = source.part(0, min(source.samples, MOST_SAMPLES)).measured("base")
     distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
     if distance <= STILL:
         return []
@@ -77,19 +88,21 @@ def _moving_base(source: Source) -> list[str]:
 
 
 def accepted_import(
-    path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False
-) -> tuple[tuple[Recording, ...], list[str], Acceptance]:
+    path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False,
+    progress: Progress | None = None,
+) -> tuple[tuple[Recording, ...], list[str], Acceptance]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
         path: The mapping file.
         tree: The robot, its masses right within a factor of a few.
         align: Whether delays and drifts of clocks that are found are taken back.
-        unchecked: Whether what is certainly wrong is only warned of.
+        unchecked: Whether to accept them without a search for what is wrong.
+        progress: Told how much of the search is done.
 
     Returns:
-        The recording, or its pieces where a source was silent for too long; where it was cut, in
-        words; and what was found before anything was taken back.
+        The recording, or its pieces where a source was silent for too long, with the verdict;
+        where it was cut, in words; and what was found before anything was taken back.
 
     Raises:
         ExperimentError: The mapping is not understood.
@@ -97,12 +110,24 @@ def accepted_import(
     """
     made, lines = pieces(path)
     longest = max(made, key=lambda each: each.samples)
-    found = accept(tree, longest, unchecked=unchecked)
-    if not align:
-        return made, lines, found
-    report = ImportReport.from_dict(longest.facts["import"])
-    again, lines = pieces(path, aligned(read_mapping(path), report, found.clocks))
-    return again, lines, Acceptance(found.clocks, _without_clocks(found.warnings))
+    found = accept(tree, longest, unchecked=unchecked, progress=progress)
+    if align:
+        report = ImportReport.from_dict(longest.facts["import"])
+        made, lines = pieces(path, aligned(read_mapping(path), report, found.clocks))
+        found = Acceptance(found.clocks, _without_clocks(found.warnings))
+    if not unchecked:
+        made = tuple(_with_verdict(each, tree, found, made) for each in made)
+    return made, lines, found
+
+
+def _with_verdict(
+    one: Recording, tree: Tree, found: Acceptance, pieces: Sequence[Recording]
+) -> Recording:
+    """A recording that keeps what was found of it, if it is the one that was looked at."""
+    if one.samples < max(each.samples for each in pieces):
+        return one
+    of = digest(tree, on_its_base(one, tree))
+    return replace(one, facts={**one.facts, **verdict(of, found.warnings)})
 
 
 def _without_clocks(warnings: Sequence[str]) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from testbed.parameters.row_space import row_space
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.thinning import thinned
+from testbed.sanity.instants import thinned
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the

@@ -1,187 +1,197 @@
-"""What is wrong with a recording in words, and the line of the mapping file that would cure it."""
+"""What would cure a recording: lines of its mapping, as values."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.finding import Finding, few
 from testbed.recordings.columns import AXES
+from testbed.recordings.importing.foreign_units import factor, plain
+from testbed.robot.rotations import from_rpy, to_rpy
 from testbed.robot.tree import Tree
-from testbed.sanity.mistakes import Mistake, own_joints
-from testbed.sanity.search import Reading
+from testbed.sanity.mistakes import Frame, Mistake
+
+Line: TypeAlias = tuple[str, str, Any]
+"""A table of the mapping, a key of it, and the value that it should have."""
 
 WHAT = {
     "position_sign": "the opposite sign of the position",
     "torque_sign": "the opposite sign of the torque",
-    "wrench_sense": "the opposite sense of the wrench",
+    "torque_size": "torques of another size",
+    "sense": "the opposite sense of the wrench",
     "degrees": "degrees taken for radians",
+    "radians": "radians taken for degrees",
     "zero": "another zero of the position",
     "position_order": "positions in another order of joints",
     "torque_order": "torques in another order of joints",
-    "joint_order": "joints in another order",
-    "radians": "radians taken for degrees",
-    "force_unit": "another unit of the plate's forces",
-    "moment_unit": "another unit of the plate's moments",
+    "units": "other units of the plate",
     "plate_order": "the plate's columns in another order",
+    "turn": "a plate's frame that is turned",
+    "shift": "a plate's frame that lies elsewhere",
+    "tare": "a plate that was not zero without the robot",
     "base_unit": "another unit of the base's position",
     "quaternion_order": "x, y, z, w of the base's quaternion taken for w, x, y, z",
 }
 """By the kind of mistake."""
 
-OF_PLATE = ("wrench_sense", "force_unit", "moment_unit", "plate_order")
+OF_PLATE = ("sense", "units", "plate_order", "turn", "shift", "tare")
 """Mistakes about plates."""
 
 OF_BASE = ("base_unit", "quaternion_order")
 """Mistakes about a base that moves."""
 
-LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
-"""Units of a base's position [m]."""
 
-OTHER_UNIT = {
-    ("N", 1e-3): "kN",
-    ("kN", 1e3): "N",
-    ("N m", 1e3): "N mm",
-    ("N m", 1e-3): "kN m",
-    ("N mm", 1e-3): "N m",
-    ("kN m", 1e3): "N m",
-}
-"""What a unit was taken for, and how many times too large its numbers came out."""
+@dataclass(frozen=True)
+class Cure:
+    """One thing to change in a mapping, and what it does to the data.
+
+    Attributes:
+        kind: Of the mistake, a key of `WHAT`.
+        joints: Names of the joints that it is about; empty where it is about plate or base.
+        values: As of the `Mistake`: angles, an order, units, roll, pitch and yaw, ...
+        lines: What the mapping should say.
+        channel: Which channel the cure helps most.
+        before: Part of its variance that is unexplained as recorded.
+        after: The same with all cures.
+    """
+
+    kind: str
+    joints: tuple[str, ...]
+    values: tuple[Any, ...]
+    lines: tuple[Line, ...]
+    channel: str
+    before: float
+    after: float
+
+    @property
+    def remedy(self) -> str:
+        """The lines as a mapping file has them."""
+        return "; ".join(_written(*line) for line in self.lines)
 
 
-def mistake_finding(
-    tree: Tree, mistake: Mistake, given: Reading, found: Reading, mapping: Mapping[str, Any]
-) -> Finding:
-    """A mistake as a person reads it.
+def frame_of(mapping: Mapping[str, Any]) -> Frame:
+    """How a mapping has read its plate; as the bedplate's own where it has none, or several.
 
     Args:
-        tree: The robot.
-        mistake: What is wrong.
-        given: The data as they are.
-        found: The data without their mistakes.
         mapping: What the recording's mapping file says; empty if it has none.
     """
-    names = [tree.names[k] for k in mistake.joints]
-    subject = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
-    if not names:
-        subject = "the base" if mistake.kind in OF_BASE else "the plate"
-    elif len(names) == len(own_joints(tree)) > 1:
-        subject = "all joints"
-    worst = int(np.argmax(given.fit.left - found.fit.left))
-    before, after = float(given.fit.left[worst]), float(found.fit.left[worst])
-    return Finding(
-        subject,
-        f"cannot be as recorded: whatever the masses, {min(before, 1):.0%} of a channel is "
-        f"unexplained, {after:.0%} without the mistake",
-        before,
-        (WHAT[mistake.kind],),
-        f"in the mapping: {_line(tree, mistake, mapping)}",
-    )
+    table = mapping.get("wrench") or {}
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    force, moment = (plain(each) for each in table.get("units", ("N", "N m")))
+    return Frame(from_rpy(place["rpy"]), np.array(place["xyz"], float), (force, moment))
 
 
-def gain_finding(
-    tree: Tree, sizes: Array, least: float, most: float, mapping: Mapping[str, Any]
-) -> Finding:
-    """Torques that are far from what masses of that order make.
+def lines_of(tree: Tree, mistakes: Sequence[Mistake], mapping: Mapping[str, Any]
+             ) -> dict[Mistake, tuple[Line, ...]]:  # fmt: skip
+    """What to write for each of several mistakes, one after the other.
 
     Args:
         tree: The robot.
-        sizes: Times what the model file's masses say, (n,).
-        least: Below this they are doubted.
-        most: Above this.
+        mistakes: That were undone, in this order.
         mapping: What the recording's mapping file says; empty if it has none.
     """
-    told = [k for k in range(tree.n) if np.isfinite(sizes[k])]
-    odd = [k for k in told if not least < sizes[k] < most]
-    said = ", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6])
-    needed = _numbers([1 / sizes[k] if k in told else 0.0 for k in range(tree.n)])
-    small = all(sizes[k] < 1 for k in odd)
-    causes = (
-        ("torques on the motors' side of the gears", "currents taken for torques")
-        if small
-        else ("a unit such as N mm", "masses of another robot")
-    )
-    cure = (
-        f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" with '
-        f"gain about {needed}"
-        if small
-        else f"[torque] unit{_smaller_unit(sizes[told], mapping)}"
-    )
-    return Finding(
-        "the torque",
-        f"is too {'small' if small else 'large'}: it is so many times what the model's masses "
-        f"make: {said}",
-        float(sizes[odd[0]]),
-        causes,
-        f"in the mapping: {cure}",
-    )
+    found: dict[Mistake, tuple[Line, ...]] = {}
+    said: dict[str, Any] = {**mapping}
+    for each in mistakes:
+        lines = tuple(_lines(tree, each, said))
+        found[each] = lines
+        said = with_lines(said, lines)
+    return found
 
 
-def _smaller_unit(sizes: Array, mapping: Mapping[str, Any]) -> str:
-    """The unit a thousand times smaller than the mapping's, where torques are so many too large."""
-    smaller = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m"}
-    unit = mapping.get("torque", {}).get("unit")
-    thousand = 0.5 < np.median(sizes) / 1e3 < 2.0
-    return f' = "{smaller[unit]}"' if thousand and unit in smaller else ""
-
-
-def position_finding(tree: Tree, position: Array, outside: float) -> Iterator[Finding]:
-    """Positions that no joint of this robot can have.
+def with_lines(mapping: Mapping[str, Any], lines: Sequence[Line]) -> dict[str, Any]:
+    """A mapping that says other values.
 
     Args:
-        tree: The robot.
-        position: (M, n) [rad or m].
-        outside: Ranges by which they leave the joint's range.
+        mapping: As a recording keeps it.
+        lines: What it should say.
     """
-    said, turning = [], False
-    for joint, q in zip(tree.joints, position.T, strict=True):
-        low, high = joint.position_range
-        room = outside * (high - low)
-        if q.min() < low - room or q.max() > high + room:
-            turning |= joint.revolute
-            said.append(
-                f"'{joint.name}' {q.min():.4g} to {q.max():.4g} (its range is {low:.4g} to "
-                f"{high:.4g} {'rad' if joint.revolute else 'm'})"
-            )
-    if said:
-        more = f" and {len(said) - 2} more" if len(said) > 2 else ""
-        unit = "deg" if turning else "mm"
-        yield Finding(
-            "positions",
-            f"are such as no joint has: {', '.join(said[:2])}{more}",
-            float(len(said)),
-            (f"positions in {unit}", "positions on the motors' side of the gears"),
-            f'in the mapping: [position] unit = "{unit}", or side = "motor" and a table [gear]',
-        )
+    said: dict[str, Any] = {**mapping}
+    for table, key, value in lines:
+        first, _, plate = table.partition(".")
+        if plate:
+            plates = said.get(first, {})
+            said[first] = {**plates, plate: {**plates.get(plate, {}), key: value}}
+        else:
+            said[first] = {**(said.get(first) or {}), key: value}
+    return said
 
 
-def _line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
-    """What to write, in terms of what is written if that is known."""
-    signal = "torque" if mistake.kind.startswith("torque") else "position"
-    table = mapping.get(signal, {})
-    if mistake.kind in OF_BASE:
-        return _base_line(mistake, mapping.get("base", {}))
+def _lines(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> Iterator[Line]:
+    """What to write of one mistake, in terms of what is written if that is known."""
     if mistake.kind in OF_PLATE:
-        plates = {f"plates.{name}": said for name, said in mapping.get("plates", {}).items()}
-        tables = plates or {"wrench": mapping.get("wrench", {})}
-        return "; ".join(_plate_line(mistake, name, said) for name, said in tables.items())
+        plates = {f"plates.{name}": said for name, said in (mapping.get("plates") or {}).items()}
+        tables = plates or {"wrench": mapping.get("wrench") or {}}
+        for name, said in tables.items():
+            yield (name, *_of_plate(mistake, said, alone=not plates))
+    elif mistake.kind in OF_BASE:
+        yield ("base", *_of_base(mistake, mapping.get("base") or {}))
+    elif mistake.kind.endswith("order"):
+        yield _order_line(tree, mistake, mapping)
+    else:
+        yield from _of_joints(tree, mistake, mapping)
+
+
+def _of_plate(mistake: Mistake, table: Mapping[str, Any], *, alone: bool) -> tuple[str, Any]:
+    """A key of a plate's table and its value; several plates are moved as one."""
+    if mistake.kind == "sense":
+        return "sense", "on_plate" if table.get("sense") != "on_plate" else "on_robot"
+    if mistake.kind == "plate_order":
+        columns = table.get("columns", AXES)
+        columns = columns if len(columns) == len(AXES) else AXES
+        return "columns", [columns[k] for k in mistake.values]
+    if mistake.kind in ("units", "tare"):
+        return mistake.kind, list(mistake.values)
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    given, turn = from_rpy(place["rpy"]), np.eye(3)
+    rpy, xyz = place["rpy"], np.array(place["xyz"], float)
+    if mistake.kind == "turn":
+        turn = from_rpy(mistake.values)
+        rpy = mistake.values if alone else to_rpy(turn @ given)
+        xyz = xyz if alone else turn @ xyz
+    else:
+        xyz = np.array(mistake.values) if alone else xyz + mistake.values
+    return "place", {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 5) + 0.0 for a in rpy]}
+
+
+def _of_base(mistake: Mistake, table: Mapping[str, Any]) -> tuple[str, Any]:
+    """A key of the base's table and its value."""
+    if mistake.kind == "quaternion_order":
+        columns = table.get("quaternion", ("x", "y", "z", "w"))
+        return "quaternion", [columns[k] for k in mistake.values]
+    wanted = factor("position", table.get("unit", "m")) / mistake.values[0]
+    known = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+    other = [unit for unit, size in known.items() if np.isclose(size, wanted)]
+    return "unit", other[0] if other else f"one of {wanted:g} m"
+
+
+def _of_joints(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> Iterator[Line]:
+    """Signs, units and zeros of the joints' columns, in the mapping's own order."""
+    signal = "torque" if mistake.kind.startswith("torque") else "position"
+    table = mapping.get(signal) or {}
+    if mistake.kind.endswith("sign") and "matrix" in table and table["matrix"]:
+        rows = _by_name(tree, table["matrix"], mapping, [])
+        turned = [[-x for x in r] if k in mistake.joints else r for k, r in enumerate(rows)]
+        yield signal, "matrix", _by_mapping(tree, turned, mapping)
     if mistake.kind.endswith("sign"):
-        keys = _keys(table)
-        turned = "; ".join(_turned(tree, mistake, key, signal, mapping) for key in keys)
-        rows = f"turn the signs of these joints' rows in the matrix of [{signal}]"
-        return rows if "matrix" in table else turned
+        keys = {"sign": 1, "offset": 0.0}
+        given = {key for key in keys if any(table.get(key) or ())} | {"sign"}
+        for key in sorted(given - ({"sign"} if table.get("matrix") else set()), reverse=True):
+            before = _by_name(tree, table.get(key), mapping, keys[key])
+            after = [-x if k in mistake.joints and x else x for k, x in enumerate(before)]
+            yield signal, key, _by_mapping(tree, after, mapping)
     if mistake.kind in ("degrees", "radians"):
-        return f"[position] unit = {json.dumps(_angle_units(tree, mistake, table, mapping))}"
+        yield "position", "unit", _angle_units(tree, mistake, table, mapping)
     if mistake.kind == "zero":
         offsets = _by_name(tree, table.get("offset"), mapping, 0.0)
-        for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
-            offsets[joint] += angle
-        return f"[position] offset = {_numbers(_by_mapping(tree, offsets, mapping))}"
-    return _order_line(tree, mistake, mapping)
+        for joint, angle in zip(mistake.joints, mistake.values, strict=True):
+            offsets[joint] = round(offsets[joint] + angle, 5)
+        yield "position", "offset", _by_mapping(tree, offsets, mapping)
 
 
 def _angle_units(
@@ -199,70 +209,61 @@ def _angle_units(
     return right if set(found) == {right} else found
 
 
-def _plate_line(mistake: Mistake, name: str, table: Mapping[str, Any]) -> str:
-    """What to write of a plate's sense, units or columns in its table."""
-    if mistake.kind == "wrench_sense":
-        other = "on_plate" if table.get("sense") == "on_robot" else "on_robot"
-        return f'[{name}] sense = "{other}"'
-    if mistake.kind == "plate_order":
-        columns = table.get("columns", AXES)
-        if len(columns) != len(AXES):
-            columns = AXES
-        return f"[{name}] columns = {json.dumps([columns[k] for k in mistake.order])}"
-    place = 0 if mistake.kind == "force_unit" else 1
-    units = list(table.get("units", ("N", "N m")))
-    units[place] = OTHER_UNIT.get((units[place], mistake.factor), f"{units[place]} of another size")
-    times = f"{mistake.factor:g} times what they should be"
-    return f"[{name}] units = {json.dumps(units)}: {('forces', 'moments')[place]} are {times}"
+def _order_line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> Line:
+    """Columns in their right order; joints' names in their place where the mapping has none."""
+    signal = mistake.kind.partition("_")[0]
+    table = mapping.get(signal) or {}
+    plain_columns = not table.get("matrix") and len(table.get("columns", ())) == tree.n
+    found = _by_name(tree, table["columns"], mapping, "") if plain_columns else list(tree.names)
+    ordered = [found[k] for k in mistake.values]
+    return signal, "columns", _by_mapping(tree, ordered, mapping)
 
 
-def _base_line(mistake: Mistake, table: Mapping[str, Any]) -> str:
-    """What to write of the base's unit or quaternion."""
-    if mistake.kind == "quaternion_order":
-        columns = table.get("quaternion", ("x", "y", "z", "w"))
-        return f"[base] quaternion = {json.dumps([columns[k] for k in mistake.order])}"
-    wanted = LENGTHS.get(table.get("unit", "m"), 1.0) / mistake.factor
-    other = [unit for unit, size in LENGTHS.items() if np.isclose(size, wanted)]
-    times = f"positions are {mistake.factor:g} times what they should be"
-    return f'[base] unit = "{other[0]}": {times}' if other else f"[base] unit: {times}"
+def cures_of(tree: Tree, mistakes: Sequence[Mistake], before: Array, after: Array,
+             mapping: Mapping[str, Any]) -> tuple[Cure, ...]:  # fmt: skip
+    """What to change where mistakes were found.
 
-
-def _keys(table: Mapping[str, Any]) -> tuple[str, ...]:
-    """What turns with a signal's sign."""
-    return ("sign", "offset") if any(table.get("offset", ())) else ("sign",)
-
-
-def _turned(tree: Tree, mistake: Mistake, key: str, signal: str, mapping: Mapping[str, Any]) -> str:
-    """A list of a signal's table with the signs of some joints turned."""
-    default = 1.0 if key == "sign" else 0.0
-    before = _by_name(tree, mapping.get(signal, {}).get(key), mapping, default)
-    after = [-x if k in mistake.joints and x else x for k, x in enumerate(before)]
-    return f"[{signal}] {key} = {_numbers(_by_mapping(tree, after, mapping))}"
-
-
-def _order_line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> str:
-    """Columns in their right order, if the mapping says which there are."""
-    moved = {
-        "torque_order": ("torque",),
-        "position_order": ("position",),
-        "joint_order": ("position", "torque"),
-    }[mistake.kind]
-    said = []
-    for signal in moved:
-        columns = mapping.get(signal, {}).get("columns", [])
-        plain = "matrix" not in mapping.get(signal, {}) and len(columns) == tree.n
-        if plain:
-            found = _by_name(tree, columns, mapping, "")
-            ordered = _by_mapping(tree, [found[k] for k in mistake.order], mapping)
-            text = ", ".join(f'"{name}"' for name in ordered)
-            said.append(f"[{signal}] columns = [{text}]")
-        else:
-            pairs = ", ".join(
-                f"{tree.names[k]} is in the column of {tree.names[mistake.order[k]]}"
-                for k in mistake.joints
+    Args:
+        tree: The robot.
+        mistakes: That were undone, in this order.
+        before: Part of each channel's variance that is unexplained as recorded, (C,).
+        after: The same without the mistakes.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    torques = len(before) - 6 * (len(before) >= 6 and len(before) != tree.n)
+    names = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
+    found = []
+    for mistake, lines in lines_of(tree, mistakes, mapping).items():
+        own = np.ones(len(before), bool)
+        if mistake.kind in OF_PLATE:
+            own[:torques] = False
+        elif mistake.kind.startswith("torque"):
+            own = np.isin(np.arange(len(before)), mistake.joints)
+        best = int(np.argmax(np.where(own, before - after, -np.inf)))
+        joints = tuple(tree.names[k] for k in mistake.joints)
+        found.append(
+            Cure(
+                mistake.kind,
+                joints,
+                mistake.values,
+                lines,
+                names[best],
+                float(before[best]),
+                float(after[best]),
             )
-            said.append(f"[{signal}] columns: {pairs}")
-    return "; ".join(said)
+        )
+    return tuple(found)
+
+
+def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
+    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
+
+    Args:
+        tree: The robot.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    said = (mapping.get("position") or {}).get("offset")
+    return np.array(_by_name(tree, said, mapping, 0.0), dtype=np.float64)
 
 
 def _by_name(tree: Tree, values: Sequence[Any] | None, mapping: Mapping[str, Any],
@@ -279,16 +280,21 @@ def _by_mapping(tree: Tree, values: Sequence[Any], mapping: Mapping[str, Any]) -
     return [found[name] for name in mapping.get("joints", tree.names)]
 
 
-def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
-    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
-
-    Args:
-        tree: The robot.
-        mapping: What the recording's mapping file says; empty if it has none.
-    """
-    said = mapping.get("position", {}).get("offset")
-    return np.array(_by_name(tree, said, mapping, 0.0), dtype=np.float64)
+def _written(table: str, key: str, value: Any) -> str:
+    """A line of a mapping file."""
+    if isinstance(value, dict):
+        return (
+            f"[{table}] {key} = {{ {', '.join(f'{k} = {_value(v)}' for k, v in value.items())} }}"
+        )
+    return f"[{table}] {key} = {_value(value)}"
 
 
-def _numbers(values: Sequence[float]) -> str:
+def _value(value: Any) -> str:
+    if isinstance(value, list) and value and all(isinstance(x, int | float) for x in value):
+        return numbers(value)
+    return json.dumps(value)
+
+
+def numbers(values: Sequence[float]) -> str:
+    """A list as a mapping file has it."""
     return "[" + ", ".join(f"{value:.5g}" for value in values) + "]"

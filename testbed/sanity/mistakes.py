@@ -1,29 +1,31 @@
-"""Mistakes that mappings hold: what the data would be without each, and which to try."""
+"""Mistakes that mappings hold, as values; what positions and plate would be without each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
-from typing import Literal
+from dataclasses import dataclass
+from itertools import combinations, product
+from typing import Any, Literal
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
-from testbed.robot.free_base import FREE, coordinates, poses
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
+from testbed.robot.free_base import FREE
+from testbed.robot.rotations import to_rpy
 from testbed.robot.tree import Tree
+from testbed.sanity.plate_map import placed, quarter_turns
 
 Kind = Literal[
-    "position_sign", "torque_sign", "wrench_sense", "degrees", "radians", "zero",
-    "position_order", "torque_order", "joint_order", "force_unit", "moment_unit", "plate_order",
-    "base_unit", "quaternion_order",
+    "degrees", "radians", "position_sign", "position_order", "zero", "base_unit",
+    "quaternion_order", "torque_sign", "torque_order", "torque_size", "units", "plate_order",
+    "turn", "shift", "sense", "tare",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
 
-SCANNED = tuple(np.deg2rad(angle) for angle in range(-165, 180, 15) if angle % 90)
+SCANNED = tuple(np.deg2rad(angle) for angle in range(-150, 180, 30) if angle % 90)
 """Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi
@@ -32,14 +34,11 @@ BEYOND = 2 * np.pi
 LITTLE = np.deg2rad(2 * BEYOND)
 """Excursions below this may be radians that were taken for degrees [rad]."""
 
-PLATE_UNITS = (1e-3, 1e3)
-"""Times that forces or moments are taken too small or too large: N mm for N m, kN for N."""
-
 PLATE_ORDERS = (
-    (3, 4, 5, 0, 1, 2), (1, 0, 2, 4, 3, 5), (0, 2, 1, 3, 5, 4), (2, 1, 0, 5, 4, 3),
-    (1, 2, 0, 4, 5, 3), (2, 0, 1, 5, 3, 4),
+    (3, 4, 5, 0, 1, 2), (1, 0, 2, 3, 4, 5), (0, 2, 1, 3, 4, 5), (2, 1, 0, 3, 4, 5),
+    (0, 1, 2, 4, 3, 5), (0, 1, 2, 3, 5, 4), (0, 1, 2, 5, 4, 3),
 )  # fmt: skip
-"""Moments before forces, and axes in another order."""
+"""Moments before forces, and two channels exchanged; axes in another order are a turn."""
 
 BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
 """Times that a base's positions are taken too small or too large: mm or cm for m."""
@@ -47,183 +46,207 @@ BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
 SCALAR_LAST = (3, 0, 1, 2)
 """Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
-MERGED = ("position_sign", "torque_sign", "degrees", "zero")
-"""Kinds of which there is one line in a mapping for all joints."""
+DOUBT: dict[str, float] = {
+    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0,
+}  # fmt: skip
+"""Of two mistakes that explain the same, the one that files hold more often comes first [nats]."""
+
+STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
+"""Steps of angles that people write [rad]; what another turn must explain more [nats]."""
 
 MOST_JOINTS = 12
 """Joints of a robot up to which orders and zeros are tried: their number grows fast."""
 
 
-@dataclass(frozen=True, eq=False)
-class Signals:
-    """What a recording's estimates are made of.
-
-    Attributes:
-        position: (M, n) [rad or m].
-        torque: (M, n) [N m or N], if measured.
-        wrench: (M, 6) [N, N m], if measured.
-        offset: What the mapping has added to the positions, (n,) [rad or m].
-    """
-
-    position: Array
-    torque: Array | None
-    wrench: Array | None
-    offset: Array | float = 0.0
-
-
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake that a mapping may hold.
+    """One mistake that a mapping may hold, as what must be done to the data.
 
     Attributes:
         kind: What is wrong.
         joints: Indices of the joints that it is about.
-        angles: Of zeros that are missing, one a joint [rad].
-        order: Of orders: the k-th joint's, or the plate's k-th, column stands in place order[k].
-        factor: Of units of plate or base: what is measured is so many times too large.
+        values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
+            joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
+            [rad]; of a shift the frame's origin [m]; of sizes, and of a base's unit, how many
+            times too large the numbers are.
     """
 
     kind: Kind
     joints: tuple[int, ...] = ()
-    angles: tuple[float, ...] = ()
-    order: tuple[int, ...] = ()
-    factor: float = 1.0
+    values: tuple[Any, ...] = ()
 
-    def undone(self, signals: Signals) -> Signals:
-        """What the data would be without it.
+    @property
+    def doubt(self) -> float:
+        """What it must explain more than another mistake [nats]."""
+        if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
+            angles = np.array(self.values)
+            odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
+            return float(ODD * sum(odd))
+        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
+        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
+        return DOUBT.get(self.kind, 0.0) * times
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """How a mapping has read the plate.
+
+    Attributes:
+        turn: Of the sensor's frame, (3, 3).
+        place: Of its origin, (3,) [m].
+        units: Of forces and moments.
+    """
+
+    turn: Array
+    place: Array
+    units: tuple[str, str]
+
+    def map(self, turn: Array, units: tuple[str, str], order: Sequence[int]) -> Array:
+        """The wrench in the bedplate's frame by another reading, of that by this one, (6, 6).
 
         Args:
-            signals: As they were read.
+            turn: Of the sensor's frame, (3, 3).
+            units: Of forces and moments.
+            order: In which column each channel is.
         """
-        position, torque, wrench = signals.position, signals.torque, signals.wrench
-        here = list(self.joints)
-        if self.kind in ("position_order", "joint_order"):
-            position = position[:, list(self.order)]
-        if self.kind in ("torque_order", "joint_order") and torque is not None:
-            torque = torque[:, list(self.order)]
-        if self.kind == "torque_sign" and torque is not None:
-            torque = _times(torque, here, -1.0)
-        if wrench is not None:
-            wrench = self._plate(wrench)
-        if self.kind == "radians":
-            position = _times(position - signals.offset, here, 180 / np.pi) + signals.offset
-        if self.kind == "position_sign":
-            position = _times(position, here, -1.0)
-        if self.kind == "degrees":
-            position = _times(position, here, np.pi / 180)
-        if self.kind == "zero":
-            position = position.copy()
-            position[:, here] += self.angles
-        if self.kind == "base_unit":
-            position = _times(position, [0, 1, 2], 1 / self.factor)
-        if self.kind == "quaternion_order":
-            pose = poses(position[:, :FREE])
-            pose[:, 3:] = pose[:, 3:][:, list(self.order)]
-            position = np.hstack([_upright(pose), position[:, FREE:]])
-        return replace(signals, position=position, torque=torque, wrench=wrench)
-
-    def _plate(self, wrench: Array) -> Array:
-        """The plate's channels without it."""
-        if self.kind == "wrench_sense":
-            return -wrench
-        if self.kind == "plate_order":
-            return wrench[:, list(self.order)]
-        if self.kind in ("force_unit", "moment_unit"):
-            part = [0, 1, 2] if self.kind == "force_unit" else [3, 4, 5]
-            return _times(wrench, part, 1 / self.factor)
-        return wrench
+        sizes = (FORCES[units[0]], MOMENTS[units[1]])
+        given = (FORCES[self.units[0]], MOMENTS[self.units[1]])
+        scale = np.repeat(sizes, 3)
+        columns = (
+            np.diag(scale) @ np.eye(6)[list(order)] @ np.diag(np.repeat(1 / np.array(given), 3))
+        )
+        found: Array = (
+            placed(turn, self.place) @ columns @ np.linalg.inv(placed(self.turn, self.place))
+        )
+        return found
 
 
-def merged(mistakes: Sequence[Mistake]) -> list[Mistake]:
-    """Signs and zeros of several joints, each kind as one mistake.
+AS_READ = (0, 1, 2, 3, 4, 5)
+
+
+def plate_hypotheses(frame: Frame, most: int) -> Iterator[tuple[tuple[Mistake, ...], Array]]:
+    """Up to so many kinds of mistakes about a plate, and the map that undoes them.
+
+    The sense is the sign of what the model file foretells; a shift is fitted.
 
     Args:
-        mistakes: In any order; those of columns' orders stay as they are.
+        frame: How the mapping has read the plate.
+        most: Kinds at once.
     """
-    found: list[Mistake] = []
-    for kind in ("position_sign", "torque_sign", "degrees"):
-        alike = [m for m in mistakes if m.kind == kind]
-        joints = sorted({j for m in alike for j in m.joints})
-        odd = [j for j in joints if sum(j in m.joints for m in alike) % 2]
-        found += [replace(alike[0], joints=tuple(odd))] if odd else []
-    zeros: dict[int, float] = {}
-    for mistake in mistakes:
-        if mistake.kind == "zero":
-            for joint, angle in zip(mistake.joints, mistake.angles, strict=True):
-                zeros[joint] = zeros.get(joint, 0.0) + angle
-    if zeros:
-        found.append(Mistake("zero", tuple(zeros), tuple(zeros.values())))
-    return found + [m for m in mistakes if m.kind not in MERGED]
+    turns = [turn @ frame.turn for turn in quarter_turns()]
+    units = [frame.units, *(u for u in product(FORCES, MOMENTS) if u != frame.units)]
+    for order in (AS_READ, *PLATE_ORDERS):
+        for unit in units:
+            for k, turn in enumerate(turns):
+                mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
+                mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
+                mistakes += [turned(turn)] * (k > 0)
+                if len(mistakes) <= most:
+                    yield tuple(mistakes), frame.map(turn, unit, order)
 
 
-def mistakes_of_all(tree: Tree, signals: Signals) -> Iterator[Mistake]:
-    """Mistakes that concern all joints alike.
+def turned(turn: Array) -> Mistake:
+    """The mistake of a frame that is turned so, (3, 3)."""
+    return Mistake("turn", (), tuple(np.round(to_rpy(turn), 6).tolist()))
+
+
+def position_hypotheses(
+    tree: Tree, position: Array, beside: Sequence[Mistake]
+) -> Iterator[Mistake]:
+    """Mistakes about positions that may be there besides others.
 
     Args:
         tree: The robot.
-        signals: What there is.
+        position: (T, n) [rad or m].
+        beside: Mistakes that were undone.
     """
-    everyone = tuple(own_joints(tree))
-    large = [k for k in _turning(tree, everyone) if np.abs(signals.position[:, k]).max() > BEYOND]
-    if signals.torque is not None:
-        yield Mistake("torque_sign", everyone)
-    if signals.wrench is not None:
-        yield Mistake("wrench_sense")
-        yield from (Mistake("force_unit", factor=factor) for factor in PLATE_UNITS)
-        yield from (Mistake("moment_unit", factor=factor) for factor in PLATE_UNITS)
-        yield from (Mistake("plate_order", order=order) for order in PLATE_ORDERS)
-    if large:
-        yield Mistake("degrees", tuple(_turning(tree, everyone)))
-    span = np.ptp(signals.position[:, _turning(tree, everyone)], axis=0)
-    if span.size and span.max() < LITTLE:
-        yield Mistake("radians", tuple(_turning(tree, everyone)))
-    if tree.floating:
-        yield from (Mistake("base_unit", factor=factor) for factor in BASE_UNITS)
-        yield Mistake("quaternion_order", order=SCALAR_LAST)
-    rolled = [tuple(np.roll(everyone, k).tolist()) for k in range(1, len(everyone))]
-    base = tuple(range(tree.n - len(everyone)))
-    for order in ((*base, *each) for each in (*rolled, everyone[::-1])):
-        if 2 < tree.n <= MOST_JOINTS:
-            yield from _orders(tree, signals, order)
+    own = own_joints(tree)
+    turning = [k for k in own if tree.joints[k].revolute]
+    before = {each.kind for each in beside}
+    if turning and not before & {"degrees", "radians"}:
+        if np.abs(position[:, turning]).max() > BEYOND:
+            yield Mistake("degrees", tuple(turning))
+        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
+            yield Mistake("radians", tuple(turning))
+    if tree.floating and not before & {"base_unit", "quaternion_order"}:
+        yield from (Mistake("base_unit", (), (factor,)) for factor in BASE_UNITS)
+        yield Mistake("quaternion_order", (), SCALAR_LAST)
+    yield from (Mistake("position_sign", (joint,)) for joint in own)
+    if tree.n > MOST_JOINTS:
+        return
+    for joint, angle in product(turning, QUARTERS):
+        if tree.children(
+            joint
+        ):  # another zero of the last joint only renames its body's parameters
+            yield Mistake("zero", (joint,), (angle,))
+    for order in _orders(tree, own):
+        moved = tuple(k for k in own if order[k] != k)
+        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
+            yield Mistake("position_order", moved, order)
 
 
-def mistakes_of_joints(tree: Tree, signals: Signals, doubted: Sequence[int]) -> Iterator[Mistake]:
-    """Mistakes that concern a joint or two.
-
-    Args:
-        tree: The robot.
-        signals: What there is.
-        doubted: Joints about which something is odd.
-    """
-    near = own_joints(tree) if tree.n <= MOST_JOINTS else doubted
-    for joint in near:  # a position shows in the torques of its carriers
-        yield Mistake("position_sign", (joint,))
-        if signals.torque is not None and joint in doubted:
-            yield Mistake("torque_sign", (joint,))
-        if _turning(tree, [joint]) and tree.n <= MOST_JOINTS:
-            if np.abs(signals.position[:, joint]).max() > BEYOND:
-                yield Mistake("degrees", (joint,))
-            yield from (Mistake("zero", (joint,), (angle,)) for angle in QUARTERS)
-        for other in own_joints(tree) if tree.n <= MOST_JOINTS and joint in doubted else ():
-            if other < joint or (other > joint and other not in doubted):
-                order = list(range(tree.n))
-                order[joint], order[other] = other, joint
-                yield from _orders(tree, signals, tuple(order))
-
-
-def rarer_mistakes(tree: Tree, doubted: Sequence[int]) -> Iterator[Mistake]:
+def rarer_hypotheses(tree: Tree, *, pairs: bool) -> Iterator[Mistake]:
     """Zeros of neighbours that are wrong together, and zeros by any angle.
 
     Args:
         tree: The robot.
-        doubted: Joints about which something is odd.
+        pairs: Whether to try neighbours.
     """
-    for joint in _turning(tree, doubted):
-        beside = (tree.parents[joint], *tree.children(joint))
-        for other in _turning(tree, [k for k in beside if k >= 0]):
-            for angles in product(QUARTERS, repeat=2):
+    own = own_joints(tree) if tree.n <= MOST_JOINTS else ()
+    turning = [k for k in own if tree.joints[k].revolute and tree.children(k)]
+    for joint in turning:
+        for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
+            if pairs and other in turning:
                 yield Mistake("zero", (joint, other), angles)
         yield from (Mistake("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def joint_map(mistake: Mistake, n: int, offset: Array) -> tuple[Array, Array]:
+    """Positions without a mistake are scale @ position + added: (n, n) and (n,).
+
+    Args:
+        mistake: About positions, but for the order of a quaternion.
+        n: Joints.
+        offset: What the mapping has added to the positions, (n,).
+    """
+    scale, added, here = np.ones(n), np.zeros(n), list(mistake.joints)
+    if mistake.kind == "position_order":
+        return np.eye(n)[list(mistake.values)], added
+    if mistake.kind == "position_sign":
+        scale[here] = -1.0
+    if mistake.kind == "degrees":
+        scale[here] = np.pi / 180
+    if mistake.kind == "radians":
+        scale[here] = 180 / np.pi
+        added[here] = ((1 - 180 / np.pi) * offset)[here]
+    if mistake.kind == "zero":
+        added[here] = mistake.values
+    if mistake.kind == "base_unit":
+        scale[:3] = 1 / mistake.values[0]
+    return np.diag(scale), added
+
+
+def merged(mistakes: Sequence[Mistake]) -> tuple[Mistake, ...]:
+    """Signs and zeros of several joints, each kind as one mistake: it is one line of a mapping.
+
+    Args:
+        mistakes: In the order in which they are undone.
+    """
+    signs: dict[Kind, set[int]] = {"position_sign": set(), "torque_sign": set()}
+    zeros: dict[int, float] = {}
+    for each in mistakes:
+        if each.kind in signs:
+            signs[each.kind] ^= set(each.joints)
+        if each.kind == "position_sign":  # of what was added before, too
+            zeros |= {joint: -zeros[joint] for joint in each.joints if joint in zeros}
+        if each.kind == "zero":
+            for joint, angle in zip(each.joints, each.values, strict=True):
+                zeros[joint] = zeros.get(joint, 0.0) + angle
+    zeros = {joint: angle for joint, angle in sorted(zeros.items()) if angle}
+    found = [m for m in mistakes if m.kind not in (*signs, "zero")]
+    found += [Mistake(kind, tuple(sorted(joints))) for kind, joints in signs.items() if joints]
+    found += [Mistake("zero", tuple(zeros), tuple(zeros.values()))] if zeros else []
+    return tuple(found)
 
 
 def own_joints(tree: Tree) -> range:
@@ -235,30 +258,15 @@ def own_joints(tree: Tree) -> range:
     return range(FREE if tree.floating else 0, tree.n)
 
 
-def _upright(pose: Array) -> Array:
-    """Coordinates of poses, (M, 6); as if the base lay still where it stands on its head."""
-    try:
-        return coordinates(pose)
-    except RecordingError:
-        return np.zeros((len(pose), FREE))
-
-
-def _orders(tree: Tree, signals: Signals, order: tuple[int, ...]) -> Iterator[Mistake]:
-    """An order of columns, of positions, torques, or both."""
-    joints = tuple(k for k, place in enumerate(order) if place != k)
-    if any(tree.joints[k].kind != tree.joints[order[k]].kind for k in joints):
-        return
-    if signals.torque is not None:
-        yield Mistake("torque_order", joints, order=order)
-        yield Mistake("joint_order", joints, order=order)
-    yield Mistake("position_order", joints, order=order)
-
-
-def _turning(tree: Tree, joints: Sequence[int]) -> list[int]:
-    return [k for k in joints if tree.joints[k].revolute]
-
-
-def _times(signal: Array, columns: list[int], factor: float) -> Array:
-    changed = signal.copy()
-    changed[:, columns] *= factor
-    return changed
+def _orders(tree: Tree, own: range) -> Iterator[tuple[int, ...]]:
+    """Two joints exchanged; all of them rolled or in reverse."""
+    same = list(range(tree.n))
+    for one, other in combinations(own, 2):
+        order = list(same)
+        order[one], order[other] = other, one
+        yield tuple(order)
+    if len(own) > 2:
+        base, rest = same[: own.start], np.array(own)
+        yield from ((*base, *np.roll(rest, k).tolist()) for k in range(1, len(own)))
+        if len(own) > 3:
+            yield (*base, *rest[::-1].tolist())

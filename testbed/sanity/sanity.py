@@ -1,13 +1,14 @@
 """Whether a recording can be true of a robot at all, before anything is estimated.
 
 Masses need only be right within a factor of a few. A recording is refused where the data
-without some mistake of the mapping are far more likely than the data as they are, and explained
-well; where that is less clear, or torques are only too small or too large, there are warnings.
+without some mistakes of the mapping are far more likely than the data as they are, and explained
+well; where no mistakes explain what a plate has measured; and where a robot would have a negative
+weight. Where that is less clear, or torques are only too small or too large, there are warnings.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,48 +20,38 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.cures import (
-    gain_finding,
-    mistake_finding,
-    position_finding,
-    position_offset,
+from testbed.sanity.cure_words import cure_finding, gain_finding, position_finding, zero_finding
+from testbed.sanity.cures import WHAT, Cure, cures_of, frame_of, position_offset
+from testbed.sanity.explanation import Explanation
+from testbed.sanity.mistakes import Mistake
+from testbed.sanity.plate_findings import (
+    equal_zeros,
+    map_findings,
+    weight_finding,
+    zero_mistake,
 )
-from testbed.sanity.mistakes import QUARTERS, Signals, merged
-from testbed.sanity.scaled_fit import LEAST, MOST
-from testbed.sanity.search import (
-    EXPLAINED,
-    NOISY,
-    Reading,
-    as_given,
-    best_reading,
-    doubted_joints,
-    larger_motion,
-)
+from testbed.sanity.search import Progress, Search
 
-CERTAIN, LIKELY = 40.0, 15.0
+CERTAIN, LIKELY = 12.0, 6.0
 """Differences of minus the logarithm of likelihood from which a mistake is certain, or likely."""
 
-WELL = 0.4
-"""Part of a channel's variance that may be left where a mistake is called certain."""
+WELL, NOISY, TIMES = 0.4, 3.0, 4.0
+"""Part of a channel's variance that may be left where a mistake is called certain, times its
+noise's part that may be left besides; and times less than before that must be left."""
 
-CLEAR, TOLD = 0.01, 5.0
-"""Part of a torque's variance that bodies alone must explain for its size to be told, and how
-many times what is left that must be."""
-
-MOSTLY = 0.1
-"""What may be left in the middle one of the channels where torques of any size explain them: tiny
-torques of a model that says nothing would be no explanation."""
-
-SHARP = 10.0
-"""Times less than before that must be left where a zero is not of a quarter turn."""
+EQUAL = 1.0
+"""Explanations within this of each other are equal [nats]."""
 
 SMALL, LARGE = 0.4, 2.5
 """Times what the model file says beyond which torques are doubted."""
 
+LEAST, MOST = 0.25, 4.0
+"""The same where they are refused: no masses are so wrong."""
+
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
 
-ENOUGH = 200_000
+MOST_SAMPLES = 200_000
 """Samples that are looked at, from the recording's middle."""
 
 
@@ -70,20 +61,24 @@ class Sanity:
 
     Attributes:
         joints: Joint names.
-        factors: What the bodies' inertias must be multiplied by, (n,).
-        left: Part of each channel's variance that rough masses, friction and rotors leave, (C,).
+        left: Part of each channel's variance that is unexplained as recorded, (C,).
         sizes: Torques are so many times what the model file's masses say; nan where they do
             not tell, (n,) or (0,).
+        cures: What would cure the recording, to be made together; empty where nothing is wrong.
+        runner_up: Kinds of mistakes of the next best explanation.
+        times: So many times more is left by that.
         certain: What is certainly wrong.
         likely: What may be.
     """
 
     joints: tuple[str, ...]
-    factors: Array
     left: Array
     sizes: Array
-    certain: tuple[Finding, ...]
-    likely: tuple[Finding, ...]
+    cures: tuple[Cure, ...] = ()
+    runner_up: tuple[str, ...] = ()
+    times: float = 1.0
+    certain: tuple[Finding, ...] = ()
+    likely: tuple[Finding, ...] = ()
 
     def require(self) -> None:
         """Stop where something is certainly wrong.
@@ -96,95 +91,122 @@ class Sanity:
             raise RecordingError(f"the recording cannot be true of this robot: {said}")
 
 
-def check_sanity(tree: Tree, source: Source) -> Sanity:
+def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -> Sanity:
     """What speaks for and against a recording.
 
     Args:
         tree: The robot, its masses right within a factor of a few; not used for estimates.
         source: The recording.
+        progress: Told how much of the search for mistakes is done.
 
     Raises:
-        RecordingError: It is of another robot, or too short to tell.
+        RecordingError: It is of another robot.
     """
     check_robot(source, tree)
     tree = tree.with_gravity(source.facts.get("gravity"))
-    first = max(0, (source.samples - ENOUGH) // 2)
-    part = source.part(first, min(source.samples, first + ENOUGH)).ordered(tree)
+    first = max(0, (source.samples - MOST_SAMPLES) // 2)
+    part = source.part(first, min(source.samples, first + MOST_SAMPLES)).ordered(tree)
     mapping: Mapping[str, Any] = source.facts.get("mapping", {})
-    offset = position_offset(tree, mapping)
-    signals = Signals(np.array(part.position), part.torque, part.wrench, offset)
-    given = as_given(tree, signals, source.rate)
-    sized = _likeliest(tree, given, source.rate)
-    gain = given.fit.cost - sized.fit.cost
-    wrong = [mistake_finding(tree, m, given, sized, mapping) for m in merged(sized.mistakes)]
-    sizes = torque_sizes(sized)
-    clear = gain > CERTAIN and _explains(given, sized)
-    told = sizes[np.isfinite(sizes)]
-    doubtful = told if clear else np.median(told, keepdims=True) if len(told) else told
-    beyond = gain > LIKELY and sized.free_gains and not _within(doubtful, LEAST, MOST)
-    size = [gain_finding(tree, sizes, LEAST, MOST, mapping)] if beyond else []
-    outside = [] if clear else position_finding(tree, signals.position, OUTSIDE)
-    certain = [*outside, *(wrong if clear else []), *size]
-    likely = wrong if not clear and gain > LIKELY else []
-    if not beyond and not _within(sizes, SMALL, LARGE):
-        likely = [*likely, gain_finding(tree, sizes, SMALL, LARGE, mapping)]
+    position = np.array(part.position)
+    search = Search(
+        tree, (position, part.torque, part.wrench), source.rate,
+        position_offset(tree, mapping), frame_of(mapping), progress,
+    )  # fmt: skip
+    outside = tuple(position_finding(tree, position, OUTSIDE))
+    if search.given is None:  # too short to tell
+        return Sanity(tree.names, np.zeros(0), np.zeros(0), certain=outside)
+    given, found = search.best()
+    best = found[0]
+    gain = given.cost - best.cost
+    foreign, certain, likely, more = _about_plate(best, source.tare)
+    wrong = [m for m in best.mistakes if m.kind != "torque_size"]
+    if foreign or gain <= LIKELY:
+        wrong = []
+    cures: tuple[Cure, ...] = ()
+    runner_up, times, equals = _others(tree, found)
+    if wrong or more:
+        before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
+        cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
+    if wrong:
+        said = cure_finding(tree, cures, runner_up, times, equals)
+        if gain > CERTAIN and explains(given, best):
+            certain, likely = [said, *certain], []
+        else:
+            likely = [*likely, said]
+    elif more:
+        likely = [*likely, zero_finding(cures[-1])]
+    if not foreign:
+        sizes = [*gain_findings(tree, best, mapping)]
+        certain += [each for sure, each in sizes if sure]
+        likely += [each for sure, each in sizes if not sure]
+    certain = [*(outside if not wrong else ()), *certain]
     return Sanity(
-        tree.names, sized.fit.factors, sized.fit.left, sizes, tuple(certain), tuple(likely)
+        tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
     )
 
 
-def _likeliest(tree: Tree, given: Reading, rate: float) -> Reading:
-    """The reading that explains the data best; torques of any size only where nothing else does."""
-    given = larger_motion(tree, given, rate)
-    if not doubted_joints(tree, given):
-        return given
-    found = freed = given
-    if given.rows.joints:
-        freed = as_given(tree, given.signals, rate, free_gains=True)
-    starts = [given] if freed is given else [given, freed]
-    if freed.fit.cost < given.fit.cost - LIKELY:
-        starts = starts[::-1]  # torques of another size: looked at first
-    for start in starts:
-        reading = best_reading(tree, start, rate)
-        other = reading.free_gains and not found.free_gains
-        margin = LIKELY if other else 0.0
-        if reading.fit.cost < found.fit.cost - margin:
-            found = reading
-        most = not found.free_gains or np.median(found.fit.left) < MOSTLY
-        if most and not doubted_joints(tree, found):
-            break
-    return found
+def _about_plate(best: Explanation, tare: Array | None
+                 ) -> tuple[bool, list[Finding], list[Finding], list[Mistake]]:  # fmt: skip
+    """Whether no mapping explains the plate; what is certain, what likely; its zero's mistake."""
+    if best.map is None:
+        return False, [], [], []
+    sure, maybe = map_findings(best)
+    if sure or maybe:
+        return bool(sure), sure, maybe, []
+    zero = zero_mistake(best, tare)
+    return False, list(weight_finding(best, tare)), [], [zero] if zero is not None else []
 
 
-def torque_sizes(reading: Reading) -> Array:
-    """Times what the model file's masses say that torques are; nan where they do not tell, (n,).
+def gain_findings(
+    tree: Tree, best: Explanation, mapping: Mapping[str, Any]
+) -> Iterator[tuple[bool, Finding]]:
+    """Torques of another size, and whether that is certain.
 
     Args:
-        reading: Of the data.
+        tree: The robot.
+        best: What explains the recording best.
+        mapping: What the recording's mapping file says.
     """
-    rows, fit = reading.rows, reading.fit
-    sizes = np.full(rows.joints, np.nan)
-    for joint in range(rows.joints):
-        share = rows.bodies[:, joint] - rows.bodies[:, joint].mean(axis=0)
-        moved = (rows.shifts[:, joint] - rows.shifts[:, joint].mean(axis=0)) @ fit.shifts
-        model = float(np.linalg.norm(share.sum(axis=1)))
-        told = fit.rigid[joint] > max(CLEAR, TOLD * fit.left[joint])
-        if told and model > 0:
-            sizes[joint] = fit.gains[joint] * np.linalg.norm(share @ fit.factors + moved) / model
-    return sizes
+    odd = any(m.kind == "torque_size" for m in best.mistakes)
+    if odd and not _within(best.sizes, LEAST, MOST):
+        yield True, gain_finding(tree, best.sizes, LEAST, MOST, mapping)
+    elif not _within(best.sizes, SMALL, LARGE):
+        yield False, gain_finding(tree, best.sizes, SMALL, LARGE, mapping)
+
+
+def explains(given: Explanation, found: Explanation) -> bool:
+    """Whether channels that are explained better are explained well.
+
+    Args:
+        given: The data as they are.
+        found: The data without mistakes.
+    """
+    before, after = given.left, found.left
+    better = (before > TIMES * after) & (before > NOISY * given.noise)
+    better |= np.array([m.kind == "shift" for m in found.mistakes]).any() & (before < WELL)
+    return bool(better.any() and (after < WELL + NOISY * found.noise)[better].all())
+
+
+def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], float, tuple[str, ...]]:
+    """The next best explanation that is none like the best, times more that it leaves; equals."""
+    best = found[0]
+    kinds = [tuple(dict.fromkeys(m.kind for m in each.mistakes)) for each in found]
+    equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
+    for each, said in zip(found[1:], kinds[1:], strict=True):
+        same = set(each.mistakes) == set(best.mistakes)
+        if each.cost > best.cost + EQUAL or same:
+            continue
+        if each.count <= best.count:
+            equals[" and ".join(WHAT[kind] for kind in said) or "nothing wrong"] = None
+    others = [e for e in found[1:] if e.cost > best.cost + EQUAL and e.mistakes != best.mistakes]
+    if not others:
+        return (), 1.0, tuple(equals)
+    nearest = min(others, key=lambda each: each.cost)
+    about = slice(-6, None) if best.map is not None else slice(None)
+    times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
+    return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:
     told = sizes[np.isfinite(sizes)]
     return bool(((told > least) & (told < most)).all())
-
-
-def _explains(given: Reading, found: Reading) -> bool:
-    """Whether channels that are explained better are explained well."""
-    before, after = given.fit.left, found.fit.left
-    better = (before > EXPLAINED) & (after < before / 2)
-    odd = [m for m in found.mistakes if m.kind == "zero" and not set(m.angles) <= set(QUARTERS)]
-    if odd:  # wrong centres of mass may look like an odd angle, but never explain all
-        better = (before > EXPLAINED) & (after < before / SHARP)
-    well = WELL + NOISY * found.rows.noise_share
-    return bool(better.any() and (after < well)[better].all())

@@ -1,208 +1,198 @@
-"""The mistakes that explain a recording best, one after the other."""
+"""Which mistakes explain a recording: readings of its positions, from the simple to the rare."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
-from itertools import product
+from collections.abc import Callable, Iterable
+from itertools import chain
 
 import numpy as np
-from numpy.typing import NDArray
 
+from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError
+from testbed.parameters.barycentric import barycentric
+from testbed.parameters.minimal_set import minimal_set
+from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
+from testbed.sanity.any_turn import any_turn
+from testbed.sanity.explanation import Explanation, ranked
+from testbed.sanity.instants import Instants, instants
 from testbed.sanity.mistakes import (
-    MOST_JOINTS,
-    QUARTERS,
+    Frame,
     Mistake,
-    Signals,
-    mistakes_of_all,
-    mistakes_of_joints,
-    own_joints,
-    rarer_mistakes,
+    joint_map,
+    position_hypotheses,
+    rarer_hypotheses,
 )
-from testbed.sanity.model_rows import ModelRows, model_rows
-from testbed.sanity.scaled_fit import ScaledFit, scaled_fit
+from testbed.sanity.position_reading import ENOUGH, EXPLAINED, Prior, Reading
+from testbed.sanity.torque_evidence import prior_root
 
-EXPLAINED = 0.02
-"""Part of a channel's variance that rough models leave: below it nothing is odd."""
+Progress = Callable[[int, int], None]
 
-NOISY = 3.0
-"""Times the noise's own part that may be left besides."""
+Signals = tuple[Array, Array | None, Array | None]
+"""Position, torque, wrench."""
 
-CONCERNS = 0.3
-"""Part of what is left that the model's bodies must make for a mistake of theirs to explain it."""
+DOUBTED = 10.0
+"""Gain of a single mistake below which no others are looked for where there is no plate [nats]."""
 
-PUSHING = 0.9
-"""Part that is left where friction would have to push."""
+GOOD = 0.3
+"""Share of a torque above which rarer mistakes are looked for where there is no plate."""
 
-GOOD = 0.2
-"""What may be left of a channel where rarer mistakes are not looked for."""
+MUCH = 20.0
+"""Times more than the least that some map of a plate leaves of another reading: it is none."""
 
-STEP = 10.0
-"""By how much the cost must fall for a mistake to be taken up."""
+READ = 4
+"""Readings whose plates are judged; the others cannot come up to them."""
 
-MOST = 6
-"""Mistakes in one recording."""
+SAID = 6
+"""Explanations that are kept, the best first."""
 
-WIDTHS = tuple(np.deg2rad(angle) for angle in (8, 4, 2, 1, 0.5))
-"""Steps by which the angle of a zero is refined [rad]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Reading:
-    """Data without some mistakes, and how well they can be true.
-
-    Attributes:
-        mistakes: That were undone, in this order.
-        signals: What is left when they are.
-        free_gains: Whether torques are taken as multiples of what they should be.
-        rows: Of model and measurement.
-        fit: Of the model to them.
-    """
-
-    mistakes: tuple[Mistake, ...]
-    signals: Signals
-    free_gains: bool
-    rows: ModelRows
-    fit: ScaledFit
+UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
+"""Mistakes that concern all joints, which are looked at before those of some."""
 
 
-def as_given(tree: Tree, signals: Signals, rate: float, *, free_gains: bool = False) -> Reading:
-    """The data as they are.
+class Search:
+    """All readings of a recording that were looked at."""
 
-    Args:
-        tree: The robot, its masses roughly right.
-        signals: Positions, torques, wrench.
-        rate: Samples a second [Hz].
-        free_gains: Whether torques may be multiples of what they should be.
-    """
-    rows = model_rows(tree, signals.position, signals.torque, signals.wrench, rate)
-    return Reading((), signals, free_gains, rows, scaled_fit(rows, free_gains=free_gains))
+    def __init__(
+        self, tree: Tree, signals: Signals, rate: float, offset: Array, frame: Frame,
+        progress: Progress | None = None,
+    ) -> None:  # fmt: skip
+        """Nothing yet.
 
+        Args:
+            tree: The robot, its masses roughly right.
+            signals: Position (M, n), torque (M, n), wrench (M, 6); the last two if measured.
+            rate: Samples a second [Hz].
+            offset: What the mapping has added to the positions, (n,).
+            frame: How the mapping has read the plate.
+            progress: Told how many readings are done, and of how many.
+        """
+        self.tree, self.progress = tree, progress
+        self._signals, self._rate, self._offset = signals, rate, offset
+        self._theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
+        told = minimal_set(tree, "reaction").lift
+        self.prior = Prior(tree, frame, barycentric(tree).ravel(), prior_root(tree), told)
+        self.readings: dict[tuple[Mistake, ...], Reading] = {}
+        self.given = instants(*signals, rate)
+        self.plate = signals[2] is not None
 
-def best_reading(tree: Tree, given: Reading, rate: float) -> Reading:
-    """The data without the mistakes that explain them best; as given, if they need none.
+    def read(self, mistakes: tuple[Mistake, ...], taken: Instants) -> Reading:
+        """A reading, made once."""
+        if mistakes not in self.readings:
+            time = np.arange(len(taken.position), dtype=np.float64) * taken.spacing
+            motion = Motion(time, taken.position, taken.velocity, taken.acceleration)
+            joints, base = linear(self.tree, motion, self._theta)
+            self.readings[mistakes] = Reading(self.prior, mistakes, taken, joints, base)
+        return self.readings[mistakes]
 
-    Args:
-        tree: The robot, its masses roughly right.
-        given: The data as they are.
-        rate: Samples a second [Hz].
-    """
-    found = given
-    while len(found.mistakes) < MOST and (found is given or not _good(found)):
-        signals, better, doubted = found.signals, found, doubted_joints(tree, found)
-        if not doubted:
-            break
-        few = [*mistakes_of_all(tree, signals), *mistakes_of_joints(tree, signals, doubted)]
-        better = _best(tree, found, rate, few, better)
-        if better is found or _of_zeros(better) or not _good(better):
-            rarer = rarer_mistakes(tree, doubted if tree.n <= MOST_JOINTS else ())
-            better = _best(tree, found, rate, rarer, better)
-        if better is found:
-            break
-        found = _refined(tree, found, better, rate)
-    return found
+    def without(self, beside: Reading, mistake: Mistake) -> Reading | None:
+        """A reading with one mistake less about positions; None where it is no motion."""
+        if mistake.kind != "quaternion_order":
+            scale, added = joint_map(mistake, self.tree.n, self._offset)
+            taken: Instants | None = beside.taken.moved(scale, added)
+        else:
+            position, *others = self._signals
+            pose = poses(position[:, :FREE])
+            pose[:, 3:] = pose[:, 3:][:, list(mistake.values)]
+            try:
+                moved = np.hstack([coordinates(pose), position[:, FREE:]])
+            except RecordingError:  # the base would stand on its head
+                return None
+            taken = instants(moved, others[0], others[1], self._rate)
+        return None if taken is None else self.read((*beside.mistakes, mistake), taken)
 
+    def best(self) -> tuple[Explanation, list[Explanation]]:
+        """The recording as it is, and what explains it, the best first."""
+        assert self.given is not None
+        given = self.read((), self.given)
+        as_read = given.as_read()
+        as_given = as_read.told(changed=False)
+        if given.fine(as_read):
+            return as_given, [as_given]
+        found = ranked(self._found(given, as_read))
+        return as_given, ranked(each.told() for each in found[:SAID])
 
-def larger_motion(tree: Tree, given: Reading, rate: float) -> Reading:
-    """The data with radians that were taken for degrees, if that explains them better.
+    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:  # noqa: PLR0911
+        """What may explain it, from the simple to the rare; no more once all is explained."""
+        several = [best]
 
-    Friction explains most of a tiny motion's torques, so that nothing need be odd about them.
+        def done(found: Iterable[Explanation], share: float | None = None) -> bool:
+            several.extend(found)
+            likeliest = min(several, key=lambda each: each.cost)
+            if share is not None:
+                return likeliest.explained(share)
+            return self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit
 
-    Args:
-        tree: The robot, its masses roughly right.
-        given: The data as they are.
-        rate: Samples a second [Hz].
-    """
-    few = [m for m in mistakes_of_all(tree, given.signals) if m.kind == "radians"]
-    return _best(tree, given, rate, few, given)
+        hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
+        units = [each for each in hypotheses if each.kind in UNITS]
+        if done(given.explanations(2)) or done(any_turn(given)):
+            return several
+        self._look(given, units)
+        if units and done(self._judged(2)):
+            return several
+        self._look(given, hypotheses)
+        if not self.plate:
+            done(self._judged(1))
+            plain = [each.cost for each in several if not each.sized]
+            if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
+                return several[:1]  # torques of another size leave little to tell of the rest
+            near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
+            done(chain.from_iterable(self._refined(r).explanations(1) for r in near))
+            gain = several[0].told(changed=False).cost - min(each.cost for each in several)
+            if gain < DOUBTED or done((), GOOD):
+                return several
+        if done(self._judged(2)) or done(self._turned(), ENOUGH) or done(self._judged(3), ENOUGH):
+            return several
+        if (
+            self.plate and given.linear_share < EXPLAINED
+        ):  # a matrix explains it: positions are right
+            return several
+        for each in self._nearest(2 if self.plate else 4):
+            self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
+        if done(self._judged(2), ENOUGH) or done(self._turned(), ENOUGH):
+            return several
+        self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
+        zeros = [each for each in self._nearest(3) if each.rare]
+        done(self._judged(1))
+        done(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        return several
 
+    def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
+        several = list(hypotheses)
+        for done, each in enumerate(several, 1):
+            self.without(beside, each)
+            if self.progress is not None:
+                self.progress(done, len(several))
 
-def _of_zeros(reading: Reading) -> bool:
-    """Whether its last mistake is a zero: those of neighbours may hide behind one."""
-    return reading.mistakes[-1].kind == "zero"
+    def _nearest(self, count: int) -> list[Reading]:
+        return sorted(self.readings.values(), key=lambda each: each.bound)[:count]
 
+    def _judged(self, kinds: int) -> list[Explanation]:
+        """What the readings leave that may be the best."""
+        return list(chain.from_iterable(each.explanations(kinds) for each in self._promising()))
 
-def _good(reading: Reading) -> bool:
-    """Whether nothing is left that a rarer mistake would have to explain."""
-    allowed = GOOD + NOISY * reading.rows.noise_share
-    return bool((reading.fit.left < allowed)[odd_channels(reading)].all())
+    def _turned(self) -> list[Explanation]:
+        """The same with a plate's frame turned by any angle."""
+        return list(chain.from_iterable(any_turn(each) for each in self._promising()[:3]))
 
+    def _promising(self) -> list[Reading]:
+        """The nearest readings, but for those that no map of a plate could explain as well."""
+        nearest = self._nearest(READ)
+        least = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
+        return [each for each in nearest if each.least <= least]
 
-def _refined(tree: Tree, start: Reading, found: Reading, rate: float) -> Reading:
-    """A reading whose last mistake's odd angles are the best, not those that were tried."""
-    mistake = found.mistakes[-1]
-    if set(mistake.angles) <= set(QUARTERS):
-        return found
-    for place, width in product(range(len(mistake.angles)), WIDTHS):
-        angles = np.array(mistake.angles)
-        for side in (-width, width):
-            moved = replace(mistake, angles=tuple(angles + side * np.eye(len(angles))[place]))
-            tried = _without(tree, start, moved, rate)
-            if tried.fit.cost < found.fit.cost:
-                found, mistake = tried, moved
-    return found
-
-
-def doubted_joints(tree: Tree, reading: Reading) -> list[int]:
-    """Joints of which something is not explained; all, if it is the wrench.
-
-    Args:
-        tree: The robot.
-        reading: Of the data.
-    """
-    odd = odd_channels(reading)
-    if (odd >= reading.rows.joints).any():
-        return list(own_joints(tree))
-    return [int(k) for k in odd]
-
-
-def odd_channels(reading: Reading) -> NDArray[np.intp]:
-    """Channels of which something is not explained.
-
-    Args:
-        reading: Of the data.
-    """
-    rows, left = reading.rows, reading.fit.left
-    variance = np.maximum(rows.measured.var(axis=0), 1e-30)
-    bodies = rows.bodies.sum(axis=2).var(axis=0) / variance
-    bodies[: rows.joints] *= reading.fit.gains[: rows.joints] ** 2
-    least = EXPLAINED + NOISY * rows.noise_share
-    return np.flatnonzero((left > least) & ((bodies > CONCERNS * left) | (left > PUSHING)))
-
-
-def _best(
-    tree: Tree,
-    start: Reading,
-    rate: float,
-    mistakes: Iterable[Mistake],
-    best: Reading,
-) -> Reading:
-    """The reading with one mistake less that is better than all others by a step, if any is."""
-    for mistake in mistakes:
-        tried = _without(tree, start, mistake, rate)
-        if _price(tried) < _price(best):
-            best = tried
-    return best
-
-
-def _price(reading: Reading) -> float:
-    """Its cost, and that of its mistakes: of two joints or of odd angles they must explain more."""
-    odd = [not set(m.angles) <= set(QUARTERS) for m in reading.mistakes]
-    steps = sum(max(1, len(m.angles)) for m in reading.mistakes) + sum(odd)
-    return reading.fit.cost + STEP * steps
-
-
-def _without(tree: Tree, start: Reading, mistake: Mistake, rate: float) -> Reading:
-    """A reading with one mistake less; where positions stay, so does what the model says."""
-    signals = mistake.undone(start.signals)
-    if signals.position is start.signals.position:
-        joints, rows = start.rows.joints, start.rows
-        there = Signals(rows.speed, rows.measured[:, :joints], rows.measured[:, joints:])
-        changed = mistake.undone(there)
-        measured = [part for part in (changed.torque, changed.wrench) if part is not None]
-        rows = replace(rows, measured=np.hstack(measured))
-    else:
-        rows = model_rows(tree, signals.position, signals.torque, signals.wrench, rate)
-    fit = scaled_fit(rows, free_gains=start.free_gains)
-    return Reading((*start.mistakes, mistake), signals, start.free_gains, rows, fit)
+    def _refined(self, reading: Reading) -> Reading:
+        """A reading whose last zero is the best angle, not one that was tried."""
+        *before, last = reading.mistakes
+        for width in np.deg2rad([12, 6, 3, 1.5, 0.7]):
+            for side in (-width, width):
+                scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
+                added[list(last.joints)] = side
+                values = tuple(angle + side for angle in last.values)
+                moved = (*before, Mistake(last.kind, last.joints, values))
+                tried = self.read(moved, reading.taken.moved(scale, added))
+                if tried.bound < reading.bound:
+                    reading, last = tried, tried.mistakes[-1]
+        return reading

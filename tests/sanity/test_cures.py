@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import re
 import tomllib
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from testbed.arrays import Array
-from testbed.sanity.cures import gain_finding, mistake_finding
-from testbed.sanity.mistakes import Mistake, Signals
+from testbed.sanity.cure_words import gain_finding
+from testbed.sanity.cures import cures_of, with_lines
+from testbed.sanity.mistakes import Mistake, joint_map
 from tests.helpers.runs import robot
 
 JOINTS = ("elbow", "waist", "shoulder")
 """The mapping's own order."""
 
-READING: Any = SimpleNamespace(fit=SimpleNamespace(left=np.ones(3)))
+LEFT = np.ones(3)
 
 TABLES: tuple[dict[str, Any], ...] = (
     {},
@@ -47,21 +47,42 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
 ) -> None:
     raw = np.random.default_rng(0).normal(size=(4, 3))
     mapping = {"joints": list(JOINTS), "position": table}
-    found = mistake_finding(robot("puma"), mistake, READING, READING, mapping)
+    (cure,) = cures_of(robot("puma"), [mistake], LEFT, 0 * LEFT, mapping)
     changed = dict(table)
-    for line in re.findall(r"\[position\] ([^;]*)", found.remedy):
+    for line in re.findall(r"\[position\] ([^;]*)", cure.remedy):
         changed |= tomllib.loads(line)
-    wanted = mistake.undone(Signals(mapped(raw, table), None, None)).position
+    scale, added = joint_map(mistake, 3, np.zeros(3))
+    wanted = mapped(raw, table) @ scale.T + added
+    assert with_lines(mapping, cure.lines)["position"].keys() == changed.keys()
     np.testing.assert_allclose(mapped(raw, changed), wanted, atol=1e-4)  # as it is printed
 
 
-@pytest.mark.parametrize(
-    ("joints", "said"), [((0, 1, 2), 'unit = "deg"'), ((0,), 'unit = ["rad", "deg", "rad"]')]
-)
-def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: str) -> None:
+@pytest.mark.parametrize(("joints", "said"), [((0, 1, 2), "deg"), ((0,), ["rad", "deg", "rad"])])
+def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: Any) -> None:
     mapping = {"joints": list(JOINTS), "position": {}}
-    found = mistake_finding(robot("puma"), Mistake("degrees", joints), READING, READING, mapping)
-    assert said in found.remedy
+    (cure,) = cures_of(robot("puma"), [Mistake("degrees", joints)], LEFT, 0 * LEFT, mapping)
+    assert cure.lines == (("position", "unit", said),)
+
+
+def test_lines_of_several_mistakes_build_on_each_other() -> None:
+    """The sign turns the zero that is there, and another zero is added to that."""
+    mapping = {"joints": list(JOINTS), "position": {"offset": [0.0, 0.5, 0.0]}}
+    made = [Mistake("position_sign", (0,)), Mistake("zero", (0,), (1.0,))]
+    lines = [
+        line
+        for cure in cures_of(robot("puma"), made, LEFT, 0 * LEFT, mapping)
+        for line in cure.lines
+    ]
+    assert with_lines(mapping, lines)["position"] == {"sign": [1, -1, 1], "offset": [0.0, 0.5, 0.0]}
+
+
+def test_programs_can_compare_cures() -> None:
+    made = [Mistake("turn", (), (0.0, 0.0, 1.5)), Mistake("sense")]
+    one, other = (cures_of(robot("puma"), made, np.ones(9), np.full(9, 0.1), {}) for _ in range(2))
+    assert one == other
+    assert [cure.kind for cure in one] == ["turn", "sense"]
+    assert {(cure.before, cure.after) for cure in one} == {(1.0, 0.1)}
+    assert len({hash(str(cure.lines)) for cure in one}) == 2
 
 
 NAN = float("nan")

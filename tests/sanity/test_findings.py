@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from testbed.sanity.cures import gain_finding, position_finding
+from testbed.sanity.cure_words import gain_finding, position_finding
 from tests.helpers.runs import robot
 
 

@@ -1,50 +1,47 @@
-"""Which mistakes of a mapping are tried: those that a robot's joints can have."""
+"""What is tried for what robots, and that each mistake that was made is undone."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from itertools import zip_longest
 
 import numpy as np
 import pytest
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.robot.free_base import FREE, coordinates, on_free_base, poses
+from testbed.robot.free_base import on_free_base
+from testbed.robot.rotations import from_rpy, from_vector
+from testbed.sanity.cures import frame_of, lines_of, with_lines
 from testbed.sanity.mistakes import (
     BEYOND,
     Mistake,
-    Signals,
-    mistakes_of_all,
-    mistakes_of_joints,
-    rarer_mistakes,
+    joint_map,
+    merged,
+    plate_hypotheses,
+    position_hypotheses,
+    rarer_hypotheses,
 )
+from testbed.sanity.plate_map import both, placed, quarter_turns
 from tests.helpers.paths import GOLDEN
 
-ANGLES = {"degrees", "radians", "zero"}
-TIMES = {"position_sign": -1.0, "degrees": 180 / np.pi, "radians": np.pi / 180}
-ORDERS = {"position_order", "torque_order", "joint_order"}
-ARMS = ("gantry_ppp_rrr", "stanford", "scara_rrpr")
-"""With joints that slide and joints that turn."""
+ARMS = ("ur5", "gantry_ppp_rrr", "stanford", "scara_rrpr")
+RIGHT = {"source": "log", "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"], "units": ["N", "N m"],
+         "sense": "on_robot"}  # fmt: skip
 
 
 def arm(name: str) -> tb.Tree:
     return tb.load_tree(GOLDEN / f"robots/{name}.urdf")
 
 
-def signals(tree: tb.Tree, size: float) -> Signals:
-    """Of positions about as large."""
-    rng = np.random.default_rng(3)
-    position = size * rng.uniform(-1.0, 1.0, (50, tree.n))
-    return Signals(position, rng.standard_normal((50, tree.n)), rng.standard_normal((50, 6)))
+def positions(tree: tb.Tree, size: float) -> Array:
+    return size * np.random.default_rng(2).uniform(-1, 1, (50, tree.n))
 
 
-def tried(tree: tb.Tree, given: Signals) -> Iterator[Mistake]:
-    """All that may be tried where every joint is doubted."""
-    everyone = range(tree.n)
-    yield from mistakes_of_all(tree, given)
-    yield from mistakes_of_joints(tree, given, everyone)
-    yield from rarer_mistakes(tree, everyone)
+def test_the_quarter_turns_are_the_group_of_proper_ones() -> None:
+    """24, each a rotation, closed under products: no reflection is among them."""
+    turns = quarter_turns()
+    assert {round(float(np.linalg.det(turn))) for turn in turns} == {1}
+    names = {tuple(turn.ravel().tolist()) for turn in turns}
+    assert len(names) == 24
+    assert {tuple((a @ b).ravel().tolist()) for a in turns for b in turns} == names
 
 
 @pytest.mark.parametrize("size", [0.1, 10.0 * BEYOND])
@@ -54,15 +51,18 @@ def test_what_slides_has_no_angles_and_changes_place_with_what_slides(
 ) -> None:
     tree = arm(name)
     turning = {k for k, joint in enumerate(tree.joints) if joint.revolute}
-    concerned = set()
-    for mistake in tried(tree, signals(tree, size)):
-        if mistake.kind in ANGLES:
+    tried = [
+        *position_hypotheses(tree, positions(tree, size), ()),
+        *rarer_hypotheses(tree, pairs=True),
+    ]
+    for mistake in tried:
+        if mistake.kind in ("degrees", "radians", "zero"):
             assert turning.issuperset(mistake.joints), mistake
-            concerned |= set(mistake.joints)
-        if mistake.kind in ORDERS:
-            kinds = [tree.joints[k].kind for k in mistake.order]
+        if mistake.kind == "position_order":
+            kinds = [tree.joints[k].kind for k in mistake.values]
             assert kinds == [joint.kind for joint in tree.joints], mistake
-    assert concerned == turning
+    signs = [m.joints for m in tried if m.kind == "position_sign"]
+    assert signs == [(k,) for k in range(tree.n)]
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -72,72 +72,81 @@ def test_units_of_angles_are_doubted_where_angles_are_very_large_or_very_small(n
     slides = np.array([not joint.revolute for joint in tree.joints])
     for size, expected in ((0.05, {"radians"}), (2.0, set()), (300.0, {"degrees"})):
         for other in (0.05, 2.0, 300.0):
-            given = signals(tree, 1.0)
-            given.position[:] *= np.where(slides, other, size)
-            assert {m.kind for m in tried(tree, given)} & {"degrees", "radians"} == expected
+            given = positions(tree, 1.0) * np.where(slides, other, size)
+            kinds = {m.kind for m in position_hypotheses(tree, given, ())}
+            assert kinds & {"degrees", "radians"} == expected
 
 
-def spoilt_joints(mistake: Mistake, true: Signals) -> tuple[Array, Array]:
-    """Positions and torques with a mistake, a column after the other."""
-    position, torque = np.array(true.position), np.array(true.torque)
-    for joint, angle in zip_longest(mistake.joints, mistake.angles, fillvalue=0):
-        column, whole = position[:, int(joint)], torque[:, int(joint)]
-        if mistake.kind == "zero":
-            column -= angle
-        if mistake.kind == "torque_sign":
-            whole *= -1
-        column *= TIMES.get(mistake.kind, 1.0)
-    for k, place in enumerate(mistake.order):
-        if mistake.kind in ("position_order", "joint_order"):
-            position[:, place] = true.position[:, k]
-        if mistake.kind in ("torque_order", "joint_order"):
-            torque[:, place] = np.array(true.torque)[:, k]
-    return position, torque
+@pytest.mark.parametrize("seed", range(20))
+def test_any_order_of_signs_and_zeros_is_one_line_each(seed: int) -> None:
+    """Positions without several mistakes, one by one, are those without the merged ones."""
+    rng = np.random.default_rng(seed)
+    tree = arm("ur5")
+    zero = np.zeros(tree.n)
+    made = []
+    for _ in range(4):
+        joint = (int(rng.integers(tree.n)),)
+        turned = Mistake("zero", joint, (float(rng.choice([-1.5, 0.5])),))
+        made.append(turned if rng.random() < 0.5 else Mistake("position_sign", joint))
+
+    def undone(mistakes: list[Mistake]) -> Array:
+        position = positions(tree, 1.0)
+        for each in mistakes:
+            scale, added = joint_map(each, tree.n, zero)
+            position = position @ scale.T + added
+        return position
+
+    found = merged(made)
+    assert len({each.kind for each in found}) == len(found)
+    np.testing.assert_allclose(undone(list(found)), undone(made), atol=1e-12)
 
 
-def spoilt_plate(mistake: Mistake, true: Signals) -> Array:
-    """A wrench with a mistake, a channel after the other."""
-    whole = np.array(true.wrench)
-    wrench = whole.copy()
-    if mistake.kind == "plate_order":
-        for k, place in enumerate(mistake.order):
-            wrench[:, place] = whole[:, k]
-    for channel in range(6):
-        unit = "force_unit" if channel < 3 else "moment_unit"
-        wrench[:, channel] *= mistake.factor if mistake.kind == unit else 1.0
-        wrench[:, channel] *= -1.0 if mistake.kind == "wrench_sense" else 1.0
-    return wrench
+@pytest.mark.parametrize("seed", range(8))
+def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
+    """The mapping with the lines makes of the file what the map makes of the recording."""
+    from testbed.recordings.importing.mapping import WrenchTable
+    from testbed.recordings.importing.signal_maps import bedplate_wrench
 
+    rng = np.random.default_rng(seed)
+    rpy = (0.0, 0.0, 0.0) if seed % 2 else (0.3, -0.2, 1.1)
+    given = {
+        **RIGHT,
+        "units": ["lbf", "N mm"],
+        "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
+    }
+    mapping = {"wrench": given}
+    several = list(plate_hypotheses(frame_of(mapping), 2))
+    columns = rng.normal(size=(5, 6))
+    by_name = dict(zip(RIGHT["columns"], columns.T, strict=True))
 
-@pytest.mark.parametrize("name", ARMS)
-def test_a_mistake_that_was_made_is_undone(name: str) -> None:
-    tree = arm(name)
-    true = signals(tree, 1.0)
-    for size in (0.05, 1.0, 300.0):
-        for mistake in tried(tree, signals(tree, size)):
-            made = Signals(*spoilt_joints(mistake, true), spoilt_plate(mistake, true))
-            undone = mistake.undone(made)
-            for now, was in zip(vars(undone).values(), vars(true).values(), strict=True):
-                np.testing.assert_allclose(now, was, rtol=1e-12, atol=1e-14, err_msg=str(mistake))
+    def made(table: dict[str, object]) -> Array:
+        read = WrenchTable.model_validate(table)
+        return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
 
-
-def test_a_bases_mistakes_are_undone() -> None:
-    """Units of its place, and the order of its quaternion's parts."""
-    tree = on_free_base(arm("stanford"))
-    rng = np.random.default_rng(4)
-    true = Signals(rng.uniform(-1, 1, (50, tree.n)), None, rng.standard_normal((50, 6)))
-    found = [m for m in mistakes_of_all(tree, true) if m.kind in ("base_unit", "quaternion_order")]
-    assert [m.kind for m in found] == ["base_unit"] * 4 + ["quaternion_order"]
-    for mistake in found:
-        position = true.position.copy()
-        if mistake.kind == "base_unit":
-            position[:, :3] *= mistake.factor
-        else:
-            pose = poses(position[:, :FREE])
-            pose[:, 3:] = pose[:, [4, 5, 6, 3]]  # x, y, z, w
-            position[:, :FREE] = coordinates(pose)
-        undone = mistake.undone(Signals(position, None, true.wrench)).position
+    for k in rng.choice(len(several), 40, replace=False):
+        mistakes, each = several[k]
+        said = mapping
+        for lines in lines_of(arm("ur5"), mistakes, mapping).values():
+            said = with_lines(said, lines)
+        wanted = made(given) @ each.T
         np.testing.assert_allclose(
-            poses(undone[:, :FREE]), poses(true.position[:, :FREE]), atol=1e-12
+            made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max()
         )
-        np.testing.assert_array_equal(undone[:, FREE:], true.position[:, FREE:])
+
+
+def test_a_shift_of_the_frame_moves_moments_alone() -> None:
+    turn, place = from_vector(np.array([0.2, 1.0, -0.4])), np.array([0.1, 0.2, -0.3])
+    wrench = np.arange(1.0, 7.0)
+    force, moment = turn @ wrench[:3], turn @ wrench[3:]
+    wanted = np.r_[force, moment + np.cross(place, force)]
+    np.testing.assert_allclose(placed(turn, place) @ wrench, wanted, atol=1e-12)
+    np.testing.assert_allclose(both(turn) @ wrench, np.r_[force, moment], atol=1e-12)
+    assert np.linalg.det(from_rpy((0.1, 0.2, 0.3))) == pytest.approx(1.0)
+
+
+def test_a_base_that_moves_has_its_own_mistakes() -> None:
+    tree = on_free_base(arm("stanford"))
+    kinds = [m.kind for m in position_hypotheses(tree, positions(tree, 1.0), ())]
+    assert kinds.count("base_unit") == 4
+    assert kinds.count("quaternion_order") == 1
+    assert kinds.count("position_sign") == tree.n - 6

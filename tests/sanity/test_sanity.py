@@ -11,7 +11,7 @@ import pytest
 
 import testbed as tb
 from testbed.errors import RecordingError, printable
-from testbed.sanity.accept import accept
+from testbed.sanity.accept import UNCHECKED, accept
 from testbed.sanity.sanity import check_sanity
 from tests.helpers.cases import cases
 from tests.helpers.measured import measured
@@ -103,17 +103,17 @@ def test_a_wrong_mapping_is_refused_with_its_cure(case: tuple[str, str]) -> None
     with pytest.raises(RecordingError, match="cannot be true of this robot") as found:
         accept(tree, spoil(recording))
     assert cure in str(found.value)
-    assert len(printable(str(found.value), 10_000)) < 700
+    assert len(printable(str(found.value), 10_000)) < 800
 
 
 @pytest.mark.slow
 def test_the_cure_is_the_mappings_own_line() -> None:
     """Of the TX40: with the signs, offsets and columns that its mapping has."""
     tree, recording = right("tx40")
-    without_zeros = of_joint(of_joint(recording, 1, zero=np.pi / 2), 2, zero=-np.pi / 2)
+    without_zero = of_joint(recording, 1, zero=np.pi / 2)
     mapping = dict(recording.facts["mapping"])
-    mapping["position"] = {**mapping["position"], "offset": [0.0] * 6}
-    told = replace(without_zeros, facts={**recording.facts, "mapping": mapping})
+    mapping["position"] = {**mapping["position"], "offset": [0.0, 0.0, np.pi / 2, 0.0, 0.0, 0.0]}
+    told = replace(without_zero, facts={**recording.facts, "mapping": mapping})
     with pytest.raises(RecordingError, match=r"offset = \[0, -1.5708, 1.5708, 0, 0, 0\]"):
         accept(tree, told)
     order = np.array([0, 2, 1, 3, 4, 5])
@@ -128,7 +128,8 @@ def test_the_sense_of_a_plate_is_told(sense: int) -> None:
     recording = without(measured(tree, duration=12.0), "torque")
     turned = replace(recording, wrench=sense * recording.measured("wrench"))
     found = check_sanity(tree, turned).certain
-    assert [each.causes for each in found] == [("the opposite sense of the wrench",)] * (sense < 0)
+    assert bool(found) == (sense < 0)
+    assert [cure.kind for cure in check_sanity(tree, turned).cures] == ["sense"] * (sense < 0)
 
 
 def of_plate(force: float = 1, moment: float = 1, order: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
@@ -144,7 +145,7 @@ PLATES: dict[str, tuple[Callable[[tb.Recording], tb.Recording], str]] = {
     "kN as N": (of_plate(force=1e-3), '[wrench] units = ["kN", "N m"]'),
     "moments first": (of_plate(order=(3, 4, 5, 0, 1, 2)), '["Mx", "My", "Mz", "Fx", "Fy", "Fz"]'),
     "axes turned": (
-        of_plate(order=(2, 0, 1, 5, 3, 4)), '["Fy", "Fz", "Fx", "My", "Mz", "Mx"]'
+        of_plate(order=(2, 0, 1, 5, 3, 4)), "rpy = [0, -1.5708, -1.5708]"
     ),
 }  # fmt: skip
 
@@ -200,8 +201,8 @@ def test_a_humanoid_is_not_refused() -> None:
 
 
 @pytest.mark.slow
-def test_unchecked_recordings_are_warned_of() -> None:
+def test_unchecked_recordings_are_not_searched() -> None:
     tree, recording = right("puma")
     wrong = replace(recording, torque=-recording.measured("torque"))
     found = accept(tree, wrong, unchecked=True)
-    assert "the opposite sign of the torque" in found.warnings[0]
+    assert found.warnings[0] == UNCHECKED

@@ -1,0 +1,385 @@
+"""Mistakes of mappings planted in recordings that the project's simulator has not made.
+
+MuJoCo's inverse dynamics, of a robot whose masses and centres are not the file's, on a free base
+that rests: what holds the base is the plate's wrench. Friction, noise, a 17-bit encoder and the
+plate's zero are added here. Each recording goes through columns as a file would have them and a
+mapping with up to two mistakes; what the check proposes is written into the mapping, and the
+recording is made and held against the robot again.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.columns import AXES
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
+from testbed.recordings.importing.mapping import SignalTable, WrenchTable
+from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
+from testbed.robot.rotations import from_vector, to_rpy
+from testbed.sanity.accept import accept
+from testbed.sanity.cures import Cure, with_lines
+from testbed.sanity.mistakes import PLATE_ORDERS
+from testbed.sanity.plate_map import placed, quarter_turns
+from testbed.sanity.sanity import check_sanity
+from tests.helpers.paths import GOLDEN, REAL, ROOT
+
+ROBOTS: dict[str, tuple[Path, tuple[str, ...]]] = {
+    "puma562": (ROOT / "models/puma562.urdf", ()),
+    "ur5": (GOLDEN / "robots/ur5.urdf", ()),
+    "xarm7": (REAL / "xarm_description/urdf/xarm7.urdf", ()),
+    "panda": (
+        REAL / "panda_description/urdf/panda.urdf",
+        ("panda_finger_joint1", "panda_finger_joint2"),
+    ),
+}
+"""Model files, and joints that are held."""
+
+KINDS = (
+    "turn", "turn", "turn", "shift", "units", "units", "sense", "plate order", "tare", "late",
+    "degrees", "position sign", "position order", "torque sign", "torque order", "any turn",
+)  # fmt: skip
+"""Of mistakes; frames are what people get wrong most."""
+
+RATE, SECONDS = 500.0, 30.0
+
+ROUGH, OFF = 0.15, 0.02
+"""Relative error of the file's masses, and of its centres of mass [m]."""
+
+SAME = {"wrench": 3e-3, "position": 1e-6, "torque": 1e-6}
+"""Rms difference to the right mapping's signal, relative, in which a cure is right."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A robot as its file has it, and what was measured of the real one."""
+
+    tree: tb.Tree
+    position: Array
+    torque: Array
+    wrench: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A file's columns, the mapping that is right for them, and one with mistakes."""
+
+    kinds: tuple[str, ...]
+    columns: dict[str, Array]
+    right: dict[str, Any]
+    wrong: dict[str, Any]
+    late: float = 0.0
+
+
+def tree_of(name: str) -> tb.Tree:
+    """One of `ROBOTS`."""
+    path, held = ROBOTS[name]
+    return tb.load_tree(path, lock=dict.fromkeys(held))
+
+
+def truth(tree: tb.Tree, seed: int) -> Truth:
+    """A recording of a robot that is somewhat heavier or lighter than its file."""
+    rng = np.random.default_rng(seed)
+    real = _real(tree, rng)
+    count = int(RATE * SECONDS)
+    t = np.arange(count) / RATE
+    q, qd, qdd = _motion(tree, rng, t)
+    torque, wrench = _inverse(real, q, qd, qdd)
+    size = np.abs(torque).max(axis=0)
+    weight = float(np.abs(wrench[:, 2]).mean())
+    friction = 0.1 * size * np.tanh(qd / 0.01) + 0.1 * size * qd
+    noise = weight * np.repeat([2e-3, 5e-4], 3)
+    encoder = 2 * np.pi / 2**17
+    return Truth(
+        tree,
+        np.round((q + rng.normal(size=q.shape) * 2e-5) / encoder) * encoder,
+        torque + friction + 0.01 * size * rng.normal(size=torque.shape),
+        wrench + noise * rng.normal(size=wrench.shape),
+    )
+
+
+def _real(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
+    """Masses and centres that are not the file's; about the centre, inertias keep their shape."""
+    bodies = []
+    for each in tree.inertias:
+        factor = max(0.3, 1 + ROUGH * rng.normal())
+        if each.mass == 0:
+            bodies.append(each)
+            continue
+        centre = each.com + OFF * rng.normal(size=3)
+        bodies.append(tb.Inertia.about_centre(each.mass * factor, centre, each.central * factor))
+    return replace(tree, inertias=tuple(bodies))
+
+
+def _motion(tree: tb.Tree, rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
+    """Sums of sines within the joints' ranges."""
+    ranges = np.array([joint.position_range for joint in tree.joints])
+    low, high = np.maximum(ranges[:, 0], -2.5), np.minimum(ranges[:, 1], 2.5)
+    wave = 2 * np.pi * 0.1 * np.array([1, 2, 3, 5])
+    size = rng.uniform(0.3, 1, (tree.n, 4)) / [1, 1.5, 2, 3]
+    size *= (1.2 * np.minimum(0.35 * (high - low), 0.8) / size.sum(axis=1))[:, None]
+    phase = wave * t[:, None, None] + rng.uniform(0, 2 * np.pi, (tree.n, 4))
+    return (
+        (low + high) / 2 + (size * np.sin(phase)).sum(axis=2),
+        (size * wave * np.cos(phase)).sum(axis=2),
+        (-size * wave**2 * np.sin(phase)).sum(axis=2),
+    )
+
+
+def _inverse(tree: tb.Tree, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
+    """Torques (M, n), and what holds a free base at rest, (M, 6): MuJoCo's inverse dynamics."""
+    model = mujoco.MjModel.from_xml_string(_mjcf(tree))
+    data = mujoco.MjData(model)
+    columns = [model.joint(f"j{k}").dofadr[0] for k in range(tree.n)]
+    places = [model.joint(f"j{k}").qposadr[0] for k in range(tree.n)]
+    own = model.body("base").mass[0] * tree.gravity
+    found = np.empty((len(q), model.nv))
+    for k in range(len(q)):
+        data.qpos[places], data.qvel[columns], data.qacc[columns] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(model, data)
+        found[k] = data.qfrc_inverse
+    wrench = found[:, :6] + np.r_[own, np.zeros(3)]
+    return found[:, columns], wrench
+
+
+def _mjcf(tree: tb.Tree) -> str:
+    """A robot on a free base, as a MuJoCo model of its own."""
+
+    def text(values: Any) -> str:
+        return " ".join(f"{value:.17g}" for value in np.ravel(values))
+
+    def body(k: int) -> str:
+        joint, inertia = tree.joints[k], tree.inertias[k]
+        quat = np.empty(4)
+        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(joint.rotation).ravel())
+        kind = "hinge" if joint.revolute else "slide"
+        c = inertia.central if inertia.mass else np.eye(3) * 1e-12
+        com = inertia.com if inertia.mass else np.zeros(3)
+        six = [c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2]]
+        return (
+            f'<body pos="{text(joint.offset)}" quat="{text(quat)}"><inertial pos="{text(com)}" '
+            f'mass="{max(inertia.mass, 1e-9):.17g}" fullinertia="{text(six)}"/>'
+            f'<joint name="j{k}" type="{kind}" axis="{text(joint.axis)}"/>'
+            f"{''.join(map(body, tree.children(k)))}</body>"
+        )
+
+    roots = "".join(body(k) for k in range(tree.n) if tree.parents[k] < 0)
+    return (
+        '<mujoco><compiler angle="radian" balanceinertia="true"/>'
+        f'<option gravity="{text(tree.gravity)}"/>'
+        '<worldbody><body name="base"><freejoint/><inertial pos="0 0 0" mass="1e-3" '
+        f'diaginertia="1e-6 1e-6 1e-6"/>{roots}</body></worldbody></mujoco>'
+    )
+
+
+def case(made: Truth, kinds: tuple[str, ...], rng: np.random.Generator, which: int) -> Case:  # noqa: PLR0912
+    """Columns for which a mapping with these mistakes is wrong; which of the 24 turns."""
+    tree, n = made.tree, made.tree.n
+    wrench: dict[str, Any] = {"source": "log", "columns": list(AXES), "units": ["N", "N m"],
+                              "sense": "on_robot"}  # fmt: skip
+    position: dict[str, Any] = {"source": "log", "columns": [f"q{k}" for k in range(n)],
+                                "unit": "rad", "sign": [1] * n}  # fmt: skip
+    torque: dict[str, Any] = {"source": "log", "columns": [f"tau{k}" for k in range(n)],
+                              "unit": "N m", "sign": [1] * n}  # fmt: skip
+    right = {"joints": list(tree.names), "wrench": wrench, "position": position, "torque": torque}
+    wrong = {key: dict(value) if isinstance(value, dict) else value for key, value in right.items()}
+    turn, place, zero, late = np.eye(3), np.zeros(3), np.zeros(6), 0.0
+    for kind in kinds:
+        joint = int(rng.integers(n))
+        if kind == "turn":
+            turn = quarter_turns()[which]
+        if kind == "any turn":
+            turn = from_vector(rng.normal(size=3))
+        if kind == "shift":
+            place = rng.uniform(-0.2, 0.2, 3)
+        if kind == "units":
+            pairs = [[f, m] for f in FORCES for m in MOMENTS if (f, m) != ("N", "N m")]
+            wrench["units"] = pairs[rng.integers(len(pairs))]
+        if kind == "sense":
+            wrench["sense"] = "on_plate"
+        if kind == "plate order":
+            order = PLATE_ORDERS[rng.integers(len(PLATE_ORDERS))]
+            wrench["columns"] = [AXES[k] for k in order]
+        if kind == "tare":
+            weight = float(np.abs(made.wrench[:, 2]).mean())
+            zero = weight * rng.normal(size=6) * np.repeat([0.2, 0.1], 3)
+            wrench["tare"] = zero.tolist()
+        if kind == "late":
+            late = float(rng.choice([-1, 1]) * rng.uniform(5e-3, 30e-3))
+        if kind == "degrees":
+            position["unit"] = "deg"
+        if kind.endswith("sign"):
+            table = position if kind == "position sign" else torque
+            table["sign"] = [-1 if k == joint else 1 for k in range(n)]
+        if kind in ("position order", "torque order"):
+            table = position if kind == "position order" else torque
+            one, other = rng.choice(n, 2, replace=False)
+            columns = list(table["columns"])
+            columns[one], columns[other] = columns[other], columns[one]
+            table["columns"] = columns
+    if {"turn", "any turn", "shift"} & set(kinds):
+        wrench["place"] = {"xyz": place.tolist(), "rpy": list(to_rpy(turn))}
+    return Case(kinds, _columns(made, right, turn, place, zero, late), right, wrong, late)
+
+
+def _columns(made: Truth, mapping: dict[str, Any], turn: Array, place: Array, zero: Array,
+             late: float) -> dict[str, Array]:  # fmt: skip
+    """A file for which a mapping is right."""
+    from scipy.interpolate import make_interp_spline
+
+    t = np.arange(len(made.position)) / RATE
+    wrench = made.wrench + zero
+    if late:
+        wrench = make_interp_spline(t, wrench, k=3)(np.clip(t - late, t[0], t[-1]))
+    table = mapping["wrench"]
+    sensed = wrench @ np.linalg.inv(placed(turn, place)).T
+    sensed = sensed * (1 if table["sense"] == "on_robot" else -1)
+    sensed = sensed / np.repeat([FORCES[table["units"][0]], MOMENTS[table["units"][1]]], 3)
+    found = dict(zip(table["columns"], sensed.T, strict=True))
+    degree = np.pi / 180 if mapping["position"]["unit"] == "deg" else 1.0
+    for signal, values in (("position", made.position / degree), ("torque", made.torque)):
+        table = mapping[signal]
+        found |= dict(zip(table["columns"], (values * table["sign"]).T, strict=True))
+    return found
+
+
+def recorded(made: Truth, columns: dict[str, Array], mapping: dict[str, Any]) -> tb.Recording:
+    """The recording that a mapping makes of a file's columns."""
+
+    def of(table: dict[str, Any]) -> Array:
+        return np.column_stack([columns[name] for name in table["columns"]])
+
+    signals = {kind: joint_signal(kind, SignalTable(**mapping[kind]), None, of(mapping[kind]))
+               for kind in ("position", "torque")}  # fmt: skip
+    wrench = bedplate_wrench(WrenchTable(**mapping["wrench"]), of(mapping["wrench"]))
+    tare = np.array(mapping["wrench"].get("tare") or np.zeros(6))
+    return tb.Recording(
+        made.tree.names, np.arange(len(wrench)) / RATE, signals["position"],
+        torque=signals["torque"], wrench=wrench, tare=tare, facts={"mapping": mapping},
+    )  # fmt: skip
+
+
+def difference(case: Case, made: Truth, mapping: dict[str, Any]) -> dict[str, float]:
+    """Rms difference of each signal to that of the right mapping, relative to how it varies."""
+    right, found = (recorded(made, case.columns, each) for each in (case.right, mapping))
+    return {signal: _apart(right.measured(signal), found.measured(signal)) for signal in SAME}
+
+
+def _apart(one: Array, other: Array) -> float:
+    rest = ((one - other) - (one - other).mean(axis=0)) ** 2
+    size = one.var(axis=0)
+    if one.shape[1] == 6:  # forces beside forces, moments beside moments
+        size = np.repeat(size.reshape(2, 3).sum(axis=1), 3)
+    return float(np.sqrt((rest.mean(axis=0) / size).sum()))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a case.
+
+    Attributes:
+        cpu: Of the first check [s].
+        said: Kinds that it named.
+        refused: Whether it refused the recording.
+        right: Whether the cure that it proposed makes the recording right, or it named lateness
+            or the plate's zero as they are.
+        accepted: Whether the recording is accepted at last: as it was, or with the cure.
+    """
+
+    cpu: float
+    said: tuple[str, ...]
+    refused: bool
+    right: bool
+    accepted: bool
+
+
+def tried(made: Truth, case: Case) -> Outcome:
+    """A case held against its robot, cured, and held against it again."""
+    begun = time.process_time()
+    found = check_sanity(made.tree, recorded(made, case.columns, case.wrong))
+    cpu = time.process_time() - begun
+    refused = bool(found.certain)
+    lines = [line for cure in found.cures for line in cure.lines]
+    mapping = with_lines(case.wrong, lines)
+    apart = difference(case, made, mapping)
+    same = {**SAME, "wrench": SAME["wrench"] if not case.late else 1.0}
+    right = all(apart[signal] < same[signal] for signal in SAME)
+    cured = recorded(made, case.columns, mapping)
+    try:
+        accepted = accept(made.tree, cured)
+    except RecordingError:
+        return Outcome(cpu, _kinds(found.cures), refused, False, False)
+    delays = [clock.delay for clock in accepted.clocks if clock.signal == "wrench" and clock.late]
+    told = float(case.wrong["wrench"].get("delay", 0.0)) if not delays else delays[0]
+    right &= abs(told - case.late) < 2e-3
+    if "tare" in case.kinds:
+        zero = np.array(mapping["wrench"].get("tare") or np.zeros(6)) - case.right["wrench"]["tare"]
+        weight = float(np.abs(made.wrench[:, 2]).mean())
+        right &= bool(np.abs(zero[:2]).max() < 0.01 * weight)
+    return Outcome(cpu, _kinds(found.cures), refused, right, True)
+
+
+def _kinds(cures: tuple[Cure, ...]) -> tuple[str, ...]:
+    return tuple(cure.kind for cure in cures)
+
+
+def study(count: int, seed: int, only: str = "") -> Iterator[dict[str, Any]]:
+    """Each recording of the study: right ones, then mistakes, one and two at once.
+
+    Args:
+        count: Mistakes on each robot; half as many recordings are right.
+        seed: Of robots, motions and mistakes.
+        only: Robots whose names hold this.
+    """
+    turn = itertools.cycle(range(1, 24))
+    for robot in (name for name in ROBOTS if only in name):
+        tree = tree_of(robot)
+        rng = np.random.default_rng([seed, sum(map(ord, robot))])
+        seeds = rng.integers(1 << 31, size=count // 2)
+        for each in seeds:
+            made = truth(tree, int(each))
+            yield {"robot": robot, "planted": (), **vars(tried(made, case(made, (), rng, 0)))}
+        several = [truth(tree, int(each)) for each in seeds[:3]]
+        for k in range(count):
+            kinds = tuple(dict.fromkeys(rng.choice(KINDS, 1 + k % 2).tolist()))
+            if {"turn", "any turn"} <= set(kinds):
+                kinds = ("turn",)
+            made = several[k % len(several)]
+            planted = case(made, kinds, rng, next(turn) if "turn" in kinds else 0)
+            yield {"robot": robot, "planted": kinds, **vars(tried(made, planted))}
+
+
+def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """What a study says in all, and robot by robot its CPU time."""
+    wrong = [line for line in lines if line["planted"]]
+    clean = [line for line in lines if not line["planted"]]
+    cpu = {
+        robot: [round(float(f([o["cpu"] for o in lines if o["robot"] == robot])), 2)
+                for f in (np.median, np.max)]
+        for robot in dict.fromkeys(o["robot"] for o in lines)
+    }  # fmt: skip
+    return {
+        "mistakes": len(wrong),
+        "right cure first": sum(line["right"] for line in wrong),
+        "wrong accepted": sum(line["accepted"] and not line["right"] for line in wrong),
+        "right recordings": len(clean),
+        "right refused": sum(line["refused"] for line in clean),
+        "right accepted with a cure": sum(bool(line["said"]) for line in clean),
+        "cpu median, most [s]": cpu,
+    }
+
+
+def reached(found: dict[str, Any]) -> bool:
+    """Whether a total is good enough: 95 % cured, nothing wrong accepted or right refused."""
+    cured = found["right cure first"] >= 0.95 * found["mistakes"]
+    return bool(cured and not found["wrong accepted"] and not found["right refused"])

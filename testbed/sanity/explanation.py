@@ -1,0 +1,106 @@
+"""What a recording would be without some mistakes, and how well the robot explains that."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from testbed.arrays import Array
+from testbed.sanity.mistakes import Mistake, own_joints
+
+if TYPE_CHECKING:
+    from testbed.sanity.position_reading import Reading
+
+BRAKED = 0.1
+"""Share of a torque that the plate's parameters and friction that brakes leave at most."""
+
+TOLERANCE = 5.0
+"""Among explanations within this of the best the one with the fewest mistakes is taken [nats]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """What a recording would be without some mistakes, and how well the robot explains that.
+
+    Attributes:
+        mistakes: That were undone.
+        left: Part of each channel's variance that is not explained, torques first, (C,).
+        noise: Part of it that is the channels' own noise, (C,).
+        cost: Minus the logarithm of how likely it is [nats].
+        map: From the recorded wrench to the bedplate's, (6, 6), if there is a wrench.
+        late: How late the wrench is [s].
+        reading: Of the positions.
+        unchanged: What is left of the torques where only theirs are not undone, (n,) or (0,).
+        sizes: Times what the masses make that torques are; nan where not told, (n,) or (0,).
+    """
+
+    mistakes: tuple[Mistake, ...]
+    left: Array
+    noise: Array
+    cost: float
+    map: Array | None
+    late: float
+    reading: Reading
+    unchanged: Array
+    sizes: Array
+
+    @property
+    def count(self) -> int:
+        """How many mistakes: signs and zeros joint by joint."""
+        own = len(own_joints(self.reading.prior.tree))
+        each = ("position_sign", "torque_sign", "zero")
+        return sum(
+            len(m.joints) if m.kind in each and len(m.joints) < own else 1 for m in self.mistakes
+        )
+
+    @property
+    def price(self) -> float:
+        """Its cost, and what its mistakes must explain besides [nats]."""
+        return self.cost + sum(each.doubt for each in self.mistakes)
+
+    def explained(self, share: float) -> bool:
+        """Whether nothing is odd, noise aside.
+
+        Args:
+            share: Part of a channel's variance that may be left.
+        """
+        return bool((self.left < share + 3 * self.noise)[-6 if self.map is not None else 0 :].all())
+
+    def told(self, *, changed: bool = True) -> Explanation:
+        """The same with torques held against what the plate has told of the parameters.
+
+        Args:
+            changed: Whether mistakes of theirs are undone.
+        """
+        return self.reading.with_told_torques(self, changed)
+
+    @property
+    def sized(self) -> bool:
+        """Whether half of the torques or more are taken as of another size."""
+        odd = sum(len(each.joints) for each in self.mistakes if each.kind == "torque_size")
+        return 2 * odd >= len(self.unchanged) > 0
+
+    @property
+    def torques_fit(self) -> bool:
+        """Whether torques are in order and sense and nothing of them is odd.
+
+        With a plate only: without one, masses that are rough leave more.
+        """
+        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+        left = (self.left < BRAKED + 3 * self.noise)[: len(self.unchanged)]
+        return not wrong and bool(left.all())
+
+    @property
+    def rank(self) -> float:
+        """What decides among those that explain as much."""
+        return self.count * TOLERANCE + self.price
+
+
+def ranked(found: Iterable[Explanation]) -> list[Explanation]:
+    """Explanations, the best first: of those that explain about as much the simplest."""
+    several = list(found)
+    best = min(each.price for each in several)
+    near = [each for each in several if each.price < best + TOLERANCE]
+    far = [each for each in several if each.price >= best + TOLERANCE]
+    return sorted(near, key=lambda e: e.rank) + sorted(far, key=lambda e: e.price)

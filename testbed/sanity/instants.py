@@ -1,0 +1,131 @@
+"""A few hundred instants of a recording: all signals through one low-pass, and their slopes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.filters import motion_taps
+
+CUTOFF = 8.0
+"""Of the low-pass [Hz]; a sixth of the rate where the recording is slower."""
+
+MOST, A_SECOND = 400, 16.0
+"""Instants that are kept, in all and a second: no more than the low-pass lets be independent."""
+
+LEAST = 20
+"""Instants below which a recording tells nothing."""
+
+MEDIAN = 0.4549
+"""Of the square of a normal number of variance one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """Signals at T instants of a recording.
+
+    Attributes:
+        position: (T, n) [rad or m].
+        velocity: (T, n) [rad/s or m/s].
+        acceleration: (T, n) [rad/s^2 or m/s^2].
+        torque: (T, n) [N m or N], if measured.
+        wrench: (T, 6) [N, N m], if measured.
+        wrench_rate: Its derivative, (T, 6) [N/s, N m/s].
+        spacing: From one instant to the next [s].
+        noise: Variance of the noise that is left in torques and wrench, (n + 6,), nan where one
+            was not measured.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array | None
+    wrench: Array | None
+    wrench_rate: Array | None
+    spacing: float
+    noise: Array
+
+    def moved(self, scale: Array, offset: Array) -> Instants:
+        """The same with positions scale @ q + offset.
+
+        Args:
+            scale: (n, n).
+            offset: (n,) [rad or m].
+        """
+        return replace(
+            self,
+            position=self.position @ scale.T + offset,
+            velocity=self.velocity @ scale.T,
+            acceleration=self.acceleration @ scale.T,
+        )
+
+
+def instants(
+    position: Array, torque: Array | None, wrench: Array | None, rate: float
+) -> Instants | None:
+    """Signals of a recording at a few hundred instants; None where it is too short.
+
+    Args:
+        position: (M, n) [rad or m].
+        torque: (M, n) [N m or N], if measured.
+        wrench: (M, 6) [N, N m], if measured.
+        rate: Samples a second [Hz].
+    """
+    taps = motion_taps(rate, min(CUTOFF, rate / 6))
+    lost = taps.shape[1] // 2
+    inside = len(position) - 2 * lost
+    count = min(MOST, int(inside / rate * A_SECOND))
+    if count < LEAST:
+        return None
+    at = np.linspace(0, inside - 1, count).astype(int)
+
+    def taken(signal: Array, derivative: int) -> Array:
+        found: Array = thinned(signal, taps[derivative, ::-1], lost, 1)[at]
+        return found
+
+    n = position.shape[1]
+    smoothing = float((taps[0] ** 2).sum())
+    noise = np.full(n + 6, np.nan)
+    for signal, place in ((torque, slice(0, n)), (wrench, slice(n, n + 6))):
+        if signal is not None:
+            noise[place] = _noise(signal) * smoothing
+    return Instants(
+        taken(position, 0),
+        taken(position, 1),
+        taken(position, 2),
+        torque=None if torque is None else taken(torque, 0),
+        wrench=None if wrench is None else taken(wrench, 0),
+        wrench_rate=None if wrench is None else taken(wrench, 1),
+        spacing=inside / rate / count,
+        noise=noise,
+    )
+
+
+def thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
+    """A signal filtered, without `reach` samples at either end, every so many samples.
+
+    Args:
+        signal: (M, k).
+        weights: Of the filter, reversed in time, (2 L + 1,), L at most `reach`.
+        reach: Samples lost at either end.
+        step: Samples from one to the next that is kept.
+    """
+    from scipy.signal import oaconvolve
+
+    spare = reach - len(weights) // 2
+    found = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
+    kept: Array = found[spare : len(found) - spare or None : step]
+    return kept
+
+
+def _noise(signal: Array) -> Array:
+    """Variance of white noise, by the differences from sample to sample that motion does not make.
+
+    Args:
+        signal: (M, C).
+    """
+    second = np.diff(signal, 2, axis=0) ** 2
+    found: Array = np.median(second, axis=0) / (6 * MEDIAN)
+    return found
