@@ -38,7 +38,8 @@ def test_in_a_pipe_a_line_comes_after_every_ten_seconds(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(output, "BETWEEN", 10.0)
-    shown, waited = output.Progress("identifying"), []
+    shown = output.Progress("identifying")
+    waited: list[float] = []
     told: list[Any] = [waited.append, waited.append]
     told.append(lambda seconds: shown(1, 4))
     told += [lambda seconds: shown.say(2, 4, "searching"), waited.append]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -23,8 +26,8 @@ from testbed.sanity.plate_map import both, placed, quarter_turns
 from tests.helpers.paths import GOLDEN
 
 ARMS = ("ur5", "gantry_ppp_rrr", "stanford", "scara_rrpr")
-RIGHT = {"source": "log", "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"], "units": ["N", "N m"],
-         "sense": "on_robot"}  # fmt: skip
+RIGHT: dict[str, Any] = {"source": "log", "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"], "units": ["N", "N m"],
+                         "sense": "on_robot"}  # fmt: skip
 
 
 def arm(name: str) -> tb.Tree:
@@ -114,12 +117,12 @@ def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
         "units": ["lbf", "N mm"],
         "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
     }
-    mapping = {"wrench": given}
+    mapping: dict[str, Any] = {"wrench": given}
     several = list(plate_hypotheses(frame_of(mapping), 2))
     columns = rng.normal(size=(5, 6))
     by_name = dict(zip(RIGHT["columns"], columns.T, strict=True))
 
-    def made(table: dict[str, object]) -> Array:
+    def made(table: Mapping[str, Any]) -> Array:
         read = WrenchTable.model_validate(table)
         return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
 
