@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.identification.finding import Finding, components, few
 from testbed.robot.tree import Tree
-from testbed.sanity.cures import OF_BASE, OF_PLATE, WHAT, Cure, numbers
+from testbed.sanity.cures import OF_BASE, OF_PLATE, WHAT, Cure, numbers, remedy
 from testbed.sanity.mistakes import own_joints
 
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
@@ -22,7 +22,7 @@ CLEARLY = 1.2
 
 def cure_finding(
     tree: Tree, cures: Sequence[Cure], runner_up: Sequence[str], times: float,
-    equals: Sequence[str],
+    equals: Sequence[str], gain: float,
 ) -> Finding:  # fmt: skip
     """Cures as a person reads them.
 
@@ -32,6 +32,7 @@ def cure_finding(
         runner_up: Kinds of mistakes of the next best explanation; empty if there is none.
         times: So many times more is left by that.
         equals: What explains the same, in words.
+        gain: How much likelier the data are with the cures [nats].
     """
     names = list(dict.fromkeys(name for each in cures for name in each.joints))
     subject = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
@@ -44,18 +45,21 @@ def cure_finding(
     said = (
         f"cannot be as recorded: {share(worst.before)} of {worst.channel} is unexplained, "
         f"{share(worst.after)} with the cure"
+        if worst.before > CLEARLY * worst.after
+        else "cannot be as recorded with masses near the model file's: with the cure the log "
+        f"likelihood rises by {gain:.0f}"
     )
     if runner_up:
-        next_best = " and ".join(WHAT[kind] for kind in runner_up)
+        own = {each.kind for each in cures}
+        next_best = ", ".join(WHAT[kind] for kind in runner_up if kind not in own)
         more = (
             f"{times:.2g} times as much" if times > CLEARLY else "as much, with masses less likely"
         )
-        said += f"; the next best explanation, {next_best}, leaves {more}"
+        said += f"; the next best explanation, {next_best or 'of other values'}, leaves {more}"
     if equals:
         said += f"; the data cannot tell this from {', or '.join(equals)}"
     causes = " and ".join(dict.fromkeys(WHAT[each.kind] for each in cures))
-    remedy = "; ".join(each.remedy for each in cures)
-    return Finding(subject, said, worst.before, (causes,), f"in the mapping: {remedy}")
+    return Finding(subject, said, worst.before, (causes,), f"in the mapping: {remedy(cures)}")
 
 
 def zero_finding(cure: Cure) -> Finding:
@@ -69,7 +73,7 @@ def zero_finding(cure: Cure) -> Finding:
         f"shows {components(np.array(cure.values))} N, N m without the robot, by rough masses",
         float(np.abs(cure.values).max()),
         (WHAT["tare"],),
-        f"identify with --set identification.tare=unknown, or in the mapping: {cure.remedy}",
+        f"identify with --set identification.tare=unknown, or in the mapping: {remedy([cure])}",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -68,10 +68,15 @@ class Cure:
     before: float
     after: float
 
-    @property
-    def remedy(self) -> str:
-        """The lines as a mapping file has them."""
-        return "; ".join(_written(*line) for line in self.lines)
+
+def remedy(cures: Iterable[Cure]) -> str:
+    """What the mapping should say: of lines about one key the last, which builds on the others.
+
+    Args:
+        cures: To be made together, in this order.
+    """
+    last = {(table, key): value for each in cures for table, key, value in each.lines}
+    return "; ".join(_written(*names, value) for names, value in last.items())
 
 
 def frame_of(mapping: Mapping[str, Any]) -> Frame:

@@ -128,7 +128,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
         cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
     if wrong:
-        said = cure_finding(tree, cures, runner_up, times, equals)
+        said = cure_finding(tree, cures, runner_up, times, equals, gain)
         if gain > CERTAIN and explains(given, best):
             certain, likely = [said, *certain], []
         else:

@@ -54,7 +54,7 @@ def test_the_tutorial_shows_what_is_printed(tmp_path: Path) -> None:
     done = command_line(*command.split(), cwd=tmp_path)
     assert done.stdout == wanted
     (refusal,) = re.findall(r"```\n(testbed: the recording.*?)```", text, re.DOTALL)
-    mapping = str(altered(tmp_path, "-1.5707963267948966, 1.5707963267948966", "0, 0"))
+    mapping = str(altered(tmp_path, "[0, -1.5707963267948966", "[0, 0"))
     refused = command_line("import", mapping, "--out", "x.parquet", *MODEL, cwd=tmp_path)
     assert refused.stderr.split() == refusal.split()
 
@@ -64,7 +64,7 @@ def test_the_tutorial_shows_what_is_printed(tmp_path: Path) -> None:
     ("old", "new", "cure"),
     [
         ('unit = "N m"\nside = "motor"', 'unit = "N m"\nside = "joint"', 'side = "motor"'),
-        ("-1.5707963267948966, 1.5707963267948966", "0, 0", "offset = [0, -1.5708, 1.5708"),
+        ("[0, -1.5707963267948966", "[0, 0", "offset = [0, -1.5708, 1.5708"),
     ],
 )
 def test_a_mistake_in_a_real_mapping_is_refused_with_its_cure(

@@ -11,7 +11,7 @@ import pytest
 
 from testbed.arrays import Array
 from testbed.sanity.cure_words import gain_finding
-from testbed.sanity.cures import cures_of, with_lines
+from testbed.sanity.cures import cures_of, remedy, with_lines
 from testbed.sanity.mistakes import Mistake, joint_map
 from tests.helpers.runs import robot
 
@@ -49,7 +49,7 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
     mapping = {"joints": list(JOINTS), "position": table}
     (cure,) = cures_of(robot("puma"), [mistake], LEFT, 0 * LEFT, mapping)
     changed = dict(table)
-    for line in re.findall(r"\[position\] ([^;]*)", cure.remedy):
+    for line in re.findall(r"\[position\] ([^;]*)", remedy([cure])):
         changed |= tomllib.loads(line)
     scale, added = joint_map(mistake, 3, np.zeros(3))
     wanted = mapped(raw, table) @ scale.T + added
