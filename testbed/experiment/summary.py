@@ -20,10 +20,7 @@ if TYPE_CHECKING:
 BY: Mapping[Method, str] = {"external": "by the plate", "internal": "by the joint torques"}
 """By whose estimate."""
 
-SIGNALS = {
-    "wrench": "the wrench is predicted",
-    "torque": "the joint torques without friction",
-}
+SIGNALS = {"wrench": "base wrench", "torque": "joint torques without friction"}
 """Of an `Accuracy`."""
 
 SOURCES: Mapping[Method, str] = {
@@ -66,12 +63,12 @@ def headline(run: Run) -> str:
     told = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
-        by = [f"to {percent(x)} {BY[m]}" for m, x in shares.items() if x is not None]
-        told += [f"{SIGNALS[name]} {' and '.join(by)}"] if by else []
+        by = [f"{percent(x)} {BY[m]}" for m, x in shares.items() if x is not None]
+        told += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
     if not told:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
-    where = "another motion as fast" if run.validation else "the motion that was identified"
-    return f"On {where}, rms errors in parts of the signal's rms: {'; '.join(told)}{assumed(run)}."
+    where = "an unseen motion of similar speed" if run.validation else "the identified motion"
+    return f"Rms prediction error on {where}: {'; '.join(told)}{assumed(run)}."
 
 
 def assumed(run: Run) -> str:
@@ -94,7 +91,7 @@ def _parameters(run: Run) -> list[str]:
         relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
         middle, most = _of_numbers(np.median, relative), _of_numbers(np.max, z)
         parts = [] if middle is None else [f"median error {percent(middle)}"]
-        parts += [] if most is None else [f"largest {most:.3g} sigma"]
+        parts += [] if most is None else [f"largest error {most:.3g} sigma"]
         if parts:
             told.append(f"{estimate.minimal.count} {BY[method]}, {', '.join(parts)}")
     return [f"Parameters: {'; '.join(told)}."] if told else []
@@ -121,7 +118,7 @@ def residual_line(estimates: Iterable[Estimate]) -> str:
         half = f", half of its {len(known)} parameters known to {percent(float(np.median(shares)))}"
         signal = "the wrench" if e.method == "external" else "the joint torques"
         told.append(f"{percent(left)} of {signal}{half if known.any() else ''}")
-    return f"Residuals, in parts of the signal's rms: {'; '.join(told)}."
+    return f"Rms residuals: {'; '.join(told)}."
 
 
 def _measured(run: Run) -> list[str]:
@@ -134,9 +131,9 @@ def _measured(run: Run) -> list[str]:
         )
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:
-            what = "wrench" if method == "external" else "joint torques"
-            told.append(f"{percent(share)} of the {what} (noise and sigma allow {percent(usual)})")
-    return [f"Residuals measured there: {', '.join(told)}."] if told else []
+            what = "base wrench" if method == "external" else "joint torques"
+            told.append(f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}")
+    return [f"Rms residuals on that motion: {'; '.join(told)}."] if told else []
 
 
 def _data(run: Run) -> str:
