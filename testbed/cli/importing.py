@@ -82,9 +82,8 @@ def import_(
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, holding it against the robot") as bar:
-            made, cuts, found = accepted_import(
-                mapping, tree, align=align, unchecked=unchecked, progress=bar
-            )
+            options = {"align": align, "unchecked": unchecked}
+            made, cuts, found = accepted_import(mapping, tree, **options, progress=bar)
         taken = " (taken back)" if align else ""
         lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
         warnings = [*tree.warnings, *found.warnings]

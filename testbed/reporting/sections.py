@@ -212,15 +212,8 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         if run.drives is not None:
             nodes, torque, sigma = curve_lines(run.drives.curves[j])
             curves["external"], bands["external"] = (nodes, torque), BAND * sigma
-        panels.append(
-            Panel(
-                f"{joint.name} [{units[1]}]",
-                curves,
-                f"velocity [{units[0]}]",
-                points=("unexplained",),
-                bands=bands,
-            )
-        )
+        title, x = f"{joint.name} [{units[1]}]", f"velocity [{units[0]}]"
+        panels.append(Panel(title, curves, x, points=("unexplained",), bands=bands))
     modelled = any("internal" in panel.curves for panel in panels)
     return {
         "id": "friction",

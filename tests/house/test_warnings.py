@@ -16,7 +16,8 @@ SHORT = 26
 """Letters of parts of a sentence."""
 NO_WARNINGS = {
     "_accuracy", "_causes", "_fit", "_flaws", "_found", "_head", "_measured", "_parameters",
-    "_plate_lines", "_robot", "_signal", "_signal_lines", "guessed", "provenance", "validation_lines",
+    "_plate_lines", "_robot", "_signal", "_signal_lines", "guessed", "provenance",
+    "validation_lines",
 }  # fmt: skip
 """Functions that return sentences of another kind: of errors, summaries, files to start from."""
 

@@ -26,8 +26,12 @@ from testbed.sanity.plate_map import both, placed, quarter_turns
 from tests.helpers.paths import GOLDEN
 
 ARMS = ("ur5", "gantry_ppp_rrr", "stanford", "scara_rrpr")
-RIGHT: dict[str, Any] = {"source": "log", "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"], "units": ["N", "N m"],
-                         "sense": "on_robot"}  # fmt: skip
+RIGHT: dict[str, Any] = {
+    "source": "log",
+    "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"],
+    "units": ["N", "N m"],
+    "sense": "on_robot",
+}
 
 
 def arm(name: str) -> tb.Tree:
