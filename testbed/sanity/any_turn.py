@@ -37,8 +37,9 @@ def any_turn(reading: Reading) -> list[Explanation]:
         blind = best @ placed(frame.turn, frame.place)
         ordered = blind @ np.eye(6)[list(order)].T
         (turn, forces), (other, moments) = (polar(ordered[k : k + 3, k : k + 3]) for k in (0, 3))
-        if np.linalg.det(turn) < 0 or np.linalg.norm(turn - other) > ALIKE:
+        if np.linalg.norm(turn - other) > ALIKE:
             continue
+        turn = turn * np.sign(np.linalg.det(turn))  # the opposite sense is no reflection
         ratio = np.trace(moments) / np.trace(forces) * given
         for units in product(FORCES, MOMENTS):
             if abs(MOMENTS[units[1]] / FORCES[units[0]] / ratio - 1) < NEAR:

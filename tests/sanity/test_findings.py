@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from testbed.sanity.cure_words import gain_finding, position_finding
 from testbed.sanity.sanity import check_sanity
@@ -88,3 +89,16 @@ def test_crosstalk_is_told_and_no_cure_is_proposed(share: float) -> None:
     assert found.cures == ()
     (told,) = (*found.certain, *found.likely)
     assert told.causes[0] == "crosstalk"
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: float) -> None:
+    recording = measured(robot("ur5"), 3, duration=10.0)
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    wrench = np.array(recording.wrench).reshape(-1, 2, 3) @ turn
+    turned = replace(recording, wrench=sense * wrench.reshape(-1, 6))
+    cures = check_sanity(robot("ur5"), turned).cures
+    assert [each.kind for each in cures] == ["turn", *["sense"] * (sense < 0)]
+    told = Rotation.from_euler("xyz", cures[0].values).as_matrix()
+    np.testing.assert_allclose(told, turn, atol=5e-3)
