@@ -31,13 +31,15 @@ def any_turn(reading: Reading) -> list[Explanation]:
     if reading.plate is None:
         return []
     frame, found = reading.prior.frame, []
-    blind = reading.plate.best_map()[1] @ placed(frame.turn, frame.place)
+    at_once, late = (reading.plate.best_map(late=late)[1] for late in (False, True))
     given = MOMENTS[frame.units[1]] / FORCES[frame.units[0]]
-    for order in (AS_READ, *PLATE_ORDERS):
+    for best, order in product((at_once, late), (AS_READ, *PLATE_ORDERS)):
+        blind = best @ placed(frame.turn, frame.place)
         ordered = blind @ np.eye(6)[list(order)].T
         (turn, forces), (other, moments) = (polar(ordered[k : k + 3, k : k + 3]) for k in (0, 3))
-        if np.linalg.det(turn) < 0 or np.linalg.norm(turn - other) > ALIKE:
+        if np.linalg.norm(turn - other) > ALIKE:
             continue
+        turn = turn * np.sign(np.linalg.det(turn))  # the opposite sense is no reflection
         ratio = np.trace(moments) / np.trace(forces) * given
         for units in product(FORCES, MOMENTS):
             if abs(MOMENTS[units[1]] / FORCES[units[0]] / ratio - 1) < NEAR:

@@ -46,6 +46,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
     channel = int(np.argmax(left - NOISY * noise))
     if not odd.any():
         return [], []
+    sure = bool((left > UNEXPLAINED + NOISY * noise).any())
     any_map = best.reading.linear_share
     said = f"{share(left[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
     if any_map * GAP < left.mean() and any_map < MIXED:
@@ -56,7 +57,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
             ("crosstalk", "a calibration matrix that is not used"),
             "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
         )
-        return [], [mixed]
+        return ([mixed], []) if sure else ([], [mixed])
     foreign = Finding(
         "the plate",
         f"has measured another robot, or in other columns: {said}",
@@ -64,7 +65,6 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         ("another robot", "columns that are not the plate's", "a plate that drifts"),
         "look at the columns of [position] and [wrench], and at the model",
     )
-    sure = (left > UNEXPLAINED + NOISY * noise).any()
     return ([foreign], []) if sure else ([], [])
 
 

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from testbed.sanity.cure_words import gain_finding, position_finding
+from testbed.sanity.sanity import check_sanity
+from tests.helpers.measured import measured
 from tests.helpers.runs import robot
+
+SCALE = np.repeat([1.0, 0.1], 3)
+"""Of forces and moments among each other [1, m]."""
 
 
 @pytest.mark.parametrize(
@@ -69,3 +77,28 @@ def test_positions_beyond_all_ranges_are_named_with_their_units() -> None:
     beyond[0, 3] = low[3] - 5 * (high - low)[3]
     (found,) = position_finding(tree, beyond, 0.1)
     assert f"{high[3]:.4g} rad)" in found.text
+
+
+@pytest.mark.parametrize("share", [0.03, 0.1])
+def test_crosstalk_is_told_and_no_cure_is_proposed(share: float) -> None:
+    """No turn, unit or order mends a plate that mixes its channels; a matrix of all six does."""
+    recording = measured(robot("ur5"), 2, duration=10.0)
+    mixed = np.eye(6) + share * np.random.default_rng(5).normal(size=(6, 6))
+    wrench = np.array(recording.wrench) @ (mixed * np.outer(SCALE, 1 / SCALE)).T
+    found = check_sanity(robot("ur5"), replace(recording, wrench=wrench))
+    assert found.cures == ()
+    (told,) = (*found.certain, *found.likely)
+    assert told.causes[0] == "crosstalk"
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: float) -> None:
+    recording = measured(robot("ur5"), 3, duration=10.0)
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    wrench = np.array(recording.wrench).reshape(-1, 2, 3) @ turn
+    turned = replace(recording, wrench=sense * wrench.reshape(-1, 6))
+    cures = check_sanity(robot("ur5"), turned).cures
+    assert [each.kind for each in cures] == ["turn", *["sense"] * (sense < 0)]
+    told = Rotation.from_euler("xyz", cures[0].values).as_matrix()
+    np.testing.assert_allclose(told, turn, atol=5e-3)
