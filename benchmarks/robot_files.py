@@ -1,4 +1,8 @@
-"""Every URDF of the package example-robot-data: what `new` writes runs, no file edited."""
+"""Robots of packages on PyPI: what `new` writes runs, no file edited.
+
+Every URDF of example-robot-data, and the MJCF of robosuite where it is installed
+(`pip install --no-deps robosuite`): it is not imported.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +32,23 @@ def runs(only: str, seconds: float) -> Iterator[dict[str, Any]]:
         seconds: Of motion.
     """
     found: dict[str, list[str]] = {}
-    for path in sorted(REAL.rglob("*.urdf")):
-        name = str(path.relative_to(REAL))
+    for name, path in sorted(_files()):
         if only in name:
             came, why, spent = _run(path, seconds)
             found.setdefault(came, []).append(name)
             yield {"robot": name, "came": came, "why": why, "cpu_s": round(spent, 1)}
     counts = {came: len(names) for came, names in found.items()}
     yield {"benchmark": "robots", "files": sum(counts.values())} | counts
+
+
+def _files() -> Iterator[tuple[str, Path]]:
+    """Names and places of model files."""
+    for path in REAL.rglob("*.urdf"):
+        yield str(path.relative_to(REAL)), path
+    package = find_spec("robosuite")
+    for place in () if package is None else package.submodule_search_locations or ():
+        for path in (Path(place) / "models/assets/robots").glob("*/robot.xml"):
+            yield f"robosuite/{path.parent.name}", path
 
 
 def _run(path: Path, seconds: float) -> tuple[str, str, float]:
