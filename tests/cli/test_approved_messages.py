@@ -52,7 +52,6 @@ BROKEN = {
     "negative.urdf": urdf(
         LINK.format("c", -1, 1), HINGE
     ),
-    "thin.urdf": urdf(LINK.format("c", 1, 9), HINGE),
     "word.urdf": urdf(LINK.format("c", "x", 1), HINGE),
     "typo.urdf": urdf(GOOD.replace("mass value", "mass valeu"), HINGE),
     "other.urdf": urdf(GOOD.replace("mass value", "mass q"), HINGE),

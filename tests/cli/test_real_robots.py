@@ -32,7 +32,7 @@ MOST_SIGMAS = 6.0
 def test_any_robot_runs_as_new_writes_it(what: str, tmp_path: Path) -> None:
     made = command_line("new", str(REAL / f"{ROBOTS[what]}.urdf"), "--out", "r.toml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
-    short = ("--set", "motion.duration=3", "--set", "motion.candidates=1", "--out", "run")
+    short = ("--set", "motion.duration=6", "--set", "motion.candidates=1", "--out", "run")
     ran = command_line("run", "r.toml", *short, cwd=tmp_path)
     assert ran.returncode == 0, ran.stderr
     result = json.loads((tmp_path / "run/result.json").read_text())

@@ -83,7 +83,7 @@ def test_a_run_is_validated_and_its_folder_can_be(place: Path) -> None:
     )
     done = command_line("run", "e.toml", "--out", "run", cwd=place)
     assert done.returncode == 0, done.stderr
-    assert "Residuals measured there" in done.stdout
+    assert "Rms residuals on that motion" in done.stdout
     found = json.loads((place / "run/result.json").read_text())["validation"]
     assert sorted(found) == ["external", "internal"]
     assert max(found["external"]["ratio"]) < 2

@@ -36,8 +36,8 @@ def test_a_run_holds_the_validation_of_both_estimates() -> None:
         same = validate(run.tree, other, run.estimates[method], settings=run.settings)
         np.testing.assert_array_equal(found.residual, same.residual)
         assert result(done)["validation"][method]["ratio"] == found.ratio.tolist()
-    assert any("Residuals measured there" in line for line in summary(done))
-    assert not any("Residuals measured there" in line for line in summary(run))
+    assert any("Rms residuals on that motion" in line for line in summary(done))
+    assert not any("Rms residuals on that motion" in line for line in summary(run))
 
 
 def test_what_another_motion_shows_is_among_the_runs_warnings() -> None:

@@ -20,13 +20,13 @@ def test_the_figures_of_the_readme_are_those_of_its_experiment() -> None:
     assert run.score is not None
     rows = re.findall(r"^\| (\w+) .* \| ([\d.]+|not)[^|]* \| \*\*([\d.]+)", README, re.MULTILINE)
     said = {name: (torques, plate) for name, torques, plate in rows}
-    assert list(said) == ["joint", "base", "median", "largest"]
+    assert list(said) == ["prediction", "the", "median", "largest"]
     wanted: dict[str, list[float | None]] = {name: [] for name in said}
     for method in ("internal", "external"):
         accuracy, errors = run.score.accuracy[method], run.score.errors[method]
         middle = np.nanmedian(np.abs(errors.relative[: run.estimates[method].minimal.count]))
-        wanted["joint"].append(accuracy.torque)
-        wanted["base"].append(accuracy.wrench)
+        wanted["prediction"].append(accuracy.torque)
+        wanted["the"].append(accuracy.wrench)
         wanted["median"].append(float(middle))
         wanted["largest"].append(run.metrics[f"{method}_max_z"] / 100)
     for name, cells in said.items():

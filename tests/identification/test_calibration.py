@@ -181,7 +181,9 @@ def test_doubt_about_the_plate_counts_as_sampling_says(name: str) -> None:
         other = replace(plate, numbers=numbers)
         drawn.append(tb.identify(tree, corrected(second, tree, other)).values)
     scatter = np.std(drawn, axis=0, ddof=1)
-    added = np.sqrt(np.maximum(counted.sigma**2 - plain.sigma**2, 0.0))
-    matters = scatter > 0.3 * plain.sigma
+    told = np.isfinite(plain.sigma) & np.isfinite(counted.sigma)
+    variances = (np.where(told, each.sigma, 1.0) ** 2 for each in (counted, plain))
+    added = np.sqrt(np.maximum(np.subtract(*variances), 0.0))
+    matters = told & (scatter > 0.3 * plain.sigma)
     assert matters.any()
     assert 0.7 < np.sqrt(np.mean((added[matters] / scatter[matters]) ** 2)) < 1.4

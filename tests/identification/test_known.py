@@ -79,7 +79,8 @@ def test_knowing_what_was_found_changes_nothing_else(name: str, method: str) -> 
     ratio = (found.noise.factor / plain.noise.factor) ** 2
     others = [j for j in range(len(column)) if j != k]
     spread = np.sqrt(np.diagonal(wanted)[others] * ratio)
-    np.testing.assert_allclose(found.sigma[others], spread, rtol=0.02)
+    told = np.isfinite(found.sigma[others])  # of the plate's zero nothing is said
+    np.testing.assert_allclose(found.sigma[others][told], spread[told], rtol=0.02)
 
 
 @pytest.mark.slow

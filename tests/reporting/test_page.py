@@ -272,4 +272,4 @@ def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(
         column = table["heads"].index(f"over what is allowed, {method}")
         told = {row[0]: row[column] for row in table["rows"] if row[column]}
         assert told == {c: f"{x:.3g}" for c, x in zip(found.channels, found.ratio, strict=True)}
-    assert any("Residuals measured there" in line for line in numbers["summary"])
+    assert any("Rms residuals on that motion" in line for line in numbers["summary"])
