@@ -37,6 +37,11 @@ def estimate_of(found: Estimate, tree: Tree) -> Estimate:
     return replace(found, values=values)
 
 
+def motion_of(recording: tb.Recording) -> tb.Motion:
+    signals = (recording.measured(name) for name in ("position", "velocity", "acceleration"))
+    return tb.Motion(recording.time, *signals)
+
+
 def share(error: Array, signal: Array, same: NDArray[np.bool_]) -> float:
     return float(np.linalg.norm(error[:, same]) / np.linalg.norm(signal[:, same]))
 
@@ -45,12 +50,7 @@ def share(error: Array, signal: Array, same: NDArray[np.bool_]) -> float:
 def test_the_figures_are_those_of_what_the_robot_would_do(name: str) -> None:
     tree, recording = robot(name), ideal(robot(name))
     run = run_of(tree, recording)
-    motion = tb.Motion(
-        recording.time,
-        recording.position,
-        recording.measured("velocity"),
-        recording.measured("acceleration"),
-    )[::5]
+    motion = motion_of(recording)[::5]
     other = heavier(tree, 1)
     said = {method: estimate_of(run.estimates[method], other) for method in METHODS}
     found = accuracies(tree, said, False, motion)
@@ -74,12 +74,7 @@ def test_a_parameter_near_zero_rules_nothing(name: str) -> None:
     """Wrong by its hundredfold, it moves the headline by no more than it moves the forces."""
     tree, recording = robot(name), ideal(robot(name))
     run = run_of(tree, recording)
-    motion = tb.Motion(
-        recording.time,
-        recording.position,
-        recording.measured("velocity"),
-        recording.measured("acceleration"),
-    )
+    motion = motion_of(recording)
     true = {method: estimate_of(run.estimates[method], tree) for method in METHODS}
     right = accuracies(tree, true, False, motion)
     for method in METHODS:
