@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -299,6 +300,43 @@ def mistakes(
     found = total(lines)
     _print(found)
     raise typer.Exit(int(not reached(found)))
+
+
+@app.command()
+def mappings(
+    robots: Annotated[str, typer.Option(help="Names, with commas; six unless said.")] = "",
+    layouts: Annotated[str, typer.Option(help="Of files, with commas; all unless said.")] = "",
+    count: Annotated[int, typer.Option(min=1, help="Recordings of each robot.")] = 40,
+    seed: Annotated[int, typer.Option(min=0, help="Of robots, motions and what is planted.")] = 43,
+    odd: Annotated[
+        bool, typer.Option("--odd", help="Other robots, payloads, crosstalk, no motion; TX40.")
+    ] = False,
+) -> None:
+    """Mappings that --guess writes, held against the truth; exit code 1 where the goal is missed."""
+    from benchmarks import mappings as bench
+    from benchmarks.foreign_recordings import LAYOUTS
+    from benchmarks.inverse_recordings import ROBOTS
+
+    if odd:
+        from benchmarks.odd_mappings import held, scenarios
+
+        lines = list(_printed(scenarios(seed)))
+        raise typer.Exit(int(not held(lines)))
+    asked = robots.split(",") if robots else list(bench.SIX)
+    kinds = layouts.split(",") if layouts else list(LAYOUTS)
+    for name, known in [*((each, ROBOTS) for each in asked), *((each, LAYOUTS) for each in kinds)]:
+        if name not in known:
+            raise typer.BadParameter(f"{name} is none of {', '.join(known)}")
+    found = bench.total(list(_printed(bench.study(asked, kinds, count, seed))))
+    _print(found)
+    raise typer.Exit(int(not bench.reached(found)))
+
+
+def _printed(lines: Iterator[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Each line as it comes."""
+    for line in lines:
+        _print(line)
+        yield line
 
 
 @app.command()

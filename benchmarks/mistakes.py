@@ -1,10 +1,8 @@
 """Mistakes of mappings planted in recordings that the project's simulator has not made.
 
-MuJoCo's inverse dynamics, of a robot whose masses and centres are not the file's, on a free base
-that rests: what holds the base is the plate's wrench. Friction, noise, a 17-bit encoder and the
-plate's zero are added here. Each recording goes through columns as a file would have them and a
-mapping with up to two mistakes; what the check proposes is written into the mapping, and the
-recording is made and held against the robot again.
+Each recording goes through columns as a file would have them and a mapping with up to two mistakes;
+what the check proposes is written into the mapping, and the recording is made and held against the
+robot again.
 """
 
 from __future__ import annotations
@@ -12,14 +10,13 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
-import mujoco
 import numpy as np
 
 import testbed as tb
+from benchmarks.inverse_recordings import RATE, Truth, truth
 from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.columns import AXES
@@ -32,18 +29,9 @@ from testbed.sanity.cures import Cure, with_lines
 from testbed.sanity.mistakes import PLATE_ORDERS
 from testbed.sanity.plate_map import placed, quarter_turns
 from testbed.sanity.sanity import check_sanity
-from tests.helpers.paths import GOLDEN, REAL, ROOT
 
-ROBOTS: dict[str, tuple[Path, tuple[str, ...]]] = {
-    "puma562": (ROOT / "models/puma562.urdf", ()),
-    "ur5": (GOLDEN / "robots/ur5.urdf", ()),
-    "xarm7": (REAL / "xarm_description/urdf/xarm7.urdf", ()),
-    "panda": (
-        REAL / "panda_description/urdf/panda.urdf",
-        ("panda_finger_joint1", "panda_finger_joint2"),
-    ),
-}
-"""Model files, and joints that are held."""
+ARMS = ("puma562", "ur5", "xarm7", "panda")
+"""Of the robots."""
 
 KINDS = (
     "turn", "turn", "turn", "shift", "units", "units", "sense", "plate order", "tare", "late",
@@ -51,23 +39,8 @@ KINDS = (
 )  # fmt: skip
 """Of mistakes; frames are what people get wrong most."""
 
-RATE, SECONDS = 500.0, 30.0
-
-ROUGH, OFF = 0.15, 0.02
-"""Relative error of the file's masses, and of its centres of mass [m]."""
-
 SAME = {"wrench": 3e-3, "position": 1e-6, "torque": 1e-6}
 """Rms difference to the right mapping's signal, relative, in which a cure is right."""
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """A robot as its file has it, and what was measured of the real one."""
-
-    tree: tb.Tree
-    position: Array
-    torque: Array
-    wrench: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,107 +52,6 @@ class Case:
     right: dict[str, Any]
     wrong: dict[str, Any]
     late: float = 0.0
-
-
-def tree_of(name: str) -> tb.Tree:
-    """One of `ROBOTS`."""
-    path, held = ROBOTS[name]
-    return tb.load_tree(path, lock=dict.fromkeys(held))
-
-
-def truth(tree: tb.Tree, seed: int) -> Truth:
-    """A recording of a robot that is somewhat heavier or lighter than its file."""
-    rng = np.random.default_rng(seed)
-    real = _real(tree, rng)
-    count = int(RATE * SECONDS)
-    t = np.arange(count) / RATE
-    q, qd, qdd = _motion(tree, rng, t)
-    torque, wrench = _inverse(real, q, qd, qdd)
-    size = np.abs(torque).max(axis=0)
-    weight = float(np.abs(wrench[:, 2]).mean())
-    friction = 0.1 * size * np.tanh(qd / 0.01) + 0.1 * size * qd
-    noise = weight * np.repeat([2e-3, 5e-4], 3)
-    encoder = 2 * np.pi / 2**17
-    return Truth(
-        tree,
-        np.round((q + rng.normal(size=q.shape) * 2e-5) / encoder) * encoder,
-        torque + friction + 0.01 * size * rng.normal(size=torque.shape),
-        wrench + noise * rng.normal(size=wrench.shape),
-    )
-
-
-def _real(tree: tb.Tree, rng: np.random.Generator) -> tb.Tree:
-    """Masses and centres that are not the file's; about the centre, inertias keep their shape."""
-    bodies = []
-    for each in tree.inertias:
-        factor = max(0.3, 1 + ROUGH * rng.normal())
-        if each.mass == 0:
-            bodies.append(each)
-            continue
-        centre = each.com + OFF * rng.normal(size=3)
-        bodies.append(tb.Inertia.about_centre(each.mass * factor, centre, each.central * factor))
-    return replace(tree, inertias=tuple(bodies))
-
-
-def _motion(tree: tb.Tree, rng: np.random.Generator, t: Array) -> tuple[Array, Array, Array]:
-    """Sums of sines within the joints' ranges."""
-    ranges = np.array([joint.position_range for joint in tree.joints])
-    low, high = np.maximum(ranges[:, 0], -2.5), np.minimum(ranges[:, 1], 2.5)
-    wave = 2 * np.pi * 0.1 * np.array([1, 2, 3, 5])
-    size = rng.uniform(0.3, 1, (tree.n, 4)) / [1, 1.5, 2, 3]
-    size *= (1.2 * np.minimum(0.35 * (high - low), 0.8) / size.sum(axis=1))[:, None]
-    phase = wave * t[:, None, None] + rng.uniform(0, 2 * np.pi, (tree.n, 4))
-    return (
-        (low + high) / 2 + (size * np.sin(phase)).sum(axis=2),
-        (size * wave * np.cos(phase)).sum(axis=2),
-        (-size * wave**2 * np.sin(phase)).sum(axis=2),
-    )
-
-
-def _inverse(tree: tb.Tree, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array]:
-    """Torques (M, n), and what holds a free base at rest, (M, 6): MuJoCo's inverse dynamics."""
-    model = mujoco.MjModel.from_xml_string(_mjcf(tree))
-    data = mujoco.MjData(model)
-    columns = [model.joint(f"j{k}").dofadr[0] for k in range(tree.n)]
-    places = [model.joint(f"j{k}").qposadr[0] for k in range(tree.n)]
-    own = model.body("base").mass[0] * tree.gravity
-    found = np.empty((len(q), model.nv))
-    for k in range(len(q)):
-        data.qpos[places], data.qvel[columns], data.qacc[columns] = q[k], qd[k], qdd[k]
-        mujoco.mj_inverse(model, data)
-        found[k] = data.qfrc_inverse
-    wrench = found[:, :6] + np.r_[own, np.zeros(3)]
-    return found[:, columns], wrench
-
-
-def _mjcf(tree: tb.Tree) -> str:
-    """A robot on a free base, as a MuJoCo model of its own."""
-
-    def text(values: Any) -> str:
-        return " ".join(f"{value:.17g}" for value in np.ravel(values))
-
-    def body(k: int) -> str:
-        joint, inertia = tree.joints[k], tree.inertias[k]
-        quat = np.empty(4)
-        mujoco.mju_mat2Quat(quat, np.ascontiguousarray(joint.rotation).ravel())
-        kind = "hinge" if joint.revolute else "slide"
-        c = inertia.central if inertia.mass else np.eye(3) * 1e-12
-        com = inertia.com if inertia.mass else np.zeros(3)
-        six = [c[0, 0], c[1, 1], c[2, 2], c[0, 1], c[0, 2], c[1, 2]]
-        return (
-            f'<body pos="{text(joint.offset)}" quat="{text(quat)}"><inertial pos="{text(com)}" '
-            f'mass="{max(inertia.mass, 1e-9):.17g}" fullinertia="{text(six)}"/>'
-            f'<joint name="j{k}" type="{kind}" axis="{text(joint.axis)}"/>'
-            f"{''.join(map(body, tree.children(k)))}</body>"
-        )
-
-    roots = "".join(body(k) for k in range(tree.n) if tree.parents[k] < 0)
-    return (
-        '<mujoco><compiler angle="radian" balanceinertia="true"/>'
-        f'<option gravity="{text(tree.gravity)}"/>'
-        '<worldbody><body name="base"><freejoint/><inertial pos="0 0 0" mass="1e-3" '
-        f'diaginertia="1e-6 1e-6 1e-6"/>{roots}</body></worldbody></mujoco>'
-    )
 
 
 def case(made: Truth, kinds: tuple[str, ...], rng: np.random.Generator, which: int) -> Case:  # noqa: PLR0912
@@ -211,8 +83,7 @@ def case(made: Truth, kinds: tuple[str, ...], rng: np.random.Generator, which: i
             order = PLATE_ORDERS[rng.integers(len(PLATE_ORDERS))]
             wrench["columns"] = [AXES[k] for k in order]
         if kind == "tare":
-            weight = float(np.abs(made.wrench[:, 2]).mean())
-            zero = weight * rng.normal(size=6) * np.repeat([0.2, 0.1], 3)
+            zero = made.weight * rng.normal(size=6) * np.repeat([0.2, 0.1], 3)
             wrench["tare"] = zero.tolist()
         if kind == "late":
             late = float(rng.choice([-1, 1]) * rng.uniform(5e-3, 30e-3))
@@ -238,6 +109,7 @@ def _columns(made: Truth, mapping: dict[str, Any], turn: Array, place: Array, ze
     from scipy.interpolate import make_interp_spline
 
     t = np.arange(len(made.position)) / RATE
+    assert made.wrench is not None
     wrench = made.wrench + zero
     if late:
         wrench = make_interp_spline(t, wrench, k=3)(np.clip(t - late, t[0], t[-1]))
@@ -259,12 +131,14 @@ def recorded(made: Truth, columns: dict[str, Array], mapping: dict[str, Any]) ->
     def of(table: dict[str, Any]) -> Array:
         return np.column_stack([columns[name] for name in table["columns"]])
 
+    said = mapping.get("wrench")
+    wrench = None if said is None else bedplate_wrench(WrenchTable(**said), of(said))
+    tare = None if said is None else np.array(said.get("tare") or np.zeros(6))
     signals = {kind: joint_signal(kind, SignalTable(**mapping[kind]), None, of(mapping[kind]))
                for kind in ("position", "torque")}  # fmt: skip
-    wrench = bedplate_wrench(WrenchTable(**mapping["wrench"]), of(mapping["wrench"]))
-    tare = np.array(mapping["wrench"].get("tare") or np.zeros(6))
+    position = signals["position"]
     return tb.Recording(
-        made.tree.names, np.arange(len(wrench)) / RATE, signals["position"],
+        made.tree.names, np.arange(len(position)) / RATE, position,
         torque=signals["torque"], wrench=wrench, tare=tare, facts={"mapping": mapping},
     )  # fmt: skip
 
@@ -324,8 +198,7 @@ def tried(made: Truth, case: Case) -> Outcome:
     right &= abs(told - case.late) < 2e-3
     if "tare" in case.kinds:
         zero = np.array(mapping["wrench"].get("tare") or np.zeros(6)) - case.right["wrench"]["tare"]
-        weight = float(np.abs(made.wrench[:, 2]).mean())
-        right &= bool(np.abs(zero[:2]).max() < 0.01 * weight)
+        right &= bool(np.abs(zero[:2]).max() < 0.01 * made.weight)
     return Outcome(cpu, _kinds(found.cures), refused, right, True)
 
 
@@ -342,14 +215,13 @@ def study(count: int, seed: int, only: str = "") -> Iterator[dict[str, Any]]:
         only: Robots whose names hold this.
     """
     turn = itertools.cycle(range(1, 24))
-    for robot in (name for name in ROBOTS if only in name):
-        tree = tree_of(robot)
+    for robot in (name for name in ARMS if only in name):
         rng = np.random.default_rng([seed, sum(map(ord, robot))])
         seeds = rng.integers(1 << 31, size=count // 2)
         for each in seeds:
-            made = truth(tree, int(each))
+            made = truth(robot, int(each))
             yield {"robot": robot, "planted": (), **vars(tried(made, case(made, (), rng, 0)))}
-        several = [truth(tree, int(each)) for each in seeds[:3]]
+        several = [truth(robot, int(each)) for each in seeds[:3]]
         for k in range(count):
             kinds = tuple(dict.fromkeys(rng.choice(KINDS, 1 + k % 2).tolist()))
             if {"turn", "any turn"} <= set(kinds):

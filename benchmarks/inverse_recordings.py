@@ -1,0 +1,263 @@
+"""Recordings that the project has not made: MuJoCo reads the URDF and inverts the dynamics.
+
+The root link is put onto a free joint that rests: what holds it is the plate's wrench. Masses and
+centres are changed in the URDF before MuJoCo reads it, so that the robot is not the file's.
+Friction, noise and a 17-bit encoder are added here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import Array
+from tests.helpers.paths import GOLDEN, REAL, ROOT
+
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+ROBOTS: Mapping[str, tuple[Path, tuple[str, ...]]] = {
+    "puma562": (ROOT / "models/puma562.urdf", ()),
+    "ur5": (GOLDEN / "robots/ur5.urdf", ()),
+    "xarm7": (REAL / "xarm_description/urdf/xarm7.urdf", ()),
+    "panda": (REAL / "panda_description/urdf/panda.urdf", FINGERS),
+    "kinova": (REAL / "kinova_description/robots/kinova.urdf", ()),
+    "scara": (GOLDEN / "robots/scara_rrpr.urdf", ()),
+    "gantry": (GOLDEN / "robots/gantry_ppp_rrr.urdf", ()),
+}
+"""Model files, and joints that are held."""
+
+RATE, SECONDS = 500.0, 30.0
+
+ROUGH, OFF = 0.15, 0.02
+"""Relative error of the file's masses, and of its centres of mass [m]."""
+
+ENCODER = 2 * np.pi / 2**17
+"""Least step of a position [rad or m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A robot as its file has it, and what was measured of the real one.
+
+    Attributes:
+        tree: By the file.
+        position: By encoders, (M, n) [rad or m].
+        torque: With friction and noise, (M, n) [N m or N].
+        wrench: Of the plate on the robot without its pedestal, with noise, (M, 6) [N, N m]; if
+            the robot has none, None.
+        weight: Mean vertical force [N].
+    """
+
+    tree: tb.Tree
+    position: Array
+    torque: Array
+    wrench: Array | None
+    weight: float = 0.0
+
+
+def tree_of(name: str) -> tb.Tree:
+    """One of `ROBOTS`."""
+    path, held = ROBOTS[name]
+    return tb.load_tree(path, lock=dict.fromkeys(held))
+
+
+def truth(
+    name: str, seed: int, *, late: float = 0.0, seconds: float = SECONDS, payload: float = 0.0,
+    moving: Sequence[int] | None = None,
+) -> Truth:  # fmt: skip
+    """A recording of a robot that is somewhat heavier or lighter than its file.
+
+    Args:
+        name: One of `ROBOTS`.
+        seed: Of the robot, its motion and the noise.
+        late: The plate shows what was so long ago [s].
+        seconds: Duration.
+        payload: Mass at the last link that the file does not have [kg].
+        moving: Joints that move; all if that is not said.
+    """
+    rng = np.random.default_rng(seed)
+    tree = tree_of(name)
+    model = real_model(name, rng, ROUGH, OFF, payload)
+    motion = _motion(model, tree.names, rng)
+    if moving is not None:
+        motion[1][[k for k in range(tree.n) if k not in moving]] = 0
+    t = np.arange(round(RATE * seconds)) / RATE
+    q, qd, qdd = _states(*motion, t)
+    torque, exact = inverse(model, tree.names, q, qd, qdd)
+    if late:
+        exact = inverse(model, tree.names, *_states(*motion, t - late))[1]
+    size = np.abs(torque).max(axis=0)
+    weight = float(np.abs(exact[:, 2]).mean())
+    friction = 0.1 * size * np.tanh(qd / 0.01) + 0.1 * size * qd
+    noise = weight * np.repeat([2e-3, 5e-4], 3)
+    return Truth(
+        tree,
+        np.round((q + rng.normal(size=q.shape) * 2e-5) / ENCODER) * ENCODER,
+        torque + friction + 0.01 * size * rng.normal(size=torque.shape),
+        exact + noise * rng.normal(size=exact.shape),
+        weight,
+    )
+
+
+def real_model(
+    name: str, rng: np.random.Generator, rough: float, off: float, payload: float = 0.0
+) -> mujoco.MjModel:
+    """A robot's URDF on a free base, read by MuJoCo, its masses and centres changed.
+
+    What is welded to the base weighs nothing: it is the pedestal's. About the centre, inertias
+    keep their shape.
+
+    Args:
+        name: One of `ROBOTS`.
+        rng: Of the changes.
+        rough: Standard deviation of masses, relative.
+        off: Of centres, along each axis [m].
+        payload: Mass at the last link, besides [kg].
+    """
+    path, held = ROBOTS[name]
+    robot = ElementTree.parse(path).getroot()
+    links = {str(link.get("name")): link for link in robot.findall("link")}
+    joints = robot.findall("joint")
+    ends = {j: (_link(j, "parent"), _link(j, "child")) for j in joints}
+    for joint in joints:
+        if joint.get("name") in held:
+            joint.set("type", "fixed")
+    (root,) = set(links) - {child for _, child in ends.values()}
+    base = _welded(root, joints, ends)
+    for link in links.values():
+        for shown in [*link.findall("visual"), *link.findall("collision")]:
+            link.remove(shown)
+        _change(link, link.get("name") in base, rng, rough, off)
+    links[root].append(_inertial(1e-3, 1e-6))
+    links[root].set("name", "root")  # a name as world means MuJoCo's own
+    for parent in robot.iterfind(f"joint/parent[@link='{root}']"):
+        parent.set("link", "root")
+    for other in [each for each in robot if each.tag not in ("link", "joint")]:
+        robot.remove(other)
+    robot.append(ElementTree.Element("link", name="bed"))
+    robot.append(_joint("floating", "bed", "root"))
+    if payload:
+        last = next(j for j in joints if j.get("name") == tree_of(name).names[-1])
+        load = ElementTree.Element("link", name="payload")
+        load.append(_inertial(payload, 4e-3 * payload))
+        robot.extend([load, _joint("fixed", ends[last][1], "payload", "0.03 0.02 0.1")])
+    compiler = ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler")
+    compiler.attrib |= {"fusestatic": "true", "balanceinertia": "true", "boundmass": "1e-9",
+                        "boundinertia": "1e-12"}  # fmt: skip
+    model = mujoco.MjModel.from_xml_string(ElementTree.tostring(robot, encoding="unicode"))
+    model.dof_damping[:] = model.dof_frictionloss[:] = model.dof_armature[:] = 0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    return model
+
+
+def _link(joint: ElementTree.Element, end: str) -> str:
+    found = joint.find(end)
+    return "" if found is None else str(found.get("link"))
+
+
+def _welded(
+    root: str,
+    joints: list[ElementTree.Element],
+    ends: Mapping[ElementTree.Element, tuple[str, str]],
+) -> set[str]:
+    """Links that do not move."""
+    found, before = {root}, 0
+    while len(found) > before:
+        before = len(found)
+        fixed = (ends[j] for j in joints if j.get("type") == "fixed")
+        found |= {child for parent, child in fixed if parent in found}
+    return found
+
+
+def _change(
+    link: ElementTree.Element, still: bool, rng: np.random.Generator, rough: float, off: float
+) -> None:
+    """Another mass and centre of a link; none of one that stands still."""
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    mass, inertia = inertial.find("mass"), inertial.find("inertia")
+    if still or mass is None or inertia is None or not float(mass.get("value", 0)):
+        link.remove(inertial)
+        return
+    factor = max(0.3, 1 + rough * rng.normal())
+    mass.set("value", repr(factor * float(mass.get("value", 0))))
+    inertia.attrib |= {key: repr(factor * float(value)) for key, value in inertia.attrib.items()}
+    origin = inertial.find("origin")
+    if origin is None:
+        origin = ElementTree.SubElement(inertial, "origin", xyz="0 0 0")
+    centre = np.array((origin.get("xyz") or "0 0 0").split(), float) + off * rng.normal(size=3)
+    origin.set("xyz", " ".join(map(repr, centre.tolist())))
+
+
+def _inertial(mass: float, inertia: float) -> ElementTree.Element:
+    made = ElementTree.Element("inertial")
+    ElementTree.SubElement(made, "mass", value=repr(mass))
+    about = {axes: repr(inertia if axes[1] == axes[2] else 0.0)
+             for axes in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")}  # fmt: skip
+    ElementTree.SubElement(made, "inertia", about)
+    return made
+
+
+def _joint(kind: str, parent: str, child: str, xyz: str = "0 0 0") -> ElementTree.Element:
+    made = ElementTree.Element("joint", name=f"{child}_{kind}", type=kind)
+    ElementTree.SubElement(made, "parent", link=parent)
+    ElementTree.SubElement(made, "child", link=child)
+    ElementTree.SubElement(made, "origin", xyz=xyz, rpy="0 0 0")
+    return made
+
+
+def _motion(
+    model: mujoco.MjModel, names: Sequence[str], rng: np.random.Generator
+) -> tuple[Array, Array, Array, Array]:
+    """Middles (n,), sizes (n, 4), phases (n, 4) and waves (4,) of sines within the ranges."""
+    told = [model.joint(name) for name in names]
+    ranges = np.array([j.range if model.jnt_limited[j.id] else (-np.inf, np.inf) for j in told])
+    low, high = np.maximum(ranges[:, 0], -2.5), np.minimum(ranges[:, 1], 2.5)
+    wave = 2 * np.pi * 0.1 * np.array([1, 2, 3, 5])
+    size = rng.uniform(0.3, 1, (len(names), 4)) / [1, 1.5, 2, 3]
+    size *= (1.2 * np.minimum(0.35 * (high - low), 0.8) / size.sum(axis=1))[:, None]
+    return (low + high) / 2, size, rng.uniform(0, 2 * np.pi, (len(names), 4)), wave
+
+
+def _states(
+    middle: Array, size: Array, phase: Array, wave: Array, t: Array
+) -> tuple[Array, Array, Array]:
+    """Positions, velocities, accelerations, (M, n) each."""
+    angle = wave * t[:, None, None] + phase
+    return (
+        middle + (size * np.sin(angle)).sum(axis=2),
+        (size * wave * np.cos(angle)).sum(axis=2),
+        (-size * wave**2 * np.sin(angle)).sum(axis=2),
+    )
+
+
+def inverse(
+    model: mujoco.MjModel, names: Sequence[str], q: Array, qd: Array, qdd: Array
+) -> tuple[Array, Array]:
+    """Torques (M, n), and what holds a free base at rest, (M, 6): MuJoCo's inverse dynamics.
+
+    Args:
+        model: Of `real_model`.
+        names: Of the joints, in the order of the columns.
+        q: Positions, (M, n).
+        qd: Velocities, (M, n).
+        qdd: Accelerations, (M, n).
+    """
+    data = mujoco.MjData(model)
+    columns = [model.joint(name).dofadr[0] for name in names]
+    places = [model.joint(name).qposadr[0] for name in names]
+    free = int(np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_FREE)[0])
+    first = int(model.jnt_dofadr[free])
+    own = model.body_mass[model.jnt_bodyid[free]] * model.opt.gravity
+    found = np.empty((len(q), model.nv))
+    for k in range(len(q)):
+        data.qpos[places], data.qvel[columns], data.qacc[columns] = q[k], qd[k], qdd[k]
+        mujoco.mj_inverse(model, data)
+        found[k] = data.qfrc_inverse
+    return found[:, columns], found[:, first : first + 6] + np.r_[own, np.zeros(3)]

@@ -1,0 +1,145 @@
+"""Mappings that the product writes for foreign files, held against what was planted in these.
+
+`testbed import FILE... --guess --model ROBOT --out MAPPING.toml` is called as a person would.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from benchmarks.foreign_recordings import LAYOUTS, TURNS, Files, planted, raw_signals
+from benchmarks.inverse_recordings import ROBOTS, Truth
+from benchmarks.judged_mappings import GOALS, judged, marked
+from testbed.errors import TestbedError
+from testbed.recordings.importing.mapping import read_mapping
+from testbed.sanity.accept import accepted_import
+from tests.helpers.command import command_line
+
+SIX = ("ur5", "xarm7", "panda", "kinova", "puma562", "scara")
+"""Robots of the study, unless others are asked for."""
+
+
+@dataclass(frozen=True)
+class Guess:
+    """What became of a call.
+
+    Attributes:
+        text: The mapping; empty if none was written.
+        said: Where it was refused, or is incomplete, why.
+        complete: Whether it can be read.
+        cpu: Of the call [s].
+    """
+
+    text: str
+    said: str
+    complete: bool
+    cpu: float
+
+
+def guess(robot: str, files: Files) -> Guess:
+    """Call the product for a mapping of files, as a person would."""
+    path, held = ROBOTS[robot]
+    folder = files.paths[0].parent
+    out = folder / "mapping.toml"
+    words = ["import", *(each.name for each in files.paths), "--guess", "--model", str(path)]
+    words += [word for joint in held for word in ("--lock", joint)]
+    begun = time.process_time()
+    ended = command_line(*words, "--out", str(out), cwd=folder)
+    cpu = time.process_time() - begun
+    if ended.returncode or not out.exists():
+        return Guess("", (ended.stderr.strip().splitlines() or ["no word"])[-1][:300], False, cpu)
+    text = out.read_text()
+    try:
+        read_mapping(out)
+    except TestbedError as error:
+        return Guess(text, str(error).replace(str(folder), "")[:300], False, cpu)
+    return Guess(text, "", True, cpu)
+
+
+def accepted(made: Truth, path: Path) -> str:
+    """What the check says against a mapping; empty if it takes the recording."""
+    try:
+        accepted_import(path, made.tree)
+    except TestbedError as error:
+        return str(error)[:300]
+    return ""
+
+
+def tried(robot: str, kind: str, layout: str, seed: int) -> dict[str, Any]:
+    """A case: files written, a mapping asked for, and judged."""
+    made, told = planted(robot, kind, layout, seed)
+    line: dict[str, Any] = {"robot": robot, "layout": layout, "turn": kind, "planted": told.what}
+    with TemporaryDirectory() as name:
+        files = LAYOUTS[layout](Path(name), made, raw_signals(made, told), seed)
+        found = guess(robot, files)
+        line |= {"result": "refused" if not found.text else "incomplete", "said": found.said}
+        if found.complete:
+            worth = judged(robot, found.text, files, made, told)
+            line |= {"result": "right", "wrong": worth.wrong, "errors": worth.errors,
+                     "z": worth.sigmas}  # fmt: skip
+            if worth.wrong:
+                says = accepted(made, files.paths[0].parent / "mapping.toml")
+                is_marked = marked(found.text, worth.wrong)
+                line |= {"result": "marked" if is_marked else "wrong refused" if says else
+                         "wrong accepted", "said": says}  # fmt: skip
+    return line | {"cpu": round(found.cpu, 2)}
+
+
+def study(
+    robots: Sequence[str], layouts: Sequence[str], count: int, seed: int
+) -> Iterator[dict[str, Any]]:
+    """Each case.
+
+    Args:
+        robots: Of `ROBOTS`.
+        layouts: Of `LAYOUTS`.
+        count: Cases of each robot.
+        seed: Of all of them.
+    """
+    for robot in robots:
+        rng = np.random.default_rng([seed, sum(map(ord, robot))])
+        pairs = zip(itertools.cycle(layouts), itertools.cycle(TURNS), strict=False)
+        for layout, kind in itertools.islice(pairs, count):
+            yield tried(robot, kind, layout, int(rng.integers(1 << 31)))
+
+
+def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
+    """What a study says in all."""
+    count = {result: sum(line["result"] == result for line in lines)
+             for result in ("right", "marked", "incomplete", "refused", "wrong refused",
+                            "wrong accepted")}  # fmt: skip
+    right = [line for line in lines if line["result"] == "right"]
+    cpu = [line["cpu"] for line in lines]
+    return {
+        "cases": len(lines), **count,
+        "right [%]": round(100 * len(right) / len(lines), 1),
+        "rms": {name: _rms([line["errors"][name] for line in right]) for name in GOALS},
+        "rms z": {name: _rms([line["z"][name] for line in right if name in line["z"]])
+                  for name in GOALS},
+        "cpu median, most [s]": [round(float(f(cpu)), 2) for f in (np.median, np.max)],
+    }  # fmt: skip
+
+
+def _rms(values: Sequence[float]) -> float | None:
+    return round(float(np.sqrt(np.mean(np.square(values)))), 4) if len(values) else None
+
+
+def reached(found: dict[str, Any]) -> bool:
+    """Whether a total is good enough."""
+    rms = [(found["rms"][name], goal) for name, goal in GOALS.items()]
+    z = list(found["rms z"].values())
+    return bool(
+        found["right [%]"] >= 95
+        and not found["wrong accepted"]
+        and not found["incomplete"]
+        and all(value is not None and value <= goal for value, goal in rms)
+        and all(value is not None and 0.8 <= value <= 1.2 for value in z)
+    )
