@@ -312,16 +312,17 @@ def mappings(
         bool, typer.Option("--odd", help="Other robots, payloads, crosstalk, no motion; TX40.")
     ] = False,
 ) -> None:
-    """Mappings that --guess writes, held against the truth; exit code 1 where the goal is missed."""
+    """Mappings by --guess, held against the truth; exit code 1 where the goal is missed."""
     from benchmarks import mappings as bench
     from benchmarks.foreign_recordings import LAYOUTS
     from benchmarks.inverse_recordings import ROBOTS
 
     if odd:
-        from benchmarks.odd_mappings import held, scenarios
+        from benchmarks.odd_mappings import scenarios, total
 
-        lines = list(_printed(scenarios(seed)))
-        raise typer.Exit(int(not held(lines)))
+        said = total(list(_printed(scenarios(seed))))
+        _print(said)
+        raise typer.Exit(int(bool(said["not held"])))
     asked = robots.split(",") if robots else list(bench.SIX)
     kinds = layouts.split(",") if layouts else list(LAYOUTS)
     for name, known in [*((each, ROBOTS) for each in asked), *((each, LAYOUTS) for each in kinds)]:

@@ -113,7 +113,7 @@ def _position(
     ]
     if bad:
         wrong["position"] = ", ".join(bad)
-    return float(odd[0]) if turning[0] else 0.0
+    return float(odd[0]) if turning[0] and not bad else 0.0
 
 
 def _signal(
@@ -171,8 +171,8 @@ def _plate(
     bad += ["size"] * (not 0.98 < gain[0] < 1.02)
     off = np.abs(force / gain[0] - error.as_matrix()).max()
     bad += ["crosstalk"] * bool(max(off, np.abs(moment / gain[1] - force / gain[0]).max()) > 0.01)
-    zero = np.array(table.get("tare", np.zeros(6))) - told.zero
-    bad += ["tare"] * bool(np.abs(_turn_back(made, turned, zero)[:2]).max() > 0.02 * made.weight)
+    zero = _first_joint(made, -turned) @ np.array(table.get("tare", np.zeros(6))) - told.zero
+    bad += ["tare"] * bool(np.abs(zero[:2]).max() > 0.02 * made.weight)  # Fz may be the robot's
     if bad:
         wrong["wrench"] = ", ".join(bad)
     return errors
@@ -183,10 +183,6 @@ def _first_joint(made: Truth, angle: float) -> Array:
     first = made.tree.joints[0]
     turn = Rotation.from_rotvec(angle * (first.rotation @ first.axis)).as_matrix()
     return moved(turn, first.offset - turn @ first.offset)
-
-
-def _turn_back(made: Truth, turned: float, zero: Array) -> Array:
-    return np.asarray(_first_joint(made, -turned) @ zero)
 
 
 def _clock(said: dict[str, Any], files: Files, told: Planted) -> float:

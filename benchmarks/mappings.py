@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.foreign_recordings import LAYOUTS, TURNS, Files, planted, raw_signals
+from benchmarks.foreign_recordings import LAYOUTS, TURNS, Files, Planted, planted, raw_signals
 from benchmarks.inverse_recordings import ROBOTS, Truth
 from benchmarks.judged_mappings import GOALS, judged, marked
 from testbed.errors import TestbedError
@@ -79,18 +79,32 @@ def tried(robot: str, kind: str, layout: str, seed: int) -> dict[str, Any]:
     line: dict[str, Any] = {"robot": robot, "layout": layout, "turn": kind, "planted": told.what}
     with TemporaryDirectory() as name:
         files = LAYOUTS[layout](Path(name), made, raw_signals(made, told), seed)
-        found = guess(robot, files)
-        line |= {"result": "refused" if not found.text else "incomplete", "said": found.said}
-        if found.complete:
-            worth = judged(robot, found.text, files, made, told)
-            line |= {"result": "right", "wrong": worth.wrong, "errors": worth.errors,
-                     "z": worth.sigmas}  # fmt: skip
-            if worth.wrong:
-                says = accepted(made, files.paths[0].parent / "mapping.toml")
-                is_marked = marked(found.text, worth.wrong)
-                line |= {"result": "marked" if is_marked else "wrong refused" if says else
-                         "wrong accepted", "said": says}  # fmt: skip
-    return line | {"cpu": round(found.cpu, 2)}
+        return line | asked(robot, files, made, told)[0]
+
+
+def asked(robot: str, files: Files, made: Truth, told: Planted) -> tuple[dict[str, Any], str]:
+    """What became of a guess, and the mapping.
+
+    Args:
+        robot: One of `ROBOTS`.
+        files: In a folder of their own.
+        made: What is true.
+        told: What was planted.
+    """
+    found = guess(robot, files)
+    line: dict[str, Any] = {
+        "result": "refused" if not found.text else "incomplete",
+        "said": found.said,
+    }
+    if found.complete:
+        worth = judged(robot, found.text, files, made, told)
+        line |= {"result": "right", "wrong": worth.wrong, "errors": worth.errors, "z": worth.sigmas}
+        if worth.wrong:
+            says = accepted(made, files.paths[0].parent / "mapping.toml")
+            is_marked = marked(found.text, worth.wrong)
+            result = "marked" if is_marked else "wrong refused" if says else "wrong accepted"
+            line |= {"result": result, "said": says}
+    return line | {"cpu": round(found.cpu, 2)}, found.text
 
 
 def study(
