@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.identification.finding import Finding, components, few
 from testbed.robot.tree import Tree
 from testbed.sanity.cures import OF_BASE, OF_PLATE, WHAT, Cure, numbers, remedy
-from testbed.sanity.mistakes import own_joints
+from testbed.sanity.mistakes import Mistake, own_joints
 
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
@@ -75,6 +75,20 @@ def zero_finding(cure: Cure) -> Finding:
         (WHAT["tare"],),
         f"identify with --set identification.tare=unknown, or in the mapping: {remedy([cure])}",
     )
+
+
+def named(tree: Tree, mistake: Mistake) -> str:
+    """A mistake with the joints that it is about, and by how much zeros are off.
+
+    Args:
+        tree: The robot.
+        mistake: What may be wrong.
+    """
+    if not mistake.joints or len(mistake.joints) == len(own_joints(tree)):
+        return WHAT[mistake.kind]
+    names = few([tree.names[k] for k in mistake.joints])
+    by = ", ".join(f"{np.rad2deg(angle):.4g}" for angle in mistake.values)
+    return f"{WHAT[mistake.kind]} ({names}{f' by {by} deg' if mistake.kind == 'zero' else ''})"
 
 
 def share(part: float) -> str:

@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
-TOLERANCE = 5.0
-"""Among explanations within this of the best the one with the fewest mistakes is taken [nats]."""
+APART, ROUGHLY_APART = 5.0, 8.0
+"""Explanations within this of the best are not told apart, and the one with the fewest mistakes is
+taken; the same without a plate, where masses are rough and models of friction are [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +93,19 @@ class Explanation:
         return not wrong and bool(left.all())
 
     @property
+    def tolerance(self) -> float:
+        """Costs within this of each other are not told apart [nats]."""
+        return ROUGHLY_APART if self.map is None else APART
+
+    @property
     def rank(self) -> float:
         """What decides among those that explain as much."""
-        return self.count * TOLERANCE + self.price
+        return self.count * self.tolerance + self.price
 
 
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
     """Explanations, the best first: of those that explain about as much the simplest."""
     several = list(found)
-    best = min(each.price for each in several)
-    near = [each for each in several if each.price < best + TOLERANCE]
-    far = [each for each in several if each.price >= best + TOLERANCE]
-    return sorted(near, key=lambda e: e.rank) + sorted(far, key=lambda e: e.price)
+    best = min(several, key=lambda e: e.price)
+    least = best.price + best.tolerance
+    return sorted(several, key=lambda e: (e.price >= least, e.rank if e.price < least else e.price))

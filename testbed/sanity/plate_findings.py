@@ -14,13 +14,15 @@ from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.cure_words import share
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.mistakes import Mistake
+from testbed.sanity.instants import Instants
+from testbed.sanity.mistakes import Mistake, own_joints
+from testbed.sanity.position_reading import MIXED
 
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
 
-MIXED, GAP = 3e-3, 10.0
-"""Share from which crosstalk is looked for, and times less that some linear map must leave."""
+STILL = 1e-3
+"""Motion of joints below which a robot rests [rad or m]."""
 
 MOVED, CLEAR = 0.03, 5.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one."""
@@ -49,7 +51,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
     sure = bool((left > UNEXPLAINED + NOISY * noise).any())
     any_map = best.reading.linear_share
     said = f"{share(left[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
-    if any_map * GAP < left.mean() and any_map < MIXED:
+    if best.reading.mixed(left):
         mixed = Finding(
             "the plate",
             f"mixes its channels: {said}, {share(any_map)} by a matrix of all six",
@@ -66,6 +68,36 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         "look at the columns of [position] and [wrench], and at the model",
     )
     return ([foreign], []) if sure else ([], [])
+
+
+def still_findings(tree: Tree, taken: Instants) -> tuple[list[Finding], list[Finding]]:
+    """What is certain, and what likely, where nothing moves or a plate shows one value throughout.
+
+    Args:
+        tree: The robot.
+        taken: The recording.
+    """
+    moved = np.ptp(taken.position, axis=0)[list(own_joints(tree))]
+    if moved.size and moved.max() < STILL:
+        rest = Finding(
+            "the robot",
+            f"rests: no joint moves by more than {moved.max():.2g} rad or m, so nothing of units, "
+            "signs, orders and frames can be told",
+            float(moved.max()),
+            ("a robot at rest", "columns that are not positions"),
+            "record a motion of all joints",
+        )
+        return [], [rest]
+    if taken.wrench is None or (np.ptp(taken.wrench, axis=0) > 0).any():
+        return [], []
+    silent = Finding(
+        "the plate",
+        f"shows the same throughout, {components(taken.wrench[0])} N, N m, while joints move",
+        0.0,
+        ("columns that are not the plate's", "a plate that was not read"),
+        "look at the columns of [wrench]",
+    )
+    return [silent], []
 
 
 def zero_of_plate(best: Explanation) -> tuple[Array, Array]:

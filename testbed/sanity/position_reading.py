@@ -39,6 +39,10 @@ EXPLAINED = 1e-3
 ENOUGH = 0.02
 """Share of a channel above which an explanation is not good enough to stop at."""
 
+MIXED, GAP = 3e-3, 10.0
+"""Share that a matrix leaves at most where a plate mixes its channels, and times less than others.
+"""
+
 SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
 """Least shift of a plate's frame that is one [m], its sigmas, and and most cost [nats]."""
 
@@ -108,6 +112,14 @@ class Reading:
     def linear_share(self) -> float:
         """The same for a plate that is not late."""
         return 0.0 if self.plate is None else float(self.plate.best_map()[0][0])
+
+    def mixed(self, left: Array) -> bool:
+        """Whether a matrix of all six channels explains the plate far better than what leaves this.
+
+        Args:
+            left: Part of each channel's variance, (6,).
+        """
+        return self.linear_share < min(MIXED, float(left.mean()) / GAP)
 
     @cached_property
     def own_torques(self) -> Array:

@@ -20,13 +20,20 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.cure_words import cure_finding, gain_finding, position_finding, zero_finding
-from testbed.sanity.cures import WHAT, Cure, cures_of, frame_of, position_offset
+from testbed.sanity.cure_words import (
+    cure_finding,
+    gain_finding,
+    named,
+    position_finding,
+    zero_finding,
+)
+from testbed.sanity.cures import Cure, cures_of, frame_of, position_offset
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
     map_findings,
+    still_findings,
     weight_finding,
     zero_mistake,
 )
@@ -38,9 +45,6 @@ CERTAIN, LIKELY = 12.0, 6.0
 WELL, NOISY, TIMES = 0.4, 3.0, 4.0
 """Part of a channel's variance that may be left where a mistake is called certain, times its
 noise's part that may be left besides; and times less than before that must be left."""
-
-EQUAL = 1.0
-"""Explanations within this of each other are equal [nats]."""
 
 SMALL, LARGE = 0.4, 2.5
 """Times what the model file says beyond which torques are doubted."""
@@ -115,6 +119,10 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     outside = tuple(position_finding(tree, position, OUTSIDE))
     if search.given is None:  # too short to tell
         return Sanity(tree.names, np.zeros(0), np.zeros(0), certain=outside)
+    sure, maybe = still_findings(tree, search.given)
+    if sure or maybe:
+        nothing = np.zeros(0)
+        return Sanity(tree.names, nothing, nothing, certain=(*outside, *sure), likely=tuple(maybe))
     given, found = search.best()
     best = found[0]
     gain = given.cost - best.cost
@@ -190,15 +198,12 @@ def explains(given: Explanation, found: Explanation) -> bool:
 def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], float, tuple[str, ...]]:
     """The next best explanation that is none like the best, times more that it leaves; equals."""
     best = found[0]
-    kinds = [tuple(dict.fromkeys(m.kind for m in each.mistakes)) for each in found]
+    least = best.cost + best.tolerance
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
-    for each, said in zip(found[1:], kinds[1:], strict=True):
-        same = set(each.mistakes) == set(best.mistakes)
-        if each.cost > best.cost + EQUAL or same:
-            continue
-        if each.count <= best.count:
-            equals[" and ".join(WHAT[kind] for kind in said) or "nothing wrong"] = None
-    others = [e for e in found[1:] if e.cost > best.cost + EQUAL and e.mistakes != best.mistakes]
+    for each in found[1:]:
+        if each.cost <= least and each.count <= best.count and each.mistakes != best.mistakes:
+            equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
+    others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
         return (), 1.0, tuple(equals)
     nearest = min(others, key=lambda each: each.cost)

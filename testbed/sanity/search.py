@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 
 import numpy as np
@@ -25,7 +25,7 @@ from testbed.sanity.mistakes import (
     position_hypotheses,
     rarer_hypotheses,
 )
-from testbed.sanity.position_reading import ENOUGH, EXPLAINED, Prior, Reading
+from testbed.sanity.position_reading import EXPLAINED, Prior, Reading
 from testbed.sanity.torque_evidence import prior_root
 
 Progress = Callable[[int, int], None]
@@ -112,52 +112,59 @@ class Search:
         if given.fine(as_read):
             return as_given, [as_given]
         found = ranked(self._found(given, as_read))
-        return as_given, ranked(each.told() for each in found[:SAID])
+        nearest = found[0].reading
+        if self.plate and nearest.mistakes and nearest.mistakes[-1].kind == "zero":
+            found = ranked([*found, *self._refined(nearest).explanations(2)])
+        several = list({each.mistakes: each for each in found[::-1]}.values())[::-1]
+        return as_given, ranked(each.told() for each in several[:SAID])
 
-    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:  # noqa: PLR0911
-        """What may explain it, from the simple to the rare; no more once all is explained."""
+    def _found(self, given: Reading, best: Explanation) -> list[Explanation]:
+        """What may explain it; no more once all is explained."""
         several = [best]
-
-        def done(found: Iterable[Explanation], share: float | None = None) -> bool:
-            several.extend(found)
+        for found in self._stages(given, several):
+            several += found
             likeliest = min(several, key=lambda each: each.cost)
-            if share is not None:
-                return likeliest.explained(share)
-            return self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit
+            if self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit:
+                break
+        return several
 
+    def _stages(self, given: Reading, several: list[Explanation]) -> Iterator[list[Explanation]]:
+        """Explanations from the simple to the rare.
+
+        Args:
+            given: The positions as they were read.
+            several: All that was found before.
+        """
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
-        units = [each for each in hypotheses if each.kind in UNITS]
-        if done(given.explanations(2)) or done(any_turn(given)):
-            return several
-        self._look(given, units)
-        if units and done(self._judged(2)):
-            return several
+        yield given.explanations(2)
+        yield any_turn(given)
+        self._look(given, [each for each in hypotheses if each.kind in UNITS])
+        yield self._judged(2)
         self._look(given, hypotheses)
         if not self.plate:
-            done(self._judged(1))
+            yield self._judged(1)
             plain = [each.cost for each in several if not each.sized]
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
-                return several[:1]  # torques of another size leave little to tell of the rest
+                del several[1:]  # torques of another size leave little to tell of the rest
+                return
             near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
-            done(chain.from_iterable(self._refined(r).explanations(1) for r in near))
-            gain = several[0].told(changed=False).cost - min(each.cost for each in several)
-            if gain < DOUBTED or done((), GOOD):
-                return several
-        if done(self._judged(2)) or done(self._turned(), ENOUGH) or done(self._judged(3), ENOUGH):
-            return several
-        if (
-            self.plate and given.linear_share < EXPLAINED
-        ):  # a matrix explains it: positions are right
-            return several
-        for each in self._nearest(2 if self.plate else 4):
-            self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
-        if done(self._judged(2), ENOUGH) or done(self._turned(), ENOUGH):
-            return several
+            yield list(chain.from_iterable(self._refined(r).explanations(1) for r in near))
+            likeliest = min(several, key=lambda each: each.cost)
+            gain = several[0].told(changed=False).cost - likeliest.cost
+            if gain < DOUBTED or likeliest.explained(GOOD):
+                return
+        yield self._judged(2)
+        yield self._turned()
+        yield self._judged(3)
+        if self.plate and given.mixed(min(several, key=lambda each: each.cost).left[-6:]):
+            return  # positions are right where only a matrix explains the plate
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
         zeros = [each for each in self._nearest(3) if each.rare]
-        done(self._judged(1))
-        done(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
-        return several
+        yield list(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        for each in self._nearest(2 if self.plate else 4):
+            self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
+        yield self._judged(2)
+        yield self._turned()
 
     def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
         several = list(hypotheses)

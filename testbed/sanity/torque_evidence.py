@@ -3,7 +3,8 @@
 A joint's torques are t = Y theta + F f + e. Parameters theta lie about the model file's (masses
 within a half, centres within some centimetres), friction brakes (F: viscous, dry, a constant, the
 rotor), and what is left, e, lasts: model errors are no white noise. Then t is normal, and log N(t)
-says how well one recorded column, in one sense, can be a joint's torques. A free set of parameters
+says how well one recorded column, in one sense, can be a joint's torques; to it comes how much
+likelier the data make it that friction takes power, and gives none. A free set of parameters
 would explain anything that is short; this does not. Where a plate has told parameters, what it
 has told is the prior.
 """
@@ -32,8 +33,11 @@ MEMORY, LASTING = 0.3, 0.9
 LEFT = np.geomspace(0.1, 0.5, 12)
 """Rms of what may be left, in parts of a torque's rms."""
 
-FAINT = 0.2
+FAINT = 0.02
 """Part of all torques' rms that a torque counts with at least."""
+
+SURELY_NOT = -12.0
+"""Log probability at least of friction that drives: what a model lacks may look like it."""
 
 CLEAR = 0.01
 """Part of a torque's variance that bodies alone must explain for its size to be told."""
@@ -98,7 +102,7 @@ class TorqueEvidence:
         self.constant = torque.std(axis=0) < 1e-3 * self._rms
         white = _whitening(len(torque), round(spacing, 6))
         self._white_torque = white @ torque
-        self._mean, self._raw, self._columns = [], [], []
+        self._raw, self._columns, self._power = [], [], []
         for joint in range(rows.shape[1]):
             moved = rows[:, joint] @ root
             moved = moved[:, np.abs(moved).max(axis=0) > 0]
@@ -107,7 +111,7 @@ class TorqueEvidence:
             raw = np.column_stack([foretold, friction, moved])
             self._raw.append(raw)
             self._columns.append(white @ raw)
-            self._mean.append(foretold)
+            self._power.append(friction.T @ velocity[:, joint] * [1, 1, 0, 0])
         self._count = len(torque)
 
     def log(self, joint: int, column: int, gain: float = 1.0) -> Array:
@@ -129,12 +133,17 @@ class TorqueEvidence:
         variance = LEFT**2
         within = spread[:, None] + variance
         size = np.log(within).sum(axis=0) + (self._count - len(spread)) * np.log(variance)
+        power = SPREAD * (self._power[joint] @ axes[:4])  # of friction, along the axes
         found = []
         for sense in (1.0, -1.0):
             rest = sense * target - expected
-            along = (axes.T @ (moved.T @ rest)) ** 2
-            square = (rest @ rest - (along[:, None] / within).sum(axis=0)) / variance
-            found.append(float((-0.5 * (square + size)).max()))
+            along = axes.T @ (moved.T @ rest)
+            square = (rest @ rest - (along[:, None] ** 2 / within).sum(axis=0)) / variance
+            logs = -0.5 * (square + size)
+            best = int(np.argmax(logs))
+            mean = self._power[joint] @ FRICTION + power @ (along / within[:, best])
+            sigma = np.sqrt(power**2 @ (variance[best] / within[:, best]))
+            found.append(float(logs[best]) + _log_positive(mean, sigma))
         return np.array(found)
 
     def left(self, joint: int, column: int, sense: float, gain: float = 1.0) -> float:
@@ -176,6 +185,13 @@ class TorqueEvidence:
         scale[1:5] = 1.0
         found: Array = columns * scale
         return found
+
+
+def _log_positive(mean: float, sigma: float) -> float:
+    """Log probability that a normal number is positive, down to `SURELY_NOT`."""
+    from scipy.special import log_ndtr
+
+    return max(float(log_ndtr(mean / sigma)), SURELY_NOT) if sigma > 0 else 0.0
 
 
 def _friction(velocity: Array, acceleration: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Zeros by any angle are found by rough masses; a plate without them is explained by others."""
+"""Zeros by any angle are found, and named with their joint and the cure."""
 
 from __future__ import annotations
 
@@ -15,14 +15,24 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize(
-    ("joint", "degrees", "within"), [(1, 75.0, 20.0), (1, 160.0, 25.0), (1, -110.0, 25.0)]
+    ("name", "joint", "degrees", "seconds", "within"),
+    [
+        ("puma", 1, 37.0, 30.0, 2.0),
+        ("puma", 1, -110.0, 30.0, 2.0),
+        ("ur5", 2, -53.0, 8.0, 2.0),
+        ("ur5", 3, 40.0, 8.0, 2.0),
+        ("puma, torques", 1, 75.0, 8.0, 20.0),
+        ("puma, torques", 1, 160.0, 8.0, 25.0),
+    ],
 )
 def test_a_zero_between_those_that_are_tried_is_found(
-    joint: int, degrees: float, within: float
+    name: str, joint: int, degrees: float, seconds: float, within: float
 ) -> None:
-    """To what rough masses tell: the nearest quarter is taken where it explains about as much."""
-    tree = robot("puma")
-    recording = without(measured(tree, 4, duration=8.0), "wrench")
+    """By a plate to a degree or two; without one to what rough masses tell."""
+    tree = robot(name.partition(",")[0])
+    recording = measured(tree, 4, duration=seconds)
+    if "torques" in name:
+        recording = without(recording, "wrench")
     position = np.array(recording.position)
     position[:, joint] -= np.deg2rad(degrees)
     found = check_sanity(tree, replace(recording, position=position))
