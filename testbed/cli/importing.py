@@ -57,13 +57,12 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.files import check_writable
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
-    check_writable(out)
+    _check_out(out, [*files, model], guess=guess)
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
@@ -102,6 +101,17 @@ def import_(
     names = ", ".join(map(str, paths))
     last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
     output.print_lines([*cuts, *told, *lines, last], doubts)
+
+
+def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:
+    """Whether there may be written, and nothing that is read is replaced."""
+    from testbed.files import check_writable
+    from testbed.recordings.importing.mapping import sources
+
+    check_writable(out, read=read)
+    mapping = read[0]
+    if not guess and out is not None and mapping is not None:
+        check_writable(out, read=sources(mapping))
 
 
 def _paths(out: Path, count: int) -> list[Path]:

@@ -211,7 +211,7 @@ def test_equations_go_to_a_file_but_never_over_the_model(tmp_path: Path) -> None
     for place in ("mine.xml", "./mine.xml"):
         over = command_line("equations", "mine.xml", *words[2:], "--out", place, cwd=tmp_path)
         assert over.returncode == 2
-        assert "is the model file itself" in " ".join(over.stderr.split())
+        assert "is read by this command" in " ".join(over.stderr.split())
     assert (tmp_path / "mine.xml").read_text() == Path(PUMA).read_text()
 
 

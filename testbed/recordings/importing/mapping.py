@@ -258,6 +258,15 @@ def read_mapping(path: Path) -> Mapping:
     return checked(Mapping, read_toml(path, "mapping"), str(path))
 
 
+def sources(path: Path) -> list[Path]:
+    """The files that a mapping file names.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+    """
+    return [path.parent / source.file for source in read_mapping(path).sources.values()]
+
+
 def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> None:
     """Whether a signal's lists are of one length and its units fit.
 
