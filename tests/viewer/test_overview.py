@@ -26,8 +26,8 @@ def test_what_both_tell_and_adds_most_is_shown(puma_run: Run) -> None:
     shown = learned(scene_of(puma_run, growth(puma_run)))
     assert len(shown) == MOST
     adds = dict.fromkeys(puma_run.estimates["internal"].base.names, 0.0)
-    for each in puma_run.estimates.values():
-        shares = dict(zip(each.names, influence(each, puma_run.truths), strict=True))
+    for estimate in puma_run.estimates.values():
+        shares = dict(zip(estimate.names, influence(estimate, puma_run.truths), strict=True))
         adds = {name: max(share, shares[name]) for name, share in adds.items()}
     order = sorted(adds, key=lambda name: -adds[name])
     assert [each.name for each in shown] == order[:MOST]
