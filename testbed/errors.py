@@ -150,10 +150,18 @@ class UnseenParameters(TestbedError):
     def __init__(self, names: Sequence[str], rank: int, count: int, samples: int) -> None:
         self.names = tuple(names)
         self.rank = rank
-        super().__init__(
-            f"{samples} samples determine only {rank} of {count} unknowns and cannot tell apart "
-            f"{', '.join(names)}: record a longer or richer motion of the joints concerned"
-        )
+        if 0 < samples < count:
+            said = (
+                f"{samples} values, filtered and of all channels, for {count} unknowns: record at "
+                f"least {count / samples:.1f} times as long"
+            )
+        else:
+            said = (
+                f"{samples} samples determine only {rank} of {count} unknowns and cannot tell "
+                f"apart {', '.join(names)}: record a longer or richer motion of the joints "
+                "concerned"
+            )
+        super().__init__(said)
 
 
 class ExpressionError(TestbedError):

@@ -18,7 +18,7 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -50,19 +50,26 @@ def replacing(path: Path, *, folder: bool = False) -> Iterator[Path]:
         _put(nest, place)
 
 
-def check_writable(*paths: Path | None, folder: bool = False) -> None:
+def check_writable(
+    *paths: Path | None, folder: bool = False, read: Iterable[Path | None] = ()
+) -> None:
     """Whether `replacing` could write there: said before the work, not after it.
 
     Args:
         paths: What is to appear; None for nothing.
         folder: Whether they are folders, else files.
+        read: What the work begins with, and is not to be replaced; None for nothing.
 
     Raises:
-        OSError: As `replacing`.
+        OSError: As `replacing`, or it would replace what is read.
     """
+    kept = {_place(path, path.is_dir()) for path in read if path is not None and path.exists()}
     for path in paths:
         if path is not None:
-            with _nest_beside(_place(path, folder), path):
+            place = _place(path, folder)
+            if place in kept:
+                raise OSError(f"'{path}' is read by this command; choose another name to write")
+            with _nest_beside(place, path):
                 pass
 
 

@@ -1,7 +1,8 @@
 """The pictures of the README and the documents, made anew: `python -m docs.pictures`.
 
 Runs table6, opens it in Rerun's viewer and its report in Chromium, both without a screen, and
-carries out the campaign over noise and friction, five minutes of one processor. Needs Mesa's
+carries out the campaign over noise and friction, and runs three robots of example-robot-data (the
+extra `dev`), ten minutes of one processor. Needs Mesa's
 software Vulkan driver and Chromium with its driver: on Debian mesa-vulkan-drivers, chromium,
 chromium-driver.
 """
@@ -11,12 +12,20 @@ from __future__ import annotations
 import base64
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parent.parent
+PACKAGE = Path(sysconfig.get_paths()["purelib"]) / "cmeel.prefix/share/example-robot-data/robots"
+ROBOTS = {
+    "ur5": "ur_description/urdf/ur5_robot.urdf",
+    "panda": "panda_description/urdf/panda.urdf",
+    "g1": "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+}
+"""In the viewer, with floating roots welded and joints held as `new` does."""
 WIDTH = 1440
 SIZE, ZOOM = "1920x1440", 10
 """Of the viewer's window [pixels], and steps of its zoom: words can be read on a page."""
@@ -31,6 +40,7 @@ def main() -> None:
         viewer(run, Path(folder))
         report(run, Path(folder))
         campaign(Path(folder) / "campaign")
+        robots(Path(folder))
 
 
 def testbed(*words: str) -> None:
@@ -40,6 +50,28 @@ def testbed(*words: str) -> None:
 
 def viewer(run: Path, folder: Path) -> None:
     """What the viewer shows in some of its tabs."""
+    for tab in ("overview", "wrench", "friction", "estimates"):
+        shown(run, tab, f"viewer_{tab}", folder)
+
+
+def robots(folder: Path) -> None:
+    """Robots of example-robot-data as the commands make them, no file edited."""
+    for name, file in ROBOTS.items():
+        experiment, run = folder / f"{name}.toml", folder / name
+        testbed("new", str(PACKAGE / file), "--out", str(experiment))
+        testbed("run", str(experiment), "--out", str(run))
+        shown(run, "overview", f"viewer_{name}", folder)
+
+
+def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
+    """A run in the viewer.
+
+    Args:
+        run: Its folder.
+        tab: That is open.
+        picture: Name of the picture.
+        folder: For files on the way.
+    """
     from testbed.experiment.growth import growth
     from testbed.experiment.run_folder import read_run
     from testbed.viewer.log import write_rrd
@@ -48,18 +80,17 @@ def viewer(run: Path, folder: Path) -> None:
 
     found = read_run(run)
     scene = scene_of(found, growth(found))
-    for tab in ("overview", "wrench", "friction", "estimates"):
-        path = folder / f"{tab}.rrd"
-        write_rrd([scene], path, tab)
-        with headless_viewer(folder, SIZE) as (seen, _):
-            seen.open(str(path))
-            for _ in range(ZOOM):
-                seen.run_command("ui.zoom_in_ui")
-            time.sleep(6)
-            seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
-            time.sleep(4)
-            seen.save_screenshot(str(HERE / f"viewer_{tab}.png"))
-        smaller(HERE / f"viewer_{tab}.png", WIDTH)
+    path = folder / f"{picture}.rrd"
+    write_rrd([scene], path, tab)
+    with headless_viewer(folder, SIZE) as (seen, _):
+        seen.open(str(path))
+        for _ in range(ZOOM):
+            seen.run_command("ui.zoom_in_ui")
+        time.sleep(6)
+        seen.set_time("time", duration=sum(scene.window) / 2, play_state="paused")
+        time.sleep(4)
+        seen.save_screenshot(str(HERE / f"{picture}.png"))
+    smaller(HERE / f"{picture}.png", WIDTH)
 
 
 def report(run: Path, folder: Path) -> None:

@@ -71,7 +71,7 @@ def calibrate(
     from testbed.reporting.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
-    check_writable(out)
+    check_writable(out, read=(recording, loaded, model))
     tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
         raise SettingsError("--joint says what carries the payload of --loaded: give both")

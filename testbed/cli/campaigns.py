@@ -69,7 +69,9 @@ def campaign(
         _summary(file, against, rrd)
         return
     from testbed.campaign.campaign import Campaign
+    from testbed.campaign.campaign_folder import CAMPAIGN, LOCK
     from testbed.campaign.conduct import conduct
+    from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign_lines import Throughput, print_conducted, print_plan
 
@@ -78,6 +80,8 @@ def campaign(
     if dry_run:
         print_plan(output.console(), asked, folder, limit)
         return
+    if not (folder / LOCK).exists():  # the folder's own file may ask for what is missing
+        check_writable(folder / CAMPAIGN, read=(file, asked.base))
     tls = _tls(tls_ca, tls_cert, tls_key)
     with _engine(workers, scheduler, tls) as engine, Throughput() as throughput:
         found = conduct(asked, folder, engine, limit, throughput.of)
@@ -94,7 +98,7 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     from testbed.reporting.campaign_lines import print_changes, print_summary
     from testbed.reporting.campaign_page import write_campaign_page
 
-    check_writable(rrd)
+    check_writable(rrd, read=(folder, against))
     with output.Progress("summarising"):
         found = summarise(read_campaign(folder))
     out, place = output.console(), folder if folder.is_dir() else folder.parent

@@ -60,18 +60,20 @@ class Writing:
         """Whether consistent bodies are to be made."""
         return self.consistent or self.write is not None
 
-    def check(self, reading: Reading, model: Path) -> None:
+    def check(self, reading: Reading, model: Path, recordings: Sequence[Path]) -> None:
         """Whether the file may be written, and wishes are of use: said before the work.
 
         Args:
             reading: What is wished.
             model: The model file.
+            recordings: What is identified, which is not replaced.
 
         Raises:
             ModelError: It may not.
             SettingsError: Something is wished of bodies that nobody asked for.
         """
         from testbed.errors import SettingsError
+        from testbed.files import check_writable
         from testbed.identification.wishes import Wishes
         from testbed.robot.write_model import check_place
 
@@ -80,6 +82,7 @@ class Writing:
         if self.in_place and self.write is None:
             raise SettingsError("--in-place is about the file that --write names: say which")
         if self.write is not None:
+            check_writable(self.write, read=(*recordings, reading.plate))
             check_place(model, self.write, over_source=self.in_place)
 
     def bodies(

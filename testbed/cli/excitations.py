@@ -76,7 +76,7 @@ def excite(
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
         _check(file, settings or [], as_json=as_json)
-    check_writable(out, trajectory, page)
+    check_writable(out, trajectory, page, read=(file, prior))
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
     with output.Progress("searching") as progress, _interrupt() as interrupted:

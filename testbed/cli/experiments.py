@@ -134,7 +134,7 @@ def simulate(
     from testbed.files import check_writable
     from testbed.reporting import output
 
-    check_writable(out)
+    check_writable(out, read=(file,))
     experiment = Experiment.load(file, settings or ())
     with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress)

@@ -88,7 +88,7 @@ def identify(
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     writing = Writing(consistent, write, fixed, in_place)
-    writing.check(reading, model)
+    writing.check(reading, model, recordings)
     table, tree = reading.tables().identification, reading.tree(model)
     source, accepted = reading.joined(recordings, tree, unchecked=unchecked)
     doubt = reading.doubt(tree)

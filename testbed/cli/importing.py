@@ -18,7 +18,7 @@ from testbed.cli.options import (
     app,
     ending,
 )
-from testbed.cli.reading import Reading
+from testbed.cli.reading import Reading, to_fill_in
 
 
 @app.command("import")
@@ -57,17 +57,16 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
-    from testbed.files import check_writable
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
     from testbed.sanity.accept import accepted_import
 
-    check_writable(out)
+    _check_out(out, [*files, model], guess=guess)
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
-        _guess(files, out, () if tree is None else tree.names)
+        _guess(files, out, model, () if tree is None else tree.names)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -104,6 +103,17 @@ def import_(
     output.print_lines([*cuts, *told, *lines, last], doubts)
 
 
+def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:
+    """Whether there may be written, and nothing that is read is replaced."""
+    from testbed.files import check_writable
+    from testbed.recordings.importing.mapping import sources
+
+    check_writable(out, read=read)
+    mapping = read[0]
+    if not guess and out is not None and mapping is not None:
+        check_writable(out, read=sources(mapping))
+
+
 def _paths(out: Path, count: int) -> list[Path]:
     """Where recordings go: `out`, or its name with a number each."""
     if count == 1:
@@ -111,7 +121,7 @@ def _paths(out: Path, count: int) -> list[Path]:
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
 
 
-def _guess(files: list[Path], out: Path | None, joints: Sequence[str]) -> None:
+def _guess(files: list[Path], out: Path | None, model: Path | None, joints: Sequence[str]) -> None:
     """A mapping file to start from, on standard output or where it is wanted."""
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
@@ -126,4 +136,4 @@ def _guess(files: list[Path], out: Path | None, joints: Sequence[str]) -> None:
         return
     with replacing(out) as fresh:
         fresh.write_text(text, encoding="utf-8")
-    typer.echo(f"{out}: fill in what is empty")
+    typer.echo(to_fill_in(out, model))

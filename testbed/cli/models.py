@@ -182,12 +182,10 @@ def equations(
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
-    check_writable(out)
+    check_writable(out, read=(model, against))
     if zeros and zero:
         raise typer.BadParameter("--zeros takes those of the file, --zero NAME others: give one")
     known, most = _known(zeros, zero), max_terms or MAX_TERMS
-    if out is not None and out.exists() and out.samefile(model):
-        raise typer.BadParameter(f"--out {out} is the model file itself")
     if against is not None:
         if what or numbers or out is not None or as_json:
             raise typer.BadParameter(

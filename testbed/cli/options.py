@@ -57,6 +57,7 @@ def joined_vectors(words: list[str]) -> list[str]:
 
 app = typer.Typer(
     no_args_is_help=True,
+    rich_markup_mode="markdown",  # paragraphs flow, words in [brackets] are words
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     help="A virtual force plate under a robot: minimal dynamic parameters from joint torques "

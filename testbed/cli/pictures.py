@@ -79,7 +79,7 @@ def view(
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     log = save or _beside(runs[0], ".rrd")
-    check_writable(log)
+    check_writable(log, read=(*runs, model, plate))
     if save is None and not serve and not has_screen():
         raise ViewerError(
             f"there is no screen to open the viewer on: --save {log.name} writes a file for "
@@ -173,7 +173,7 @@ def report(
     from testbed.reporting.html import write_report
 
     path = out or _beside(run, ".html")
-    check_writable(path, path.with_suffix(".json"))
+    check_writable(path, path.with_suffix(".json"), read=(run, model, plate, validate))
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate, terms)
     _check_said([run], model, reading, consistent=consistent, other=validate)
     with output.Progress("identifying") as progress:

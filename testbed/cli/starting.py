@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from testbed.cli.options import Json, app
+from testbed.cli.reading import to_fill_in
 from testbed.installation import own_or_shipped
 
 
@@ -64,10 +65,7 @@ def new(
     _check_free(path)
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
-    further = (
-        f"fill in what is empty, then testbed import {path}" if recording else f"testbed run {path}"
-    )
-    typer.echo(f"{path}: {further}")
+    typer.echo(to_fill_in(path, robot) if recording else f"{path}: testbed run {path}")
 
 
 def _check_free(path: Path) -> None:

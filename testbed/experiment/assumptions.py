@@ -186,11 +186,11 @@ def _clearance(tree: Tree) -> float | None:
     """What a robot keeps for which the usual clearance is much of its own size [m]."""
     usual = ExcitationTable().clearance
     assert not isinstance(usual, str)
-    kept = rounded(OF_SIZE * _size(tree), 1)
+    kept = rounded(OF_SIZE * size(tree), 1)
     return kept if kept < usual else None
 
 
-def _size(tree: Tree) -> float:
+def size(tree: Tree) -> float:
     """How far bodies reach from the first joint that carries them [m]."""
     away = np.zeros(tree.n)
     for j, joint in enumerate(tree.joints):

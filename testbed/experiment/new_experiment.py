@@ -59,7 +59,7 @@ def new_experiment(
         ModelError: The robot cannot be read.
     """
     found = find_robot(model, {} if strict else None)
-    for line in _repairs(found.repair):
+    for line in (*found.tree.warnings, *_flaws(found.repair)):
         say(line)
     assumed = assumptions(found.tree)
 
@@ -159,9 +159,8 @@ def _body(name: str, body: Inertia) -> str:
     return f"{_key(name)} = {{ mass = {said.mass!r}, {lists} }}"
 
 
-def _repairs(repair: Repair) -> Iterator[str]:
-    """What was repaired: the first few, and how many."""
-    yield from repair.notes
+def _flaws(repair: Repair) -> Iterator[str]:
+    """What was wrong with bodies: the first few, and how many."""
     yield from (f"  {flaw}" for flaw in repair.flaws[:NAMED])
     if len(repair.flaws) > NAMED:
         yield f"  and {len(repair.flaws) - NAMED} more"

@@ -9,11 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
+from testbed.experiment.assumptions import calm_speeds, size
+from testbed.robot.friction import VISCOUS
 from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
 from testbed.robot.repair import Bodies, Repair
 from testbed.robot.tree import Tree
+
+HOLDING = 1e3
+"""Times the robot's weight, at a usual speed, is more than viscous friction takes of a joint that
+moves."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,7 @@ def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
             masters = set(error.masters.values())
         except LoopError as error:
             lock |= error.joints
-    further = _grippers(tree, masters) | _stuck(tree)
+    further = _grippers(tree, masters) | _stuck(tree) | _held_by_friction(tree)
     if further:
         lock |= further
         tree = ModelFile(model, weld, repair, held | lock).tree()
@@ -77,6 +83,19 @@ def _stuck(tree: Tree) -> dict[str, float]:
     """Joints whose range is one position, and that; none if no joint moves."""
     found = {
         j.name: _short(j.position_range[0]) for j in tree.joints if not np.ptp(j.position_range)
+    }
+    return found if len(found) < tree.n else {}
+
+
+def _held_by_friction(tree: Tree) -> dict[str, float]:
+    """Joints that files hold by their damping, and where they rest; none if no other moves."""
+    weight = 9.81 * sum(body.mass for body in tree.inertias)
+    lever = np.where([joint.revolute for joint in tree.joints], size(tree), 1.0)
+    brakes = VISCOUS.coefficients(tree) * calm_speeds(tree) > HOLDING * weight * lever
+    found = {
+        joint.name: _short(Travel(*joint.position_range).rest)
+        for joint, held in zip(tree.joints, brakes, strict=True)
+        if held
     }
     return found if len(found) < tree.n else {}
 

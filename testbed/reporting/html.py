@@ -21,8 +21,8 @@ _SIGNS = {"+-": "±", "^2": "²", " %": "\u00a0%"}
 
 _HEAD = re.compile(r'<h2 id="([^"]+)">(.*?)</h2>')
 
-_EXPONENT = re.compile(r"[-+]?\d[\d.]*e-\d+")
-"""A number that a browser would break at its second sign."""
+_WHOLE = re.compile(r"[-+]?\d[\d.]*e-\d+|--[a-z][a-z-]*")
+"""A number, an option: a browser would break them at a sign."""
 
 
 def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
@@ -92,10 +92,10 @@ def rendered(template: str, content: dict[str, Any]) -> str:
 
 
 def typeset(text: str) -> Markup:
-    """What a terminal writes as +- and m^2, as people write it: ± and m²; 1e-06 in one line."""
+    """What a terminal writes as +- and m^2 as people write it; numbers, options unbroken."""
     for plain, sign in _SIGNS.items():
         text = text.replace(plain, sign)
-    return Markup(_EXPONENT.sub(r'<span class="number">\g<0></span>', str(escape(text))))
+    return Markup(_WHOLE.sub(r'<span class="number">\g<0></span>', str(escape(text))))
 
 
 def breakable(name: str) -> Markup:

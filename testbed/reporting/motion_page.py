@@ -153,4 +153,4 @@ def _allowed(found: Excitation) -> str:
         )
         if rules.clearance.min() < rules.clearance.max():
             said += " Pairs that keep less are not drawn; the table has them."
-    return " ".join([said, *rules.notes])
+    return " ".join([said, *(f"{note[:1].upper()}{note[1:]}." for note in rules.notes)])

@@ -225,24 +225,28 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         "legend": {"unexplained": "unexplained torque"}
         | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
-        "panels": telling_first(panels, _unexplained_shares(smooth)),
+        "panels": telling_first(panels, clear_shares(rest, smooth)),
         "shown": SHOWN_OTHERS,
-        "caption": _friction_caption(modelled=modelled, curves=run.drives is not None),
+        "caption": _friction_caption(len(panels), modelled=modelled, curves=run.drives is not None),
         "heads": ["joint", "term", "unit", "found", "true"],
         "rows": _term_rows(run),
     }
 
 
-def _unexplained_shares(smooth: Predictions) -> list[float]:
-    """How much of each joint's torque is unexplained, noise aside."""
-    measured = next(s.measured for s in smooth.signals if s.kind == "torque")
-    rest = smooth.unexplained_torque
-    assert rest is not None  # the caller has looked
-    shares: list[float] = (rest.std(axis=0) / np.maximum(measured.std(axis=0), 1e-12)).tolist()
+def clear_shares(rest: Array, smooth: Predictions) -> list[float]:
+    """How much of each joint's unexplained torque is no noise.
+
+    Args:
+        rest: The unexplained torque, (M, n) [N m or N].
+        smooth: Predictions through a low-pass.
+    """
+    clear = smooth.unexplained_torque
+    assert clear is not None  # the caller has looked
+    shares: list[float] = (clear.std(axis=0) / np.maximum(rest.std(axis=0), 1e-12)).tolist()
     return shares
 
 
-def _friction_caption(*, modelled: bool, curves: bool) -> str:
+def _friction_caption(count: int, *, modelled: bool, curves: bool) -> str:
     said = ["Points are samples."]
     if modelled:
         said.append("The line is what the internal estimate's terms make of a steady velocity.")
@@ -251,6 +255,8 @@ def _friction_caption(*, modelled: bool, curves: bool) -> str:
             f"The curve by the plate assumes no law; its band is {BAND:g} sigma wide to either "
             "side."
         )
+    if count > SHOWN_OTHERS:
+        said.append("First the joints whose points noise scatters least.")
     return " ".join(said)
 
 

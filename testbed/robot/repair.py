@@ -173,14 +173,15 @@ def _bare_ends(
 
 def _notes(slight: Sequence[str], grave: Sequence[str]) -> Iterator[str]:
     if slight:
-        yield f"the inertia of {_listed(slight)} is corrected within rounding"
+        yield f"the inertia of {listed(slight)} is corrected within rounding"
     if grave:
         yield (
-            f"no body has the inertia that the model file gives {_listed(grave)}; the nearest that "
+            f"no body has the inertia that the model file gives {listed(grave)}; the nearest that "
             "can be is taken"
         )
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """The first few of many names, and how many more."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

@@ -177,8 +177,8 @@ def _check_forces(state: _State, tree: Tree, own: Array, path: Path) -> None:
     ]
     more = f" and {wrong.size - _NAMED} more" if wrong.size > _NAMED else ""
     raise ModelError(
-        f"{path}: besides motor and friction something else acts on {', '.join(said)}{more}: a "
-        "spring, tendon, fluid or gravity compensation, which simulation does not support"
+        f"{path}: besides motor and friction something else acts on {', '.join(said)}{more}, "
+        "which the robot that was read does not have"
     )
 
 

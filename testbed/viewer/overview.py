@@ -11,6 +11,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.experiment.score import relative_errors
 from testbed.identification.estimate import METHODS, Method
+from testbed.identification.influence import by_influence
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import series
 from testbed.viewer.robot_drawing import clock
@@ -55,7 +56,7 @@ def scale_of(shown: Sequence[Learned]) -> float:
 
 
 def learned(scene: Scene) -> tuple[Learned, ...]:
-    """The parameters to show first: those on which the methods differ most, in their own order.
+    """The parameters to show first: those that add most to what is predicted.
 
     Args:
         scene: The run, with its growth; without it there are none.
@@ -67,13 +68,12 @@ def learned(scene: Scene) -> tuple[Learned, ...]:
     bases = {method: estimates[method].base for method in methods}
     shared = [n for n in bases[methods[-1]].names if all(n in b.names for b in bases.values())]
     names = shared or list(bases[methods[0]].names)
+    order = by_influence([estimates[method] for method in methods], scene.run.truths)
+    names = sorted(names, key=order.index)[:MOST]
     methods = [method for method in methods if set(names) <= set(bases[method].names)]
     first = bases[methods[0]]
     places = {method: [bases[method].names.index(name) for name in names] for method in methods}
     last = {method: bases[method].values[places[method]] for method in methods}
-    differ = np.abs(last[methods[-1]] - last[methods[0]])
-    doubt = first.sigma[places[methods[0]]]
-    rank = np.argsort(-differ / np.maximum(doubt, np.finfo(float).tiny), kind="stable")
     units = [first.units[k] for k in places[methods[0]]]
     truths = scene.run.truths
     aims = [truths.get(n, value) for n, value in zip(names, last[methods[0]], strict=True)]
@@ -83,11 +83,11 @@ def learned(scene: Scene) -> tuple[Learned, ...]:
     }
     return tuple(
         Learned(
-            name=names[k],
+            name=name,
             time=grown[methods[0]].time,
             errors={m: errors[m][:, k] for m in methods},
         )
-        for k in sorted(rank[:MOST].tolist())
+        for k, name in enumerate(names)
     )
 
 

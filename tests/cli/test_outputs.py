@@ -89,6 +89,40 @@ def test_what_cannot_be_written_is_refused_before_the_work(
         assert contents(place) == before, out
 
 
+@pytest.mark.parametrize("writer", WRITERS, ids=" ".join)
+def test_what_is_read_is_not_replaced(writer: tuple[str, str], place: Path, tmp_path: Path) -> None:
+    """Each file that a command's words name, as its own output; by another name of it, too."""
+    command, option = writer
+    folder = tmp_path / "place"
+    shutil.copytree(place, folder, ignore=shutil.ignore_patterns("closed"))
+    (folder / "campaign.toml").write_text((folder / "quick.toml").read_text())
+    words = ["campaign.toml" if word == "quick.toml" else word for word in WRITERS[writer]]
+    read = [word for word in words if (folder / word).is_file()]
+    ending = ENDINGS.get(option) or ENDINGS.get(command, "")
+    for name in read:
+        link = folder / f"link{ending}"
+        link.unlink(missing_ok=True)
+        link.symlink_to(folder / name)
+        for out in (".",) if writer in FOLDERS else (name, link.name):
+            before = contents(folder)
+            done = command_line(command, *words, option, out, cwd=folder)
+            assert done.returncode == 2, (out, done)
+            assert len(done.stderr.splitlines()) == 1, (out, done.stderr)
+            assert contents(folder) == before, out
+
+
+def test_a_campaign_keeps_the_file_that_asks_for_it(place: Path, tmp_path: Path) -> None:
+    """Alone in its folder, where the folder looks like a campaign's."""
+    text = (place / "quick.toml").read_text()
+    (tmp_path / "campaign.toml").write_text(text)
+    for out in (".", str(tmp_path)):
+        done = command_line(
+            "campaign", "campaign.toml", "--workers", "0", "--out", out, cwd=tmp_path
+        )
+        assert done.returncode == 2, done
+        assert [p.read_text() for p in tmp_path.iterdir()] == [text]
+
+
 def test_no_writer_is_left_out() -> None:
     paths = set()
     for command in app.registered_commands:

@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import LoopError, TestbedError
+from testbed.errors import ExperimentError, LoopError
 from testbed.excitation.limits import limits_of
 from testbed.experiment.assumptions import assumptions
 from testbed.experiment.experiment import run_name
 from testbed.experiment.new_experiment import new_experiment
+from testbed.experiment.robot_found import find_robot
 from testbed.experiment.simulate import simulate
 from testbed.robot.load import mimic_joints
+from tests.helpers.paths import ROOT
 from tests.helpers.runs import MODELS
 
 ARM = """<mujoco model="arm"><worldbody><body name="upper" pos="0 0 {l}">
@@ -157,11 +159,21 @@ def test_bodies_that_a_program_moves_weld_nothing(tmp_path: Path) -> None:
 
 
 def test_what_does_not_run_is_not_written(tmp_path: Path) -> None:
-    text = arm(tmp_path, 1.0, 1.0).read_text()
-    path = tmp_path / "spring.xml"
-    path.write_text(text.replace('name="turn"', 'name="turn" stiffness="50"'))
-    with pytest.raises(TestbedError, match="turn"):
+    text = (ROOT / "models/puma562.xml").read_text()
+    path = tmp_path / "clipped.xml"
+    path.write_text(text.replace("<force name", '<force cutoff="50" name'))
+    with pytest.raises(ExperimentError, match="unfiltered"):
         content(path)
+
+
+def test_joints_that_damping_holds_are_held(tmp_path: Path) -> None:
+    """A thousand times the weight at a usual speed; a joint that is merely slow stays."""
+    text = arm(tmp_path, 1.0, 1.0).read_text()
+    path = tmp_path / "damped.xml"
+    for damping, held in (("1e9", {"turn"}), ("1e2", set())):
+        path.write_text(text.replace('name="turn"', f'name="turn" damping="{damping}"'))
+        assert set(find_robot(path, None).lock) == held
+        assert set(content(path)["robot"].get("lock", {})) == held
 
 
 def test_exact_torque_constants_and_names_of_models(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from testbed.excitation.random_motion import random_motion
 from testbed.reporting.campaign_page import write_campaign_page
 from testbed.reporting.html import write_report
 from testbed.reporting.motion_page import write_motion_page
+from testbed.reporting.sections import clear_shares
 from testbed.robot.visuals.appearance import load_appearance
 from tests.helpers.browser import browser
 from tests.helpers.campaigns import NOISES, Odd, campaign_file
@@ -203,3 +204,12 @@ def test_nothing_ends_outside_of_the_window(any_page: Path, width: int, tmp_path
         assert window.run(WIDER) == []
         assert window.run(OVERLAPS) == []
         assert window.run("return document.documentElement.scrollWidth") <= width
+
+
+def test_joints_whose_friction_noise_does_not_hide_are_shown_first() -> None:
+    """Whatever share of its torque is unexplained: a light joint's is all noise."""
+    rng, size = np.random.default_rng(2), np.array([0.0, 3.0, 0.3, 1.0])
+    friction = size * np.sign(rng.normal(size=(5000, 1)))
+    smooth: Any = SimpleNamespace(unexplained_torque=friction)
+    clear = clear_shares(friction + rng.normal(size=(5000, 4)), smooth)
+    assert np.argsort(clear).tolist() == np.argsort(size).tolist()

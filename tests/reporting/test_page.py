@@ -273,3 +273,10 @@ def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(
         told = {row[0]: row[column] for row in table["rows"] if row[column]}
         assert told == {c: f"{x:.3g}" for c, x in zip(found.channels, found.ratio, strict=True)}
     assert any("Rms residuals on that motion" in line for line in numbers["summary"])
+
+
+def test_a_browser_does_not_break_what_is_to_be_typed() -> None:
+    said = typeset("take 1e-06 by --lock-mimic or --set 'a.b=3'; 2 -- 3")
+    assert re.findall(r'<span class="number">(.*?)</span>', said) == [
+        "1e-06", "--lock-mimic", "--set",
+    ]  # fmt: skip

@@ -198,3 +198,15 @@ def test_bodies_that_cannot_be_have_no_ellipsoid() -> None:
     long = tb.Inertia(1.0, np.zeros(3), np.diag([3.0, 1.0, 1.0]))  # no triangle
     tree = replace(tree, inertias=(none, long, tree.inertias[2]))
     assert [shape.body for shape in equivalent_ellipsoids(tree, (1, 0, 0, 1))] == [2]
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_meshes_that_are_not_found_are_one_line(count: int, tmp_path: Path) -> None:
+    text = (GOLDEN / "robots/pendulum.urdf").read_text()
+    mesh = '<visual><geometry><mesh filename="package://lost/{}.stl"/></geometry></visual>'
+    meshes = "".join(map(mesh.format, range(count)))
+    (tmp_path / "lost.urdf").write_text(re.sub("</link>", f"{meshes}</link>", text, count=1))
+    tree = tb.load_tree(tmp_path / "lost.urdf")
+    (line,) = load_appearance(tree, ModelFile(tmp_path / "lost.urdf")).warnings
+    assert "package://lost/0.stl" in line
+    assert (f"and {count - 1} more" in line) == (count > 1)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -48,10 +50,24 @@ def test_fused_links_keep_what_they_weigh(tmp_path: Path) -> None:
     assert masses(tb.load_tree(path)) == [2.0, 1.5]
 
 
-@pytest.mark.parametrize("mass", ["7", "0.5"])
-def test_a_total_mass_set_by_the_compiler_is_refused(mass: str, tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="settotalmass"):
-        tb.load_tree(arm(tmp_path / "r.xml", compiler=f'settotalmass="{mass}"'))
+@pytest.mark.parametrize("mass", [7.0, 0.5])
+@pytest.mark.parametrize("also", ["", 'inertiafromgeom="true"', 'balanceinertia="true"'])
+def test_a_total_mass_set_by_the_compiler_is_the_robots(
+    also: str, mass: float, tmp_path: Path
+) -> None:
+    """MuJoCo's own compiler is the witness."""
+    parts = {"compiler": f'settotalmass="{mass}" {also}', "inertial": ""}
+    path = arm(tmp_path / "r.xml", **parts)
+    if "fromgeom" in also:
+        with_geoms = re.sub("(<inertial[^>]*>)", r'\1<geom size=".04" mass="1"/>', path.read_text())
+        path.write_text(with_geoms)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    tree = tb.load_tree(path)
+    own = [model.body("up").subtreemass[0] - model.body("fore").subtreemass[0]]
+    own.append(model.body("fore").subtreemass[0])
+    np.testing.assert_allclose([body.mass for body in tree.inertias], own, rtol=1e-12)
+    assert sum(own) == pytest.approx(mass)
+    build_plant(ModelFile(path), tree, 1e-3)
 
 
 def test_flags_of_the_file_are_those_of_the_tree(tmp_path: Path) -> None:
@@ -81,24 +97,28 @@ def test_room_for_postures_and_bodies_to_be_dragged_do_no_harm(tmp_path: Path) -
 TENDON = '<tendon><fixed name="t" {}><joint joint="j1" coef="1"/></fixed></tendon>'
 HIDDEN = {
     "spring": {"joint": 'stiffness="5" springref="1"'},
+    "oscillator": {"joint": 'springdamper="0.1 0.7"'},
+    "damping of a higher order": {"joint": 'damping="1 2 3"'},
     "tendon spring": {"more": TENDON.format('stiffness="9" springlength="0.3"')},
     "tendon damper": {"more": TENDON.format('damping="3"')},
     "tendon inertia": {"more": TENDON.format('armature="3"')},
-    "compensated gravity": {"inertial": "", "more": "", "beside": "", "gravcomp": "1"},
+    "tendon's end": {"more": TENDON.format('range="-.1 .1"')},
+    "compensated gravity": {"fore": 'gravcomp="1"'},
+    "fluid": {"option": 'density="1000" viscosity="2"'},
 }
 
 
 @pytest.mark.parametrize("what", HIDDEN)
-def test_what_else_acts_on_the_robot_is_refused_before_it_is_simulated(
-    what: str, tmp_path: Path
-) -> None:
+def test_what_else_acts_on_the_robot_is_left_out_and_said(what: str, tmp_path: Path) -> None:
+    """The plant is the robot that was read, which is the one of the file without it."""
     parts = dict(HIDDEN[what])
-    compensated = parts.pop("gravcomp", None)
+    fore = parts.pop("fore", "")
     path = arm(tmp_path / "r.xml", **parts)
-    if compensated:
-        path.write_text(path.read_text().replace('name="fore"', 'name="fore" gravcomp="1"'))
-    with pytest.raises(ModelError, match=r"something else acts|do not feel the robot"):
-        build_plant(ModelFile(path), tb.load_tree(path), 1e-3)
+    path.write_text(path.read_text().replace('name="fore"', f'name="fore" {fore}'))
+    tree = tb.load_tree(path)
+    assert [line.startswith("left out: ") for line in tree.warnings] == [True]
+    assert masses(tree) == [2.0, 1.5]
+    build_plant(ModelFile(path), tree, 1e-3)
 
 
 def test_an_arm_beside_the_plate_is_refused(tmp_path: Path) -> None:

@@ -127,10 +127,13 @@ def test_a_weak_spring_on_any_joint_of_a_light_robot_is_named(
     robot, text = light_robot(seed, friction)
     own = next(link for link in robot.links if link.name == joint)
     path = tmp_path / "r.xml"
-    spring = f'name="{joint}" stiffness="1e-3" springref="0.5"'
-    path.write_text(text.replace(f'name="{joint}"', spring, 1))
+    path.write_text(text)
+    tree = tb.load_tree(path)
+    plant = build_plant(ModelFile(path), tree, 5e-4)
+    at = plant.order[tree.index(joint)]
+    plant.model.jnt_stiffness[at], plant.model.qpos_spring[at] = 1e-3, 0.5
     with pytest.raises(ModelError, match=rf"acts on '{joint}' \(") as caught:
-        build_plant(ModelFile(path), tb.load_tree(path), 5e-4)
+        check_plant(plant, tree, path)
     unit = "N m" if own.kind == "revolute" else "N"
     numbers = re.search(rf"\((\S+) {unit} found, (\S+) of friction expected\)", str(caught.value))
     assert numbers
@@ -139,11 +142,11 @@ def test_a_weak_spring_on_any_joint_of_a_light_robot_is_named(
     assert not any(f"'{link.name}'" in str(caught.value) for link in robot.links if link is not own)
 
 
-def test_a_fluid_around_the_robot_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "r.xml"
-    path.write_text(PUMA.read_text().replace("<option ", '<option density="1.2" ', 1))
+def test_a_fluid_around_the_plant_is_found(puma: tb.Tree) -> None:
+    plant = build_plant(ModelFile(PUMA), puma, 1e-3)
+    plant.model.opt.density = 1.2
     with pytest.raises(ModelError, match="something else acts"):
-        build_plant(ModelFile(path), tb.load_tree(path), 1e-3)
+        check_plant(plant, puma, PUMA)
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])

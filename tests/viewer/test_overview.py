@@ -13,6 +13,8 @@ import pytest
 from testbed.experiment.growth import growth
 from testbed.experiment.run import Run
 from testbed.identification.estimate import METHODS
+from testbed.identification.influence import influence
+from testbed.viewer import overview
 from testbed.viewer.log import write_rrd
 from testbed.viewer.overview import MOST, Learned, learned, scale_of
 from testbed.viewer.scene import scene_of
@@ -20,19 +22,15 @@ from tests.helpers.viewer import columns, entities
 
 
 @pytest.mark.slow
-def test_what_both_tell_and_differ_in_is_shown(puma_run: Run) -> None:
+def test_what_both_tell_and_adds_most_is_shown(puma_run: Run) -> None:
     shown = learned(scene_of(puma_run, growth(puma_run)))
     assert len(shown) == MOST
-    internal, external = (puma_run.estimates[m].base for m in ("internal", "external"))
-    order = [internal.names.index(each.name) for each in shown]
-    assert order == sorted(order)
-    away = {
-        name: abs(value - external.values[external.names.index(name)])
-        / external.sigma[external.names.index(name)]
-        for name, value in zip(internal.names, internal.values, strict=True)
-    }
-    left = [away[name] for name in internal.names if name not in {e.name for e in shown}]
-    assert min(away[each.name] for each in shown) >= max(left)
+    adds = dict.fromkeys(puma_run.estimates["internal"].base.names, 0.0)
+    for estimate in puma_run.estimates.values():
+        shares = dict(zip(estimate.names, influence(estimate, puma_run.truths), strict=True))
+        adds = {name: max(share, shares[name]) for name, share in adds.items()}
+    order = sorted(adds, key=lambda name: -adds[name])
+    assert [each.name for each in shown] == order[:MOST]
     for each in shown:
         truth = puma_run.truths[each.name]
         for method in METHODS:
@@ -68,7 +66,7 @@ def test_the_plots_scale_does_not_depend_on_when_the_clock_was_set() -> None:
     assert scales == [15.0] * 3
 
 
-def test_methods_that_share_no_name_are_shown_by_the_first() -> None:
+def test_methods_that_share_no_name_are_shown_by_the_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """As of sets by other zeros: the second has nothing to stand beside it."""
 
     def base(*names: str) -> SimpleNamespace:
@@ -85,6 +83,7 @@ def test_methods_that_share_no_name_are_shown_by_the_first() -> None:
     scene: Any = SimpleNamespace(
         growth=grown, run=SimpleNamespace(estimates=estimates, truths={"m2": 3.0})
     )
+    monkeypatch.setattr(overview, "by_influence", lambda *_: ["K1", "m1", "K2", "m2", "K3"])
     found = learned(scene)
     first = METHODS[0]
     assert tuple(each.name for each in found) == estimates[first].base.names

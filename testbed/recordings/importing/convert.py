@@ -202,6 +202,11 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
     since = time.since
     if len(since) < 4:
         raise RecordingError(f"sources.{name}: {len(since)} samples are no recording")
+    if since.min() == since.max():
+        raise RecordingError(
+            f"sources.{name}: '{source.time}' is the same at all samples; say another column, or "
+            "`rate` instead of `time`"
+        )
     return replace(time, since=since[0] + (since - since[0]) * (1 + source.skew))
 
 
@@ -211,8 +216,16 @@ def _window(mapping: Mapping, times: Table[str, Array]) -> tuple[float, float]:
     last = min(float(time.max()) for time in times.values())
     if first >= last:
         ranges = "; ".join(f"{n} {t.min():.9g} to {t.max():.9g} s" for n, t in times.items())
+        own, *others = times
+        together = ", ".join(
+            f"[sources.{n}] offset = "
+            f"{mapping.sources[n].offset + times[own].min() - times[n].min():.6g}"
+            for n in others
+        )
         raise RecordingError(
-            f"the sources have no time in common: {ranges}; their clocks differ, say `offset`"
+            f"the sources have no time in common: {ranges}; their clocks differ: {together} would "
+            "make them begin together; say what is true to some hundredths of a second, "
+            "--align finds the rest"
         )
     last = min(last, first + (mapping.stop or np.inf))
     first += mapping.start
@@ -234,9 +247,10 @@ def _read(
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         k, c = bad[0]
+        more = f", one of {len(bad)} such" if len(bad) > 1 else ""
         raise RecordingError(
-            f"sources.{name}: '{wanted[c]}' is {values[k, c]} at sample {k + part.start}, one of "
-            f"{len(bad)} such; cut them out by `start` and `stop`, or repair the file"
+            f"sources.{name}: '{wanted[c]}' of '{source.file}' is {values[k, c]} at sample "
+            f"{k + part.start}{more}; cut it out by `start` and `stop`, or repair the file"
         )
     kept = without_repeats(name, time[part], values)
     stamps, values = time[part][kept], values[kept]

@@ -31,7 +31,7 @@ SHOWN = 100
 
 HEAD = """\
 # What {files} {hold}, made into a recording. Fill in what is empty or 0, then
-#   testbed import THIS.toml --out recording.parquet
+#   testbed import THIS.toml --out recording.parquet --model ROBOT
 # What is filled in is by the columns' names, or as said; see docs/real-recordings.md.
 """
 

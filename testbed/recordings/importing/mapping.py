@@ -6,7 +6,7 @@ clock, the rate of the recording. A key that is not known is an error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.arrays import Array
+from testbed.errors import ExperimentError
 from testbed.recordings.importing.foreign_units import KINDS, Kind, check_unit, slides
 from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, read_toml
 
@@ -255,7 +256,32 @@ def read_mapping(path: Path) -> Mapping:
     Raises:
         ExperimentError: It cannot be read, or says what is not understood, in one line.
     """
-    return checked(Mapping, read_toml(path, "mapping"), str(path))
+    content = read_toml(path, "mapping")
+    empty = [*_empty(content, ())]
+    if empty:
+        raise ExperimentError(f"{path}: fill in what is empty: {', '.join(dict.fromkeys(empty))}")
+    return checked(Mapping, content, str(path))
+
+
+def _empty(content: object, place: tuple[str, ...]) -> Iterator[str]:
+    """Keys that are still empty, as a mapping that was guessed leaves them."""
+    if isinstance(content, dict):
+        for key, value in content.items():
+            yield from _empty(value, (*place, str(key)))
+    elif isinstance(content, list):
+        for value in content:
+            yield from _empty(value, place)
+    elif content == "":
+        yield ".".join(place)
+
+
+def sources(path: Path) -> list[Path]:
+    """The files that a mapping file names.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+    """
+    return [path.parent / source.file for source in read_mapping(path).sources.values()]
 
 
 def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> None:

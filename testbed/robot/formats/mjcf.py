@@ -5,7 +5,6 @@ Bodies without joints are merged into those that carry them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,7 +61,7 @@ def read_mjcf(
         name = model.numeric(k).name
         if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    notes = (*found.repair.notes, *found.notes, *_unmodelled(model))
+    notes = (*found.repair.notes, *found.notes)
     return _tree_of(model, found.stated, notes)
 
 
@@ -153,22 +152,6 @@ def _check_places(model: mujoco.MjModel, path: Path) -> None:
             raise ModelError(
                 f"{path}: the {what} is {np.abs(place).max():.3g} m away; {FARTHEST:g} m is the "
                 "limit"
-            )
-
-
-def _unmodelled(model: mujoco.MjModel) -> Iterator[str]:
-    """What acts in joints beside friction, a line each."""
-    for j in range(model.njnt):
-        name, dof = model.joint(j).name, model.jnt_dofadr[j]
-        if np.any(model.jnt_stiffness[j]) or np.any(model.jnt_stiffnesspoly[j]):
-            yield (
-                f"joint '{name}' has a spring ({model.jnt_stiffness[j].flat[0]:g} N m/rad or N/m) "
-                "that the joint model does not know"
-            )
-        if np.any(model.dof_dampingpoly[dof]):
-            yield (
-                f"joint '{name}' has damping that grows faster than its speed, which the joint "
-                "model does not know"
             )
 
 

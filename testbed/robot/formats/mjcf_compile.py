@@ -151,6 +151,14 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
     return StatedInertia(inertia.mass, central)
 
 
+def resolved(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
+    """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
+    copy = spec.copy()
+    _, stated = stated_inertias(copy)
+    copy.compiler.boundmass = copy.compiler.boundinertia = MASSLESS
+    return compile_spec(copy, path), stated
+
+
 def one_line(error: Exception) -> str:
     """MuJoCo's message without its line breaks."""
     return " ".join(str(error).removeprefix("Error: ").split())[:LONGEST_MESSAGE]

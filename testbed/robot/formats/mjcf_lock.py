@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import LoopError, MimicError, ModelError
-from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, stated_inertias
+from testbed.errors import LoopError, MimicError
+from testbed.robot.formats.mjcf_compile import resolved
+from testbed.robot.formats.mjcf_passive import drop_tendons
 from testbed.robot.locks import Coupling, Lock, Travel, held_positions
 
 VELOCITY_LIMIT = "velocity_limit/"
@@ -19,7 +20,7 @@ VELOCITY_LIMIT = "velocity_limit/"
 
 
 def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
-    """Take locked joints out of a model, and those that go along with them.
+    """Take locked joints out of a model, those that go along with them, and all tendons.
 
     Args:
         spec: The model, which is changed.
@@ -27,7 +28,7 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         path: Its file, for messages.
 
     Returns:
-        A line for each follower that is held where its master does not take it.
+        A line for each follower that is held where its master does not take it, and for tendons.
 
     Raises:
         ModelError: What couples joints is not supported; MimicError for a joint that follows
@@ -35,9 +36,10 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         UnknownName: A joint to be held is not there.
     """
     couplings, loops = _couplings(spec)
+    tendons = drop_tendons(spec)
     if not lock and not couplings and not loops:
-        return ()
-    model = _resolved(spec, path)
+        return tendons
+    model, _ = resolved(spec, path)
     travels = _travels(model, couplings)
     try:
         held, warnings = held_positions(travels, lock, path.name)
@@ -45,14 +47,13 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
         raise
     _check_loops(loops, travels, held, path)
-    _drop_tendons(spec, held, path)
     for numeric in list(spec.numerics):
         if numeric.name.removeprefix(VELOCITY_LIMIT) in held:
             spec.delete(numeric)
     for body in spec.bodies:
         if any(joint.name in held for joint in body.joints):
             _hold(spec, body, model, held)
-    return warnings
+    return (*warnings, *tendons)
 
 
 def _check_loops(
@@ -146,14 +147,6 @@ def _carriers(body: mujoco.MjsBody) -> list[str]:
     return found
 
 
-def _resolved(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
-    """The compiled model, for its geometry: frames, degrees and limits are resolved there."""
-    copy = spec.copy()
-    stated_inertias(copy)
-    copy.compiler.boundmass = copy.compiler.boundinertia = MASSLESS
-    return compile_spec(copy, path)
-
-
 def _travels(model: mujoco.MjModel, couplings: _Couplings) -> dict[str, Travel]:
     names = [model.joint(j).name for j in range(model.njnt)]
     zero = {name: float(model.qpos0[model.jnt_qposadr[j]]) for j, name in enumerate(names)}
@@ -215,24 +208,6 @@ def _pose(
     for joint, anchor, axis in joints:
         joint.set_frame(body.add_frame())
         joint.pos, joint.axis = anchor, axis
-
-
-def _drop_tendons(spec: mujoco.MjSpec, held: dict[str, float], path: Path) -> None:
-    """Take tendons along held joints out."""
-    for tendon in list(spec.tendons):
-        ends = [
-            wrap.target.name for wrap in tendon.path if wrap.type == mujoco.mjtWrap.mjWRAP_JOINT
-        ]
-        if not any(name in held for name in ends):
-            continue
-        acts = (*tendon.stiffness, *tendon.damping, tendon.armature, tendon.frictionloss)
-        stops = tendon.limited != mujoco.mjtLimited.mjLIMITED_FALSE and np.any(tendon.range)
-        if any(name not in held for name in ends) and (any(acts) or stops):
-            raise ModelError(
-                f"{path}: tendon '{tendon.name}' couples held joints with others, which is not "
-                "supported; hold all joints along it"
-            )
-        spec.delete(tendon)
 
 
 def _turn(axis: Array, angle: float) -> Array:

@@ -10,8 +10,9 @@ from pathlib import Path
 import mujoco
 
 from testbed.errors import FreeRootError, ModelError
-from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line
+from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line, resolved
 from testbed.robot.formats.mjcf_lock import followers, hold_joints
+from testbed.robot.formats.mjcf_passive import drop_passive_forces
 from testbed.robot.formats.mjcf_xml import check_files
 from testbed.robot.locks import Lock
 
@@ -39,11 +40,7 @@ def open_spec(
     """
     spec = parsed(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
-    if spec.compiler.settotalmass > 0:
-        raise ModelError(
-            f"{path}: compiler settotalmass is deprecated and not supported; scale the masses in "
-            "the file"
-        )
+    _set_total_mass(spec, path)
     _strip(spec)
     for joint in list(spec.joints):
         if joint.type == mujoco.mjtJoint.mjJNT_FREE and joint.parent.parent.name == "world":
@@ -56,7 +53,8 @@ def open_spec(
                 f"{path}: joint '{joint.name or joint.parent.name}' is of type '{kind}', which is "
                 "not supported (supported: hinge, slide)"
             )
-    return spec, hold_joints(spec, lock or {}, path)
+    notes = hold_joints(spec, lock or {}, path)
+    return spec, (*notes, *drop_passive_forces(spec, path))
 
 
 def follower_names(path: Path) -> tuple[str, ...]:
@@ -81,6 +79,22 @@ def parsed(path: Path) -> mujoco.MjSpec:
     _name_everything(spec)
     _release_mocap(spec)
     return spec
+
+
+def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
+    """Scale all bodies to the total mass that the file wants, as MuJoCo's compiler would last."""
+    wanted = spec.compiler.settotalmass
+    if not wanted > 0:
+        return
+    spec.compiler.settotalmass = -1.0
+    model, stated = resolved(spec, path)
+    masses = {name: float(model.body(name).mass[0]) for name in (b.name for b in spec.bodies)}
+    factor = wanted / sum((masses | {n: body.mass for n, body in stated.items()}).values())
+    for body in spec.bodies:
+        body.mass, body.inertia = factor * body.mass, factor * body.inertia
+        body.fullinertia = factor * body.fullinertia
+    for geom in spec.geoms:
+        geom.mass, geom.density = factor * geom.mass, factor * geom.density
 
 
 def _release_mocap(spec: mujoco.MjSpec) -> None:

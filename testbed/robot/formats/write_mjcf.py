@@ -53,6 +53,11 @@ def edited_mjcf(
             f'{path}: compiler inertiafromgeom="true" makes MuJoCo pass over all inertials; set it '
             'to "auto" and write again'
         )
+    if spec.compiler.settotalmass > 0:
+        raise ModelError(
+            f"{path}: compiler settotalmass scales all masses that are written; scale them in the "
+            "file and take it out"
+        )
     document = XmlBytes(path.read_bytes(), str(path))
     document.insert(document.root, comment(note))
     world = document.root.named("worldbody")

@@ -40,7 +40,13 @@ def read_shapes(
         ModelError: Pinocchio refuses the shapes.
     """
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock, keep_visuals=True)
-    missing = [line for link in root.findall("link") for line in _prepared(link, path)]
+    lost: list[str] = []
+    missing = [line for link in root.findall("link") for line in _prepared(link, path, lost)]
+    if lost:
+        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        missing.append(
+            f"not drawn, as it is neither beside the model file nor above it: {lost[0]}{more}"
+        )
     coloured = root.find("link/visual/material") is not None
     root.set("version", "1.2")  # capsules are new in it
     try:
@@ -100,8 +106,14 @@ def _drawn(
             yield Shape(body, "mesh", size, *at, vertices, np.array(faces, dtype=float))
 
 
-def _prepared(link: ET.Element, path: Path) -> Iterator[str]:
-    """Make numbers plain and mesh names absolute; a line for each visual that is dropped."""
+def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[str]:
+    """Make numbers plain and mesh names absolute; a line for each visual that is no shape.
+
+    Args:
+        link: Of the model; visuals that cannot be drawn are removed.
+        path: The model file.
+        lost: Mesh files that are not found are added to it.
+    """
     owner = f"link '{link.get('name')}'"
     for visual in link.findall("visual"):
         try:
@@ -117,7 +129,7 @@ def _prepared(link: ET.Element, path: Path) -> Iterator[str]:
             found = find_mesh(name, path)
             if found is None:
                 link.remove(visual)
-                yield f"mesh file '{name}' of {owner} is not found; it is not drawn"
+                lost.append(f"mesh file '{name}' of {owner}")
             else:
                 mesh.set("filename", str(found[1]))
 

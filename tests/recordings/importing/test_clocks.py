@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -188,7 +189,17 @@ def test_of_a_run_of_equal_samples_the_first_is_news_and_then_every_so_many() ->
 def test_sources_without_common_time_are_told_apart(tmp_path: Path) -> None:
     time = np.arange(0, 4, 2e-3)
     made(tmp_path, time, time + 100)
-    with pytest.raises(RecordingError, match="no time in common: robot 0 to .* `offset`"):
+    with pytest.raises(RecordingError, match="no time in common: robot 0 to ") as error:
+        tb.Recording.from_mapping(tmp_path / "map.toml")
+    (cure,) = re.findall(r"\[sources.plate\] (offset = \S+)", str(error.value))
+    text = (tmp_path / "map.toml").read_text()
+    (tmp_path / "map.toml").write_text(text.replace('"plate.npz"', f'"plate.npz"\n{cure}'))
+    assert off(tmp_path) < 1e-9
+
+
+def test_a_clock_that_stands_is_not_another_clock(tmp_path: Path) -> None:
+    made(tmp_path, np.arange(0, 4, 2e-3), np.full(2000, 7.0))
+    with pytest.raises(RecordingError, match="sources.plate: 't' is the same at all samples"):
         tb.Recording.from_mapping(tmp_path / "map.toml")
 
 
@@ -198,5 +209,7 @@ def test_no_numbers_are_named_with_their_place(tmp_path: Path) -> None:
     data = dict(np.load(tmp_path / "robot.npz"))
     data["q"][700] = np.nan
     put(tmp_path / "robot.npz", data)
-    with pytest.raises(RecordingError, match="sources.robot: 'q' is nan at sample 700"):
+    with pytest.raises(
+        RecordingError, match="sources.robot: 'q' of 'robot.npz' is nan at sample 700"
+    ):
         tb.Recording.from_mapping(tmp_path / "map.toml")

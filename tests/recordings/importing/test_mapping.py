@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -209,8 +210,10 @@ def test_a_guess_names_all_columns_and_is_refused_until_it_is_filled_in(
     file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
     text = guessed([file], tmp_path)
     (tmp_path / "guess.toml").write_text(text)
-    with pytest.raises(ExperimentError):
+    with pytest.raises(ExperimentError) as error:
         read_mapping(tmp_path / "guess.toml")
+    empty = {line.split(" = ")[0] for line in text.splitlines() if re.match(r'\w+ = .*""', line)}
+    assert empty <= set(re.findall(r"\w+", str(error.value)))  # all at once
     telling = () if name in ("csv", "c3d") else ('unit = ""', 'units = ["", ""]', 'sense = ""')
     assert all(line in text for line in telling)
 

@@ -211,6 +211,33 @@ def test_files_that_hold_no_log_are_refused(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(("separator", "point"), [(",", "."), (";", ","), ("\t", ".")])
+def test_of_a_field_that_is_no_number_line_and_column_are_named(
+    separator: str, point: str, tmp_path: Path
+) -> None:
+    """An empty one is nan; comments and a preamble count as lines."""
+    rng = np.random.default_rng(3)
+    numbers = rng.normal(size=(30, 4))
+    for _ in range(10):
+        row, column = rng.integers(1, 30), rng.integers(0, 4)
+        rows = [[f"{x:.6f}".replace(".", point) for x in each] for each in numbers]
+        for field in ("", "off"):
+            rows[row][column] = field
+            lines = ["of a logger", separator.join("abcd"), *map(separator.join, rows)]
+            lines.insert(10, "# a comment")
+            (tmp_path / "log.csv").write_text("\n".join(lines))
+            if field:
+                number = lines.index(separator.join(rows[row])) + 1
+                with pytest.raises(RecordingError, match=rf"line {number}: '{'abcd'[column]}' is"):
+                    open_foreign(tmp_path / "log.csv")
+            else:
+                found = open_foreign(tmp_path / "log.csv").read(list("abcd"))
+                wanted = numbers.copy()
+                wanted[row, column] = np.nan
+                read = np.stack([found[name] for name in "abcd"], axis=1)
+                np.testing.assert_allclose(read, wanted, rtol=0, atol=1e-6)
+
+
 def test_what_is_no_log_has_no_guess(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no file"):
         guessed([tmp_path / "none.csv"], tmp_path)

@@ -1,7 +1,8 @@
 """Numbers in lines of text: CSV and its relatives, plain or packed by gzip.
 
 Lines before the first one of numbers are a preamble; the last of them that has as many fields
-names the columns, else they are called 0, 1, .... Columns of text are left out.
+names the columns, else they are called 0, 1, .... Columns of text are left out, empty fields are
+no numbers (nan).
 """
 
 from __future__ import annotations
@@ -45,21 +46,63 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     del topic
     with readable(path):
         lines = _text(path).splitlines()
-        first, separator, decimal = _first_numbers(lines)
+        first, separator, decimal = _first_numbers(path, lines)
         wanted = [k for k, x in enumerate(_fields(lines[first], separator)) if _number(x, decimal)]
         names = _names(lines[:first], _fields(lines[first], separator), separator)
         body = "\n".join(line for line in lines[first:] if not _comment(line))
         if decimal == ",":
             body = body.replace(",", ".")
-        table = np.loadtxt(
-            io.StringIO(body), delimiter=separator, usecols=wanted, comments=None, ndmin=2
-        )
+        try:
+            table = np.loadtxt(
+                io.StringIO(body), delimiter=separator, usecols=wanted, comments=None, ndmin=2
+            )
+        except ValueError:
+            table = _with_holes(
+                path, lines, first, separator, decimal, {k: names[k] for k in wanted}
+            )
         columns: dict[str, NDArray[Any]] = {}
         for place, k in enumerate(wanted):
             columns[names[k]] = table[:, place]
             if np.abs(table[:, place]).max(initial=0) >= WHOLE:
                 columns[names[k]] = _counted(body, separator, k, table[:, place])
     return ForeignTable(path, {name: c.shape for name, c in columns.items()}, columns.__getitem__)
+
+
+def _with_holes(
+    path: Path,
+    lines: list[str],
+    first: int,
+    separator: str | None,
+    decimal: str,
+    names: dict[int, str],
+) -> Array:
+    """The table, fields that are empty as no numbers (nan).
+
+    Args:
+        path: The file.
+        lines: All of it.
+        first: Number of the first line of numbers.
+        separator: Between fields.
+        decimal: The decimal point.
+        names: Of the wanted columns, by their places.
+
+    Raises:
+        RecordingError: A field is another word, or missing: says the line.
+    """
+    rows = []
+    for number, line in enumerate(lines[first:], first + 1):
+        if _comment(line):
+            continue
+        fields = line.strip("\r\n").split(separator)
+        if len(fields) <= max(names):
+            raise RecordingError(
+                f"{path}: line {number} ends after {len(fields)} of {max(names) + 1} fields"
+            )
+        for k, name in names.items():
+            if fields[k].strip() and not _number(fields[k], decimal):
+                raise RecordingError(f"{path}: line {number}: '{name}' is '{fields[k].strip()}'")
+        rows.append([_value(fields[k], decimal) for k in names])
+    return np.array(rows)
 
 
 def _counted(body: str, separator: str | None, place: int, read: Array) -> NDArray[Any]:
@@ -86,7 +129,7 @@ def _text(path: Path) -> str:
         return data.decode("latin-1")
 
 
-def _first_numbers(lines: list[str]) -> tuple[int, str | None, str]:
+def _first_numbers(path: Path, lines: list[str]) -> tuple[int, str | None, str]:
     """Number of the first line of numbers, what separates its fields, and the decimal point."""
     for k, line in enumerate(lines[:LONGEST_PREAMBLE]):
         if _comment(line):
@@ -99,7 +142,7 @@ def _first_numbers(lines: list[str]) -> tuple[int, str | None, str]:
                 numbers = [_number(field, decimal) for field in fields]
                 if numbers and 2 * sum(numbers) > len(numbers):
                     return k, separator, decimal
-    raise RecordingError("there is no line of numbers in it")
+    raise RecordingError(f"{path}: there is no line of numbers in it")
 
 
 def _names(before: list[str], like: list[str], separator: str | None) -> list[str]:
@@ -125,7 +168,11 @@ def _comment(line: str) -> bool:
 
 def _number(field: str, decimal: str) -> bool:
     try:
-        value = float(field.replace(",", ".") if decimal == "," else field)
+        value = _value(field, decimal)
     except ValueError:
         return False
-    return "_" not in field and not math.isinf(value)
+    return bool(field.strip()) and "_" not in field and not math.isinf(value)
+
+
+def _value(field: str, decimal: str) -> float:
+    return float((field.replace(",", ".") if decimal == "," else field).strip() or "nan")
