@@ -63,7 +63,7 @@ def check_writable(
     Raises:
         OSError: As `replacing`, or it would replace what is read.
     """
-    kept = {_place(path, path.is_dir()) for path in read if path is not None and path.exists()}
+    kept = {path.resolve() for path in read if path is not None and path.exists()}
     for path in paths:
         if path is not None:
             place = _place(path, folder)

@@ -21,8 +21,9 @@ from testbed.sanity.position_reading import MIXED
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
 
-STILL = 1e-3
-"""Motion of joints below which a robot rests [rad or m]."""
+STILL, ROUNDING = 1e-3, 1e-9
+"""Motion of joints below which a robot rests [rad or m]; part of a value that a filter's rounding
+changes at most."""
 
 MOVED, CLEAR = 0.03, 5.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one."""
@@ -88,11 +89,12 @@ def still_findings(tree: Tree, taken: Instants) -> tuple[list[Finding], list[Fin
             "record a motion of all joints",
         )
         return [], [rest]
-    if taken.wrench is None or (np.ptp(taken.wrench, axis=0) > 0).any():
+    wrench = taken.wrench
+    if wrench is None or np.ptp(wrench, axis=0).max() > ROUNDING * np.abs(wrench).max():
         return [], []
     silent = Finding(
         "the plate",
-        f"shows the same throughout, {components(taken.wrench[0])} N, N m, while joints move",
+        f"shows the same throughout, {components(wrench[0])} N, N m, while joints move",
         0.0,
         ("columns that are not the plate's", "a plate that was not read"),
         "look at the columns of [wrench]",
