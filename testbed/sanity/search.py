@@ -138,8 +138,10 @@ class Search:
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
         yield given.explanations(2)
         yield any_turn(given)
-        self._look(given, [each for each in hypotheses if each.kind in UNITS])
-        yield self._judged(2)
+        units = [each for each in hypotheses if each.kind in UNITS]
+        self._look(given, units)
+        if units:  # without them the readings are those that were judged
+            yield self._judged(2)
         self._look(given, hypotheses)
         if not self.plate:
             yield self._judged(1)
