@@ -108,10 +108,9 @@ def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> Non
     from testbed.files import check_writable
     from testbed.recordings.importing.mapping import sources
 
-    check_writable(out, read=read)
     mapping = read[0]
-    if not guess and out is not None and mapping is not None:
-        check_writable(out, read=sources(mapping))
+    named = sources(mapping) if not guess and out is not None and mapping is not None else ()
+    check_writable(out, read=(*read, *named))
 
 
 def _paths(out: Path, count: int) -> list[Path]:
