@@ -129,7 +129,7 @@ def _guess(files: list[Path], out: Path | None, model: Path | None, joints: Sequ
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
     with output.Progress("reading"):
-        text = guessed(files, out.parent if out else Path(), joints)
+        text = guessed(files, out.parent if out else Path(), joints).text
     if out is None:
         typer.echo(text, nl=False)
         return

@@ -85,7 +85,7 @@ def _mapping(file: Path, robot: Path | None, folder: Path) -> str:
     from testbed.cli.reading import Reading
     from testbed.recordings.importing.guess import guessed
 
-    return guessed([file], folder, Reading().tree(robot).names if robot else ())
+    return guessed([file], folder, Reading().tree(robot).names if robot else ()).text
 
 
 @app.command()
