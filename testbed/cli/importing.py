@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -19,6 +18,9 @@ from testbed.cli.options import (
     ending,
 )
 from testbed.cli.reading import Reading, to_fill_in
+
+if TYPE_CHECKING:
+    from testbed.robot.tree import Tree
 
 
 @app.command("import")
@@ -66,7 +68,7 @@ def import_(
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
-        _guess(files, out, model, () if tree is None else tree.names)
+        _guess(files, out, model, tree)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -120,16 +122,23 @@ def _paths(out: Path, count: int) -> list[Path]:
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
 
 
-def _guess(files: list[Path], out: Path | None, model: Path | None, joints: Sequence[str]) -> None:
-    """A mapping file to start from, on standard output or where it is wanted."""
+def _guess(files: list[Path], out: Path | None, model: Path | None, tree: Tree | None) -> None:
+    """A mapping file, on standard output or where it is wanted; with a robot solved."""
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
+    folder = out.parent if out else Path()
     with output.Progress("reading"):
-        text = guessed(files, out.parent if out else Path(), joints).text
+        draft = guessed(files, folder, () if tree is None else tree.names)
+    if tree is not None:
+        from testbed.sanity.solved_mapping import solved
+
+        with output.Progress("solving for what is not said") as bar:
+            draft = solved(draft, out or folder / "mapping.toml", tree, bar)
+    text = draft.text
     if out is None:
         typer.echo(text, nl=False)
         return

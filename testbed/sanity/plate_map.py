@@ -125,7 +125,7 @@ class PlateRows:
         count = len(channels)
         fixed = np.broadcast_to(np.eye(6), (count, 6, 6))
         columns = np.concatenate([rows * weight[:, None], fixed], axis=2).reshape(6 * count, -1)
-        basis = _basis(columns).reshape(count, 6, -1)
+        basis = orthonormal(columns).reshape(count, 6, -1)
         weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
         known = weighted.reshape(basis.shape[2], 72)
         self._left, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
@@ -221,7 +221,7 @@ class PlateRows:
         return np.maximum(shares, 1e-12), sense * found.reshape(6, 12)[:, :6]
 
 
-def _basis(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
     """Orthonormal directions of all that columns, (k, N), make."""
     size = np.linalg.norm(columns, axis=0)
     kept = size > DEPENDENT**1.5 * size.max()

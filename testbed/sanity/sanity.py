@@ -71,6 +71,8 @@ class Sanity:
         cures: What would cure the recording, to be made together; empty where nothing is wrong.
         runner_up: Kinds of mistakes of the next best explanation.
         times: So many times more is left by that.
+        equals: What explains the same, in words.
+        best: What explains the recording best; None where nothing can be told.
         certain: What is certainly wrong.
         likely: What may be.
     """
@@ -81,6 +83,8 @@ class Sanity:
     cures: tuple[Cure, ...] = ()
     runner_up: tuple[str, ...] = ()
     times: float = 1.0
+    equals: tuple[str, ...] = ()
+    best: Explanation | None = None
     certain: tuple[Finding, ...] = ()
     likely: tuple[Finding, ...] = ()
 
@@ -149,8 +153,9 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         likely += [each for sure, each in sizes if not sure]
     certain = [*(outside if not wrong else ()), *certain]
     return Sanity(
-        tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
-    )
+        tree.names, given.left, best.sizes, cures, runner_up, times, equals, best,
+        tuple(certain), tuple(likely),
+    )  # fmt: skip
 
 
 def _about_plate(best: Explanation, tare: Array | None

@@ -1,0 +1,250 @@
+"""A mapping that nobody has to write: what the columns' names leave open, solved from the data.
+
+What is open is assumed, the recording is made, and the search for mistakes says what the mapping
+must say instead, until it finds none. Then the plate's clock is aligned (`clock_offset`), and its
+frame refined (`plate_fit`). Beside each value stands what it is known by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.recordings.importing.convert import clock_ranges
+from testbed.recordings.importing.draft import Draft
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, RAW
+from testbed.recordings.importing.import_report import ImportReport
+from testbed.recordings.importing.mapping import Mapping as MappingFile
+from testbed.recordings.importing.mapping import empty_keys
+from testbed.recordings.importing.pieces import pieces
+from testbed.recordings.recording import Recording
+from testbed.robot.rotations import from_rpy, from_vector, to_rpy
+from testbed.robot.tree import Tree
+from testbed.sanity.alignment import aligned
+from testbed.sanity.clock_offset import clock_offsets
+from testbed.sanity.cure_words import share
+from testbed.sanity.mistakes import BEYOND
+from testbed.sanity.plate_fit import PlateFit, plate_fit
+from testbed.sanity.sanity import Sanity, check_sanity
+from testbed.sanity.search import Progress
+from testbed.toml_text import checked
+
+ASSUMED = "ASSUMED"
+"""Mark of what neither names nor data tell."""
+
+ROUNDS = 4
+"""Most times that a recording is made and searched."""
+
+STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
+"""Of angles that a person writes [rad]."""
+
+NEAR = 14.2
+"""Squared distance, in standard deviations, below which a turn is one that a person writes: one of
+three normal numbers is beyond in .3 % of all cases."""
+
+
+def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None) -> Draft:
+    """A mapping without empty keys, as far as names and data tell.
+
+    Args:
+        draft: By the columns' names.
+        out: The mapping file; files are relative to its folder.
+        tree: The robot, its masses right within a factor of a few.
+        progress: Told how much of a search is done.
+
+    Returns:
+        The mapping; with keys still empty where no columns or no clock was found.
+
+    Raises:
+        RecordingError: The data are not of this robot, or not in these columns.
+    """
+    open_keys = _open(draft)
+    draft = _assumed(draft, tree)
+    if [*empty_keys(draft.content)] or not {"position"} <= draft.content.keys():
+        return draft
+    draft = _with_starts(draft, out)
+    source, found = _searched(draft, out, tree, progress)
+    for _ in range(ROUNDS):
+        if not found.cures:
+            break
+        draft = _cured(draft, found)
+        source, found = _searched(draft, out, tree, progress)
+    found.require()
+    draft = _by_the_data(draft, found, open_keys)
+    late = _with_clocks(draft, source, tree)
+    if late is not draft:
+        draft = late
+        source, found = _searched(draft, out, tree, progress)
+    if found.best is not None and found.best.map is not None and "wrench" in draft.tables:
+        draft = _refined(draft, found)
+    return draft
+
+
+def _open(draft: Draft) -> set[tuple[str, str]]:
+    """Keys that no name tells, by table and key."""
+    return {
+        (table, key)
+        for table, keys in draft.tables.items()
+        for key, value in keys.items()
+        if [*empty_keys({key: value})]
+    }
+
+
+def _assumed(draft: Draft, tree: Tree) -> Draft:
+    """What is open is what is usual."""
+    turning = {joint.name: joint.revolute for joint in tree.joints}
+    joints = draft.tables[""]["joints"]
+    tables = draft.tables
+    for kind, (turns, slides) in USUAL.items():
+        if tables.get(kind, {}).get("unit", None) == "":
+            units = [turns if turning.get(name, True) else slides for name in joints]
+            unit = units[0] if len(set(units)) == 1 else units
+            draft = draft.saying(kind, "unit", unit, ASSUMED)
+    if tables.get("torque", {}).get("gain", None) == "":
+        draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
+    plate = tables.get("wrench", {})
+    if plate:
+        units = [each or usual for each, usual in zip(plate["units"], ("N", "N m"), strict=True)]
+        if units != plate["units"]:
+            draft = draft.saying("wrench", "units", units, ASSUMED)
+        if not plate["sense"]:
+            draft = draft.saying("wrench", "sense", "on_robot", ASSUMED)
+    return draft
+
+
+USUAL = {
+    "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
+    "torque": ("N m", "N"),
+}  # fmt: skip
+"""Units that are assumed, of joints that turn and of those that slide."""
+
+
+def _with_starts(draft: Draft, out: Path) -> Draft:
+    """Clocks of several files that have no time in common begin together."""
+    mapping = checked(MappingFile, draft.content, str(out))
+    starts = clock_ranges(mapping, out.parent)
+    own = mapping.position.source
+    for name, (first, last) in starts.items():
+        if last < starts[own][0] or first > starts[own][1]:
+            draft = draft.saying(
+                f"sources.{name}", "offset", starts[own][0] - first,
+                f"{ASSUMED}: it begins with {own} [s]",
+            )  # fmt: skip
+    return draft
+
+
+def _searched(
+    draft: Draft, out: Path, tree: Tree, progress: Progress | None
+) -> tuple[Recording, Sanity]:
+    """The recording that a mapping makes, and what is wrong with it."""
+    made, _ = pieces(out, checked(MappingFile, draft.content, str(out)))
+    longest = max(made, key=lambda each: each.samples)
+    return longest, check_sanity(tree, longest, progress)
+
+
+def _cured(draft: Draft, found: Sanity) -> Draft:
+    """What the search says, and what for."""
+    for each in found.cures:
+        known = f"solved: {share(each.after)} of {each.channel} is unexplained"
+        known += f", {share(each.before)} as before" if each.before > each.after else ""
+        known += f"; the runner-up leaves {found.times:.3g} times more" if found.runner_up else ""
+        known += f"; not told apart from {', '.join(found.equals)}" if found.equals else ""
+        for table, key, value in each.lines:
+            draft = draft.saying(table, key, value, known)
+            if (table, key) == ("position", "unit"):
+                draft = _with_rates(draft, value)
+    return draft
+
+
+def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
+    """Units of derivatives that were assumed, in those of the positions."""
+    for kind, ending in (("velocity", "/s"), ("acceleration", "/s^2")):
+        if draft.notes.get((kind, "unit")) == ASSUMED:
+            rates = [f"{each}{ending}" for each in unit] if isinstance(unit, list) else unit + ending
+            draft = draft.saying(kind, "unit", rates, ASSUMED)
+    return draft
+
+
+def _by_the_data(draft: Draft, found: Sanity, keys: set[tuple[str, str]]) -> Draft:
+    """Keys that were assumed and that the data bear out."""
+    best = found.best
+    if best is None or best.map is None or found.likely:
+        return draft
+    left = share(float(best.left[-6:].max()))
+    for table, key in keys:
+        if draft.notes.get((table, key)) == ASSUMED and not (table == "torque" and key == "gain"):
+            value = draft.tables[table][key]
+            said = f"by the data: {left} of the plate's channels is unexplained"
+            draft = draft.saying(table, key, value, said)
+    return draft
+
+
+def _with_clocks(draft: Draft, source: Recording, tree: Tree) -> Draft:
+    """Delays that are clear; of a clock of its own as its offset."""
+    found = [each for each in clock_offsets(tree, source) if each.late or each.drifts]
+    if not found:
+        return draft
+    mapping = checked(MappingFile, draft.content, "the mapping")
+    report = ImportReport.from_dict(source.facts["import"])
+    new = aligned(mapping, report, found)
+    for each in found:
+        table = getattr(new, each.signal)
+        own = f"sources.{table.source}"
+        said = f"solved: {1e3 * each.delay:.3f} +- {1e3 * each.sigma:.3f} ms late"
+        skew = new.sources[table.source].skew
+        if skew:
+            draft = draft.saying(own, "skew", skew, f"solved: +- {each.skew_sigma:.2g}")
+        if table.source == mapping.position.source or skew:
+            draft = draft.saying(each.signal, "delay", round(table.delay, 7), said)
+        else:
+            offset = mapping.sources[table.source].offset - table.delay
+            draft = draft.saying(own, "offset", offset, said)
+    return draft
+
+
+def _refined(draft: Draft, found: Sanity) -> Draft:
+    """The plate's frame as the data tell it, rounded where a person would write it so."""
+    assert found.best is not None
+    table = draft.tables["wrench"]
+    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
+    fit = plate_fit(found.best, np.array(place["xyz"], float))
+    moved = from_vector(fit.turn)
+    turn = moved @ from_rpy(place["rpy"])
+    xyz = moved @ place["xyz"] + fit.shift
+    rpy, written = to_rpy(turn), _written(turn, fit)
+    said = (
+        f"solved: rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.turn_sigma), 3)} deg; "
+        f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * fit.shift_sigma, 2)} mm"
+    )
+    before = draft.notes.get(("wrench", "place"), "").removeprefix("solved: ")
+    draft = draft.saying("wrench", "# place", None)
+    value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in written or rpy]}
+    draft = draft.saying("wrench", "place", value, f"{said}; {before}".removesuffix("; "))
+    ratio = FORCES[table["units"][0]] / MOMENTS[table["units"][1]] / (1 + fit.ratio)
+    known = f"ratio {ratio:.6g} +- {ratio * fit.ratio_sigma:.2g}"
+    before = draft.notes.get(("wrench", "units"), "")
+    return draft.saying("wrench", "units", table["units"], f"{before}; {known}".removeprefix("; "))
+
+
+def _written(turn: Array, fit: PlateFit) -> tuple[float, float, float] | None:
+    """Angles that a person writes, if one of them is as near as the data tell."""
+    for step in STEPS:
+        angles = [round(angle / step) * step for angle in to_rpy(turn)]
+        apart = from_rpy(angles) @ turn.T
+        vector = np.array([apart[2, 1], apart[0, 2], apart[1, 0]]) - np.array(
+            [apart[1, 2], apart[2, 0], apart[0, 1]]
+        )
+        vector = vector / 2
+        if np.trace(apart) > 2 and vector @ np.linalg.solve(fit.covariance, vector) < NEAR:
+            return angles[0], angles[1], angles[2]
+    return None
+
+
+def _list(values: Array, digits: int) -> str:
+    return ", ".join(f"{value:.{digits}f}" for value in values)
