@@ -33,6 +33,7 @@ class Explanation:
         late: How late the wrench is [s].
         reading: Of the positions.
         unchanged: What is left of the torques where only theirs are not undone, (n,) or (0,).
+        spread: Part of each torque's variance by which parameters may move it, (n,) or (0,).
         sizes: Times what the masses make that torques are; nan where not told, (n,) or (0,).
     """
 
@@ -44,6 +45,7 @@ class Explanation:
     late: float
     reading: Reading
     unchanged: Array
+    spread: Array
     sizes: Array
 
     @property
@@ -84,13 +86,20 @@ class Explanation:
 
     @property
     def torques_fit(self) -> bool:
-        """Whether torques are in order and sense and nothing of them is odd.
+        """Whether nothing of the torques is odd, once they are in their order and sense.
 
-        With a plate only: without one, masses that are rough leave more.
+        With a plate only: without one, masses that are rough leave more. Where the plate tells
+        little of a joint, another sense or order of its torque may be that of its position.
         """
-        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
-        left = (self.left < BRAKED + 3 * self.noise)[: len(self.unchanged)]
-        return not wrong and bool(left.all())
+        count = len(self.unchanged)
+        left = self.left[:count] < BRAKED + 3 * self.noise[:count] + self.spread
+        changed = {
+            joint
+            for each in self.mistakes
+            if each.kind in ("torque_order", "torque_sign")
+            for joint in each.joints
+        }
+        return bool(left.all()) and all(self.spread[joint] < BRAKED for joint in changed)
 
     @property
     def tolerance(self) -> float:

@@ -124,14 +124,13 @@ class Frame:
 AS_READ = (0, 1, 2, 3, 4, 5)
 
 
-def plate_hypotheses(frame: Frame, most: int) -> Iterator[tuple[tuple[Mistake, ...], Array]]:
-    """Up to so many kinds of mistakes about a plate, and the map that undoes them.
+def plate_hypotheses(frame: Frame) -> Iterator[tuple[tuple[Mistake, ...], Array]]:
+    """Mistakes about a plate, several at once, and the map that undoes them.
 
     The sense is the sign of what the model file foretells; a shift is fitted.
 
     Args:
         frame: How the mapping has read the plate.
-        most: Kinds at once.
     """
     turns = [turn @ frame.turn for turn in quarter_turns()]
     units = [frame.units, *(u for u in product(FORCES, MOMENTS) if u != frame.units)]
@@ -141,8 +140,7 @@ def plate_hypotheses(frame: Frame, most: int) -> Iterator[tuple[tuple[Mistake, .
                 mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
                 mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
                 mistakes += [turned(turn)] * (k > 0)
-                if len(mistakes) <= most:
-                    yield tuple(mistakes), frame.map(turn, unit, order)
+                yield tuple(mistakes), frame.map(turn, unit, order)
 
 
 def turned(turn: Array) -> Mistake:

@@ -53,12 +53,14 @@ def plate_fit(best: Explanation, place: Array) -> PlateFit:
     """What is left to correct of a plate's frame and gains.
 
     Args:
-        best: What explains the recording, with a wrench.
+        best: What explains the recording, with a wrench and no mistakes about the plate.
         place: Where the mapping has the frame, (3,) [m]; a direction that the data do not tell goes
             to zero.
     """
-    reading = best.reading
-    wrench, rows = reading.wrench(best), reading.base @ reading.prior.told
+    reading, taken = best.reading, best.reading.taken
+    assert taken.wrench is not None
+    assert taken.wrench_rate is not None
+    wrench, rows = taken.wrench + best.late * taken.wrench_rate, reading.base @ reading.prior.told
     count = len(wrench)
     fixed = np.concatenate([rows, np.broadcast_to(np.eye(6), (count, 6, 6))], axis=2)
     before = np.zeros(len(PLACES))

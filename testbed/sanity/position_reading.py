@@ -65,6 +65,11 @@ class Prior:
     root: Array
     told: Array
 
+    @cached_property
+    def plate_hypotheses(self) -> list[tuple[tuple[Mistake, ...], Array]]:
+        """Mistakes about a plate, and the maps that undo them."""
+        return list(plate_hypotheses(self.frame))
+
 
 class Reading:
     """A recording without some mistakes about positions."""
@@ -160,6 +165,7 @@ class Reading:
             mistakes=merged((*kept, *by_plate.mistakes)),
             left=np.concatenate([by_plate.left, each.left[len(by_plate.left) :]]),
             unchanged=by_plate.unchanged,
+            spread=by_plate.spread,
             cost=of_plate + by_plate.cost,
             sizes=by_plate.sizes,
         )
@@ -200,7 +206,7 @@ class Reading:
         """
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
-        several = list(plate_hypotheses(self.prior.frame, kinds))
+        several = [each for each in self.prior.plate_hypotheses if len(each[0]) <= kinds]
         return self.of_plate([m for m, _ in several], [a for _, a in several])
 
     def of_plate(
@@ -242,7 +248,7 @@ class Reading:
         choice = self.torque_choice
         return Explanation(
             mistakes, np.concatenate([torques, left]), np.concatenate([self.torque_noise, noise]),
-            cost, each, late, self, choice.unchanged, choice.sizes,
+            cost, each, late, self, choice.unchanged, choice.spread, choice.sizes,
         )  # fmt: skip
 
     @cached_property

@@ -206,8 +206,9 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     least = best.cost + best.tolerance
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
     for each in found[1:]:
-        if each.cost <= least and each.count <= best.count and each.mistakes != best.mistakes:
-            equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
+        if each.cost <= least and each.count <= best.count:
+            equals[_in_words(tree, each)] = None
+    equals.pop(_in_words(tree, best), None)  # the same with a turn or a shift that differs a little
     others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
         return (), 1.0, tuple(equals)
@@ -215,6 +216,10 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     about = slice(-6, None) if best.map is not None else slice(None)
     times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
     return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
+
+
+def _in_words(tree: Tree, each: Explanation) -> str:
+    return " and ".join(named(tree, mistake) for mistake in each.mistakes) or "nothing wrong"
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:

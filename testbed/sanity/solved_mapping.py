@@ -41,6 +41,9 @@ ASSUMED = "ASSUMED"
 ROUNDS = 4
 """Most times that a recording is made and searched."""
 
+COMMON = 0.5
+"""Part of the shorter of two files that they must have in common by their clocks."""
+
 STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
 """Of angles that a person writes [rad]."""
 
@@ -69,21 +72,18 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     if [*empty_keys(draft.content)] or not {"position"} <= draft.content.keys():
         return draft
     draft = _with_starts(draft, out)
-    source, found = _searched(draft, out, tree, progress)
     for _ in range(ROUNDS):
+        found = check_sanity(tree, _recording(draft, out), progress)
         if not found.cures:
             break
         draft = _cured(draft, found)
-        source, found = _searched(draft, out, tree, progress)
     found.require()
     draft = _by_the_data(draft, found, open_keys)
-    late = _with_clocks(draft, source, tree)
-    if late is not draft:
-        draft = late
-        source, found = _searched(draft, out, tree, progress)
-    if found.best is not None and found.best.map is not None and "wrench" in draft.tables:
-        draft = _refined(draft, found)
-    return draft
+    draft = _refined(draft, found)  # clocks are as right as the frame is, and it as they are
+    late = _with_clocks(draft, _recording(draft, out), tree)
+    if late is draft:
+        return draft
+    return _refined(late, check_sanity(tree, _recording(late, out), progress))
 
 
 def _open(draft: Draft) -> set[tuple[str, str]]:
@@ -126,26 +126,25 @@ USUAL = {
 
 
 def _with_starts(draft: Draft, out: Path) -> Draft:
-    """Clocks of several files that have no time in common begin together."""
+    """Clocks of several files that have little time in common begin together."""
     mapping = checked(MappingFile, draft.content, str(out))
-    starts = clock_ranges(mapping, out.parent)
+    ranges = clock_ranges(mapping, out.parent)
     own = mapping.position.source
-    for name, (first, last) in starts.items():
-        if last < starts[own][0] or first > starts[own][1]:
+    begin, end = ranges[own]
+    for name, (first, last) in ranges.items():
+        common = min(last, end) - max(first, begin)
+        if common < COMMON * min(last - first, end - begin):
             draft = draft.saying(
-                f"sources.{name}", "offset", starts[own][0] - first,
+                f"sources.{name}", "offset", begin - first,
                 f"{ASSUMED}: it begins with {own} [s]",
             )  # fmt: skip
     return draft
 
 
-def _searched(
-    draft: Draft, out: Path, tree: Tree, progress: Progress | None
-) -> tuple[Recording, Sanity]:
-    """The recording that a mapping makes, and what is wrong with it."""
+def _recording(draft: Draft, out: Path) -> Recording:
+    """The recording that a mapping makes; the longest, if it is cut where a source was silent."""
     made, _ = pieces(out, checked(MappingFile, draft.content, str(out)))
-    longest = max(made, key=lambda each: each.samples)
-    return longest, check_sanity(tree, longest, progress)
+    return max(made, key=lambda each: each.samples)
 
 
 def _cured(draft: Draft, found: Sanity) -> Draft:
@@ -210,8 +209,9 @@ def _with_clocks(draft: Draft, source: Recording, tree: Tree) -> Draft:
 
 def _refined(draft: Draft, found: Sanity) -> Draft:
     """The plate's frame as the data tell it, rounded where a person would write it so."""
-    assert found.best is not None
-    table = draft.tables["wrench"]
+    table = draft.tables.get("wrench")
+    if table is None or found.best is None or found.best.map is None:
+        return draft
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     fit = plate_fit(found.best, np.array(place["xyz"], float))
     moved = from_vector(fit.turn)
@@ -219,17 +219,17 @@ def _refined(draft: Draft, found: Sanity) -> Draft:
     xyz = moved @ place["xyz"] + fit.shift
     rpy, written = to_rpy(turn), _written(turn, fit)
     said = (
-        f"solved: rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.turn_sigma), 3)} deg; "
+        f"rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.turn_sigma), 3)} deg; "
         f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * fit.shift_sigma, 2)} mm"
     )
-    before = draft.notes.get(("wrench", "place"), "").removeprefix("solved: ")
+    known = draft.notes.get(("wrench", "place"), "solved").partition("; rpy ")[0]
     draft = draft.saying("wrench", "# place", None)
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in written or rpy]}
-    draft = draft.saying("wrench", "place", value, f"{said}; {before}".removesuffix("; "))
+    draft = draft.saying("wrench", "place", value, f"{known}; {said}")
     ratio = FORCES[table["units"][0]] / MOMENTS[table["units"][1]] / (1 + fit.ratio)
-    known = f"ratio {ratio:.6g} +- {ratio * fit.ratio_sigma:.2g}"
-    before = draft.notes.get(("wrench", "units"), "")
-    return draft.saying("wrench", "units", table["units"], f"{before}; {known}".removeprefix("; "))
+    known = draft.notes.get(("wrench", "units"), "by the file").partition("; ratio ")[0]
+    said = f"{known}; ratio {ratio:.6g} +- {ratio * fit.ratio_sigma:.2g}"
+    return draft.saying("wrench", "units", table["units"], said)
 
 
 def _written(turn: Array, fit: PlateFit) -> tuple[float, float, float] | None:

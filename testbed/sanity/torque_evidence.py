@@ -164,6 +164,17 @@ class TorqueEvidence:
         _, rest = nnls(columns[:, [1, 2, 4]], true - columns[:, 0])
         return float(rest**2 / (true @ true))
 
+    def spread(self, joint: int, column: int) -> float:
+        """Part of a torque's variance by which parameters may move what is expected.
+
+        Args:
+            joint: Of the robot.
+            column: Of the recording.
+        """
+        moved = self._raw[joint][:, 5:]
+        variance = float(((moved - moved.mean(axis=0)) ** 2).sum()) / self._count
+        return variance / max(float(self._torque[:, column].var()), 1e-30)
+
     def size(self, joint: int, column: int, told_times: float = 1.0) -> float:
         """Times what the mean's masses make that a column is; nan where they do not tell."""
         columns, target = self._columns[joint][:, :5], self._white_torque[:, column]
