@@ -15,7 +15,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
+from testbed.sanity.instants import Instants, delay
 from testbed.sanity.mistakes import QUARTERS, Frame, Mistake, merged, plate_hypotheses
 from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, PlateRows
 from testbed.sanity.torque_choice import Choice, chosen, least
@@ -109,6 +109,22 @@ class Reading:
         return 0.0 if self.plate is None else float(self.plate.best_map(late=True)[0][0])
 
     @cached_property
+    def delay(self) -> tuple[float, float]:
+        """How late the plate is by the model file's masses [s], and times less that is left then.
+
+        What the masses foretell is held against all maps of the plate's channels.
+        """
+        taken = self.taken
+        if self.plate is None or taken.wrench is None:
+            return 0.0, 1.0
+        channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
+        late, times = delay(
+            np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1), self.plate.foretold,
+            taken.spacing,
+        )  # fmt: skip
+        return -late, times
+
+    @cached_property
     def linear_share(self) -> float:
         """The same for a plate that is not late."""
         return 0.0 if self.plate is None else float(self.plate.best_map()[0][0])
@@ -200,8 +216,7 @@ class Reading:
         """
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
-        several = list(plate_hypotheses(self.prior.frame, kinds))
-        return self.of_plate([m for m, _ in several], [a for _, a in several])
+        return self.of_plate(*plate_hypotheses(self.prior.frame, kinds))
 
     def of_plate(
         self, mistakes: Sequence[tuple[Mistake, ...]], maps: Sequence[Array],
