@@ -167,7 +167,7 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     explained = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
     counted = rows.any(axis=2).astype(np.float64)
     whole = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0).sum(axis=1)
-    left = 1 - (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
+    left: Array = 1 - (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
     best = int(np.argmin(left))
     return spacing * (best - most), float(left[best] / max(left[most], 1e-300))
 

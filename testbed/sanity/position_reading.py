@@ -118,10 +118,8 @@ class Reading:
         if self.plate is None or taken.wrench is None:
             return 0.0, 1.0
         channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
-        late, times = delay(
-            np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1), self.plate.foretold,
-            taken.spacing,
-        )  # fmt: skip
+        each: Array = np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1)
+        late, times = delay(each, self.plate.foretold, taken.spacing)
         return -late, times
 
     @cached_property
@@ -245,19 +243,13 @@ class Reading:
     def _explained(
         self, plate: tuple[Mistake, ...], left: Array, cost: float, each: Array | None, late: float
     ) -> Explanation:
-        choice = self.torque_choice
-        mistakes = merged((*self.mistakes, *plate, *choice.mistakes))
-        return self._left(mistakes, choice.left, left, cost + choice.cost, each, late)
-
-    def _left(self, mistakes: tuple[Mistake, ...], torques: Array, left: Array, cost: float,
-              each: Array | None, late: float) -> Explanation:  # fmt: skip
-        noise = np.zeros(0)
+        choice, noise = self.torque_choice, np.zeros(0)
         if self.plate is not None and each is not None:
             noise = self.plate.noise_share(each)
-        choice = self.torque_choice
         return Explanation(
-            mistakes, np.concatenate([torques, left]), np.concatenate([self.torque_noise, noise]),
-            cost, each, late, self, choice.unchanged, choice.sizes,
+            merged((*self.mistakes, *plate, *choice.mistakes)), np.concatenate([choice.left, left]),
+            np.concatenate([self.torque_noise, noise]), cost + choice.cost, each, late, self,
+            choice.unchanged, choice.sizes,
         )  # fmt: skip
 
     @cached_property

@@ -157,12 +157,13 @@ class Search:
         self._look(given, units)
         if units:  # without them the readings are those that were judged
             yield self._judged(2)
-        for each in ((), hypotheses):
-            self._look(given, each)
+        in_time = self._in_time(given)
+        if in_time is None:
+            self._look(given, hypotheses)
             in_time = self._in_time(given)
-            if in_time is not None:
-                yield from self._stages(in_time, several)
-                return
+        if in_time is not None:
+            yield from self._stages(in_time, several)
+            return
         if not self.plate:
             yield self._judged(1)
             plain = [each.cost for each in several if not each.sized]

@@ -97,7 +97,7 @@ def test_a_drift_no_clock_has_is_not_taken_for_one() -> None:
 
 @pytest.mark.parametrize(
     ("name", "late", "degrees"),
-    [("ur5", 1.3, False), ("puma", -2.4, False), ("ur5", 0.13, True), ("gantry", 0.5, False)],
+    [("ur5", 1.3, False), ("puma", -2.4, False), ("ur5", 0.13, True)],
 )
 def test_a_plate_whose_clock_is_off_by_far_is_no_other_robot(
     name: str, late: float, degrees: bool
