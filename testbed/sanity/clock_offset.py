@@ -17,11 +17,10 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
-from testbed.parameters.row_space import row_space
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.instants import thinned
+from testbed.sanity.instants import LATE, delay, directions, thinned
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the
@@ -32,9 +31,6 @@ FINE, ROWS_A_SECOND = 100.0, 12.5
 
 MOST_INSTANTS = 6000
 """At which rows are made; of a longer recording the middle is taken."""
-
-TRIED = (0.0, -0.08, 0.08, -0.04, 0.04, -0.02, 0.02)
-"""Delays from which the search may start [s]."""
 
 STEPS = 8
 """Of Gauss and Newton."""
@@ -131,28 +127,40 @@ def _offset(
     """The delay of one signal; with a drift only if it is one that clocks have."""
     rows, counted, taken = _rows(kind, tree, position, rate)
     reading = _reader(measured, time, taken)
-    found = _fitted(kind, rows, counted, reading, drifting=True)
+    start = _start(rows, counted, reading)
+    read = reading.time + start
+    counted = counted * ((read >= reading.time[0]) & (read <= reading.time[-1]))[:, None]
+    found = _fitted(kind, rows, counted, reading, start, drifting=True)
     if found.drifts and abs(found.skew) < MOST_SKEW:
         return found
-    return _fitted(kind, rows, counted, reading, drifting=False)
+    return _fitted(kind, rows, counted, reading, start, drifting=False)
+
+
+def _start(rows: Array, counted: Array, reading: _Reading) -> float:
+    """Where to begin: at the whole number of rows that leaves far less than none [s]."""
+    signal = reading.at(np.zeros(len(rows)))
+    weights = 1 / np.maximum(signal.std(axis=0), 1e-12)
+    signal = (signal - signal.mean(axis=0)) * weights
+    spacing = float(np.diff(reading.time).mean())
+    late, times = delay(rows * (counted * weights)[..., None], signal, spacing)
+    return late if times < LATE else 0.0
 
 
 def _fitted(
-    kind: str, rows: Array, counted: Array, reading: _Reading, *, drifting: bool
+    kind: str, rows: Array, counted: Array, reading: _Reading, start: float, *, drifting: bool
 ) -> ClockOffset:
     """Delay and drift, channels weighed by what is left in them."""
     place = reading.time - reading.time.mean()
     powers = np.stack([np.ones_like(place), place][: 1 + drifting], axis=1)  # (T, 1 or 2)
-    unknowns, weights = np.zeros(powers.shape[1]), counted
+    unknowns, weights = start * np.eye(powers.shape[1])[0], counted
     for _ in range(2):  # the second time by what is left in each channel
-        basis = _basis((rows * weights[..., None]).reshape(-1, rows.shape[2]))
+        basis = directions((rows * weights[..., None]).reshape(-1, rows.shape[2]), DEPENDENT)
 
         def rest(signal: Array, by: Array = weights, base: Array = basis) -> Array:
             flat = (signal * by).reshape(-1)
             return (flat - base @ (base.T @ flat)).reshape(signal.shape)
 
-        tried = [_search(reading, rest, powers, start) for start in _starts(unknowns)]
-        unknowns = min(tried, key=lambda each: each[1])[0]
+        unknowns = _search(reading, rest, powers, unknowns)
         left = rest(reading.at(powers @ unknowns)) / np.maximum(weights, 1e-30)
         left = np.sqrt((counted * left**2).sum(axis=0) / counted.sum(axis=0).clip(1))
         weights = counted / np.maximum(left, 1e-12)
@@ -165,15 +173,6 @@ def _fitted(
     wide, drift = np.append(sigma, np.inf)[:2]
     middle = float(reading.time.mean())
     return ClockOffset(kind, float(delay), float(wide), float(skew), float(drift), middle, *shares)
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal directions of all that columns, (k, N), can make.
-
-    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
-    """
-    size = np.linalg.norm(columns, axis=0)
-    return row_space((columns / np.where(size > 0, size, 1.0)).T, DEPENDENT).rows.T
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,17 +245,10 @@ def _reader(measured: Array, time: Array, taken: Callable[[Array], Array]) -> _R
     return _Reading(rows_time, read)
 
 
-def _starts(unknowns: Array) -> list[Array]:
-    """Where to begin: at several delays, then where the first search ended."""
-    if unknowns.any():
-        return [unknowns]
-    return [delay * np.eye(len(unknowns))[0] for delay in TRIED]
-
-
 def _search(
     reading: _Reading, rest: Callable[[Array], Array], powers: Array, start: Array
-) -> tuple[Array, float]:
-    """The best delay and drift near a start, and what is left there."""
+) -> Array:
+    """The best delay and drift near a start."""
     unknowns, most = start.copy(), np.array(LARGEST_STEP[: len(start)])
     for _ in range(STEPS):
         late = powers @ unknowns
@@ -266,7 +258,7 @@ def _search(
         unknowns = unknowns + np.clip(step, -most, most)
         if abs(step[0]) < ENOUGH:
             break
-    return unknowns, float(np.linalg.norm(rest(reading.at(powers @ unknowns))))
+    return unknowns
 
 
 def _sigma(left: Array, rest: Callable[[Array], Array], slopes: Array, powers: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from testbed.arrays import Array
@@ -55,6 +55,14 @@ class Explanation:
         each = ("position_sign", "torque_sign", "zero")
         return sum(
             len(m.joints) if m.kind in each and len(m.joints) < own else 1 for m in self.mistakes
+        )
+
+    @property
+    def timed(self) -> tuple[Mistake, ...]:
+        """Its mistakes, a late plate's with what was found beside."""
+        return tuple(
+            replace(m, values=(m.values[0] + self.late,)) if m.kind == "late" else m
+            for m in self.mistakes
         )
 
     @property

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, product
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ from testbed.sanity.plate_map import placed, quarter_turns
 Kind = Literal[
     "degrees", "radians", "position_sign", "position_order", "zero", "base_unit",
     "quaternion_order", "torque_sign", "torque_order", "torque_size", "units", "plate_order",
-    "turn", "shift", "sense", "tare",
+    "turn", "shift", "sense", "tare", "late",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
@@ -47,7 +48,7 @@ SCALAR_LAST = (3, 0, 1, 2)
 """Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 DOUBT: dict[str, float] = {
-    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0,
+    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0, "late": 4.0,
 }  # fmt: skip
 """Of two mistakes that explain the same, the one that files hold more often comes first [nats]."""
 
@@ -67,8 +68,8 @@ class Mistake:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of sizes, and of a base's unit, how many
-            times too large the numbers are.
+            [rad]; of a shift the frame's origin [m]; of a plate that is late how late [s]; of sizes,
+            and of a base's unit, how many times too large the numbers are.
     """
 
     kind: Kind
@@ -124,23 +125,30 @@ class Frame:
 AS_READ = (0, 1, 2, 3, 4, 5)
 
 
-def plate_hypotheses(frame: Frame) -> Iterator[tuple[tuple[Mistake, ...], Array]]:
-    """Mistakes about a plate, several at once, and the map that undoes them.
+@lru_cache(maxsize=3)
+def plate_hypotheses(
+    frame: Frame, most: int
+) -> tuple[tuple[tuple[Mistake, ...], ...], tuple[Array, ...]]:
+    """Up to so many kinds of mistakes about a plate, and the maps that undo them.
 
     The sense is the sign of what the model file foretells; a shift is fitted.
 
     Args:
         frame: How the mapping has read the plate.
     """
-    turns = [turn @ frame.turn for turn in quarter_turns()]
+    turns = [(turned(turn), turn) for turn in (each @ frame.turn for each in quarter_turns())]
     units = [frame.units, *(u for u in product(FORCES, MOMENTS) if u != frame.units)]
-    for order in (AS_READ, *PLATE_ORDERS):
-        for unit in units:
-            for k, turn in enumerate(turns):
-                mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
-                mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
-                mistakes += [turned(turn)] * (k > 0)
-                yield tuple(mistakes), frame.map(turn, unit, order)
+    several, maps = [], []
+    for order, unit, (k, (turn, matrix)) in product(
+        (AS_READ, *PLATE_ORDERS), units, enumerate(turns)
+    ):
+        mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
+        mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
+        mistakes += [turn] * (k > 0)
+        if len(mistakes) <= most:
+            several.append(tuple(mistakes))
+            maps.append(frame.map(matrix, unit, order))
+    return tuple(several), tuple(maps)
 
 
 def turned(turn: Array) -> Mistake:

@@ -14,7 +14,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate_map import RATIO, SHIFT, SLOPES, TURN, orthonormal
+from testbed.sanity.instants import directions
+from testbed.sanity.plate_map import RATIO, SHIFT, SLOPES, TURN
 
 WIDE = 1.0
 """Standard deviation before the data: of the turn [rad], of the frame's place [m] and of the
@@ -68,7 +69,7 @@ def plate_fit(best: Explanation, place: Array) -> PlateFit:
     weight = 1 / np.sqrt(np.maximum(best.left[-6:] * wrench.var(axis=0), 1e-30))
     predicted = wrench
     for _ in range(STEPS):
-        own = orthonormal((fixed * weight[:, None]).reshape(6 * count, -1))
+        own = directions((fixed * weight[:, None]).reshape(6 * count, -1))
         slopes = -np.einsum("ecd,td->tce", SLOPES[PLACES], predicted) * weight[:, None]
         columns, target = slopes.reshape(6 * count, -1), (wrench * weight).ravel()
         columns, target = (each - own @ (own.T @ each) for each in (columns, target))

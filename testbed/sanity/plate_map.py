@@ -22,10 +22,7 @@ from itertools import permutations, product
 import numpy as np
 
 from testbed.arrays import Array, skew
-from testbed.sanity.instants import Instants
-
-DEPENDENT = 1e-7
-"""Share of the largest singular value below which a direction of the rows is none."""
+from testbed.sanity.instants import Instants, directions
 
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""
@@ -125,7 +122,7 @@ class PlateRows:
         count = len(channels)
         fixed = np.broadcast_to(np.eye(6), (count, 6, 6))
         columns = np.concatenate([rows * weight[:, None], fixed], axis=2).reshape(6 * count, -1)
-        basis = orthonormal(columns).reshape(count, 6, -1)
+        basis = directions(columns).reshape(count, 6, -1)
         weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
         known = weighted.reshape(basis.shape[2], 72)
         self._left, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
@@ -136,9 +133,9 @@ class PlateRows:
             left[:, own] += weight[channel] * channels
             self._left[channel] = left.T @ left
             self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
-        model = varied * weight
-        self._model = np.einsum("tc,tk,c->ck", model, centred, weight).ravel()
-        self._model_size = float((model**2).sum())
+        self.foretold = varied * weight
+        self._model = np.einsum("tc,tk,c->ck", self.foretold, centred, weight).ravel()
+        self._model_size = float((self.foretold**2).sum())
         self.weight, self._count = weight, count
         noise = taken.noise[-6:]
         self._noise = np.where(np.isfinite(noise), noise, 0.0) * count
@@ -219,13 +216,3 @@ class PlateRows:
         found[used] = vectors[:, 0] / size
         sense = 1.0 if found @ self._model >= 0 else -1.0
         return np.maximum(shares, 1e-12), sense * found.reshape(6, 12)[:, :6]
-
-
-def orthonormal(columns: Array) -> Array:
-    """Orthonormal directions of all that columns, (k, N), make."""
-    size = np.linalg.norm(columns, axis=0)
-    kept = size > DEPENDENT**1.5 * size.max()
-    wide, small = np.linalg.qr(columns[:, kept] / size[kept])
-    turned, spread, _ = np.linalg.svd(small)
-    found: Array = wide @ turned[:, spread > DEPENDENT * spread[0]]
-    return found

@@ -15,7 +15,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
+from testbed.sanity.instants import Instants, delay
 from testbed.sanity.mistakes import QUARTERS, Frame, Mistake, merged, plate_hypotheses
 from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, PlateRows
 from testbed.sanity.torque_choice import Choice, chosen, least
@@ -65,11 +65,6 @@ class Prior:
     root: Array
     told: Array
 
-    @cached_property
-    def plate_hypotheses(self) -> list[tuple[tuple[Mistake, ...], Array]]:
-        """Mistakes about a plate, and the maps that undo them."""
-        return list(plate_hypotheses(self.frame))
-
 
 class Reading:
     """A recording without some mistakes about positions."""
@@ -112,6 +107,20 @@ class Reading:
     def least(self) -> float:
         """Share that no map of the plate can mend; 0 without a plate."""
         return 0.0 if self.plate is None else float(self.plate.best_map(late=True)[0][0])
+
+    @cached_property
+    def delay(self) -> tuple[float, float]:
+        """How late the plate is by the model file's masses [s], and times less that is left then.
+
+        What the masses foretell is held against all maps of the plate's channels.
+        """
+        taken = self.taken
+        if self.plate is None or taken.wrench is None:
+            return 0.0, 1.0
+        channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
+        each: Array = np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1)
+        late, times = delay(each, self.plate.foretold, taken.spacing)
+        return -late, times
 
     @cached_property
     def linear_share(self) -> float:
@@ -206,8 +215,7 @@ class Reading:
         """
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
-        several = [each for each in self.prior.plate_hypotheses if len(each[0]) <= kinds]
-        return self.of_plate([m for m, _ in several], [a for _, a in several])
+        return self.of_plate(*plate_hypotheses(self.prior.frame, kinds))
 
     def of_plate(
         self, mistakes: Sequence[tuple[Mistake, ...]], maps: Sequence[Array],
@@ -236,19 +244,13 @@ class Reading:
     def _explained(
         self, plate: tuple[Mistake, ...], left: Array, cost: float, each: Array | None, late: float
     ) -> Explanation:
-        choice = self.torque_choice
-        mistakes = merged((*self.mistakes, *plate, *choice.mistakes))
-        return self._left(mistakes, choice.left, left, cost + choice.cost, each, late)
-
-    def _left(self, mistakes: tuple[Mistake, ...], torques: Array, left: Array, cost: float,
-              each: Array | None, late: float) -> Explanation:  # fmt: skip
-        noise = np.zeros(0)
+        choice, noise = self.torque_choice, np.zeros(0)
         if self.plate is not None and each is not None:
             noise = self.plate.noise_share(each)
-        choice = self.torque_choice
         return Explanation(
-            mistakes, np.concatenate([torques, left]), np.concatenate([self.torque_noise, noise]),
-            cost, each, late, self, choice.unchanged, choice.spread, choice.sizes,
+            merged((*self.mistakes, *plate, *choice.mistakes)), np.concatenate([choice.left, left]),
+            np.concatenate([self.torque_noise, noise]), cost + choice.cost, each, late, self,
+            choice.unchanged, choice.spread, choice.sizes,
         )  # fmt: skip
 
     @cached_property

@@ -17,7 +17,7 @@ from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
 from testbed.sanity.any_turn import any_turn
 from testbed.sanity.explanation import Explanation, ranked
-from testbed.sanity.instants import Instants, instants
+from testbed.sanity.instants import LATE, Instants, instants
 from testbed.sanity.mistakes import (
     Frame,
     Mistake,
@@ -47,6 +47,9 @@ READ = 4
 
 SAID = 6
 """Explanations that are kept, the best first."""
+
+AFRESH = ("late", "quaternion_order")
+"""Mistakes without which a recording's instants are others."""
 
 UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 """Mistakes that concern all joints, which are looked at before those of some."""
@@ -88,20 +91,32 @@ class Search:
         return self.readings[mistakes]
 
     def without(self, beside: Reading, mistake: Mistake) -> Reading | None:
-        """A reading with one mistake less about positions; None where it is no motion."""
-        if mistake.kind != "quaternion_order":
-            scale, added = joint_map(mistake, self.tree.n, self._offset)
-            taken: Instants | None = beside.taken.moved(scale, added)
+        """A reading with one mistake less about positions or clocks; None where it is no motion."""
+        mistakes = (*beside.mistakes, mistake)
+        if mistake.kind in AFRESH:
+            taken = self._afresh(mistakes)
         else:
-            position, *others = self._signals
-            pose = poses(position[:, :FREE])
-            pose[:, 3:] = pose[:, 3:][:, list(mistake.values)]
-            try:
-                moved = np.hstack([coordinates(pose), position[:, FREE:]])
-            except RecordingError:  # the base would stand on its head
-                return None
-            taken = instants(moved, others[0], others[1], self._rate)
-        return None if taken is None else self.read((*beside.mistakes, mistake), taken)
+            taken = beside.taken.moved(*joint_map(mistake, self.tree.n, self._offset))
+        return None if taken is None else self.read(mistakes, taken)
+
+    def _afresh(self, mistakes: tuple[Mistake, ...]) -> Instants | None:
+        """Instants without mistakes that change what is read when, or how a base stands."""
+        (position, *others), late = self._signals, 0.0
+        for each in mistakes:
+            if each.kind == "late":
+                late += each.values[0]
+            if each.kind == "quaternion_order":
+                pose = poses(position[:, :FREE])
+                pose[:, 3:] = pose[:, 3:][:, list(each.values)]
+                try:
+                    position = np.hstack([coordinates(pose), position[:, FREE:]])
+                except RecordingError:  # the base would stand on its head
+                    return None
+        taken = instants(position, others[0], others[1], self._rate, late)
+        for each in mistakes:
+            if taken is not None and each.kind not in AFRESH:
+                taken = taken.moved(*joint_map(each, self.tree.n, self._offset))
+        return taken
 
     def best(self) -> tuple[Explanation, list[Explanation]]:
         """The recording as it is, and what explains it, the best first."""
@@ -142,7 +157,13 @@ class Search:
         self._look(given, units)
         if units:  # without them the readings are those that were judged
             yield self._judged(2)
-        self._look(given, hypotheses)
+        in_time = self._in_time(given)
+        if in_time is None:
+            self._look(given, hypotheses)
+            in_time = self._in_time(given)
+        if in_time is not None:
+            yield from self._stages(in_time, several)
+            return
         if not self.plate:
             yield self._judged(1)
             plain = [each.cost for each in several if not each.sized]
@@ -167,6 +188,13 @@ class Search:
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
         yield self._judged(2)
         yield self._turned()
+
+    def _in_time(self, given: Reading) -> Reading | None:
+        """The same with the plate's clock set, where a reading shows that it is late, or early."""
+        late, times = min((each.delay for each in self.readings.values()), key=lambda d: d[1])
+        if times > LATE or given.mistakes:
+            return None
+        return self.without(given, Mistake("late", (), (late,)))
 
     def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
         several = list(hypotheses)

@@ -36,6 +36,9 @@ LEFT = np.geomspace(0.1, 0.5, 12)
 FAINT = 0.02
 """Part of all torques' rms that a torque counts with at least."""
 
+NOTHING = 1e-4
+"""Part of the most by which parameters move torques below which they do not."""
+
 SURELY_NOT = -12.0
 """Log probability at least of friction that drives: what a model lacks may look like it."""
 
@@ -108,9 +111,11 @@ class TorqueEvidence:
             moved = moved[:, np.abs(moved).max(axis=0) > 0]
             friction = _friction(velocity[:, joint], acceleration[:, joint])
             foretold = rows[:, joint] @ mean
-            raw = np.column_stack([foretold, friction, moved])
+            raw = np.column_stack([foretold, friction])
             self._raw.append(raw)
-            self._columns.append(white @ raw)
+            wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
+            moves = spread > NOTHING * spread[:1]
+            self._columns.append(np.hstack([white @ raw, (wide * spread)[:, moves]]))
             self._power.append(friction.T @ velocity[:, joint] * [1, 1, 0, 0])
         self._count = len(torque)
 

@@ -122,7 +122,7 @@ def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
         "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
     }
     mapping: dict[str, Any] = {"wrench": given}
-    several = list(plate_hypotheses(frame_of(mapping)))
+    several = list(zip(*plate_hypotheses(frame_of(mapping), 2), strict=True))
     columns = rng.normal(size=(5, 6))
     by_name = dict(zip(RIGHT["columns"], columns.T, strict=True))
 
