@@ -68,8 +68,8 @@ class Mistake:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of a plate that is late how late [s]; of sizes,
-            and of a base's unit, how many times too large the numbers are.
+            [rad]; of a shift the frame's origin [m]; of a plate that is late how late [s]; of
+            sizes, and of a base's unit, how many times too large the numbers are.
     """
 
     kind: Kind
@@ -102,15 +102,18 @@ class Frame:
     place: Array
     units: tuple[str, str]
 
-    def map(self, turn: Array, units: tuple[str, str], order: Sequence[int]) -> Array:
+    def map(
+        self, turn: Array, units: tuple[str, str], order: Sequence[int], ratio: float = 1.0
+    ) -> Array:
         """The wrench in the bedplate's frame by another reading, of that by this one, (6, 6).
 
         Args:
             turn: Of the sensor's frame, (3, 3).
             units: Of forces and moments.
             order: In which column each channel is.
+            ratio: Times that moments are larger than in these units.
         """
-        sizes = (FORCES[units[0]], MOMENTS[units[1]])
+        sizes = (FORCES[units[0]], ratio * MOMENTS[units[1]])
         given = (FORCES[self.units[0]], MOMENTS[self.units[1]])
         scale = np.repeat(sizes, 3)
         columns = (
@@ -126,29 +129,24 @@ AS_READ = (0, 1, 2, 3, 4, 5)
 
 
 @lru_cache(maxsize=3)
-def plate_hypotheses(
-    frame: Frame, most: int
-) -> tuple[tuple[tuple[Mistake, ...], ...], tuple[Array, ...]]:
-    """Up to so many kinds of mistakes about a plate, and the maps that undo them.
+def plain_hypotheses(frame: Frame) -> tuple[tuple[tuple[Mistake, ...], Array], ...]:
+    """Nothing wrong about a plate, or one mistake, and the map that undoes it.
 
-    The sense is the sign of what the model file foretells; a shift is fitted.
+    The sense is the sign of what the model file predicts; a shift is fitted.
 
     Args:
         frame: How the mapping has read the plate.
     """
-    turns = [(turned(turn), turn) for turn in (each @ frame.turn for each in quarter_turns())]
-    units = [frame.units, *(u for u in product(FORCES, MOMENTS) if u != frame.units)]
-    several, maps = [], []
-    for order, unit, (k, (turn, matrix)) in product(
-        (AS_READ, *PLATE_ORDERS), units, enumerate(turns)
-    ):
-        mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
-        mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
-        mistakes += [turn] * (k > 0)
-        if len(mistakes) <= most:
-            several.append(tuple(mistakes))
-            maps.append(frame.map(matrix, unit, order))
-    return tuple(several), tuple(maps)
+    turns = [turn @ frame.turn for turn in quarter_turns()[1:]]
+    pairs = [units for units in product(FORCES, MOMENTS) if units != frame.units]
+    return (
+        ((), np.eye(6)),
+        *(((Mistake("plate_order", (), order),), frame.map(frame.turn, frame.units, order))
+          for order in PLATE_ORDERS),
+        *(((Mistake("units", (), units),), frame.map(frame.turn, units, AS_READ))
+          for units in pairs),
+        *(((turned(turn),), frame.map(turn, frame.units, AS_READ)) for turn in turns),
+    )  # fmt: skip
 
 
 def turned(turn: Array) -> Mistake:

@@ -17,8 +17,8 @@ from testbed.sanity.explanation import Explanation
 from testbed.sanity.instants import directions
 from testbed.sanity.plate_map import RATIO, SHIFT, SLOPES, TURN
 
-WIDE = 1.0
-"""Standard deviation before the data: of the turn [rad], of the frame's place [m] and of the
+WIDE = np.repeat([1.0, 0.2, 1.0], [3, 3, 1])
+"""Standard deviations before the data: of the turn [rad], of the frame's place [m] and of the
 ratio."""
 
 STEPS = 4
@@ -73,7 +73,7 @@ def plate_fit(best: Explanation, place: Array) -> PlateFit:
         slopes = -np.einsum("ecd,td->tce", SLOPES[PLACES], predicted) * weight[:, None]
         columns, target = slopes.reshape(6 * count, -1), (wrench * weight).ravel()
         columns, target = (each - own @ (own.T @ each) for each in (columns, target))
-        normal = columns.T @ columns + np.eye(len(PLACES)) / WIDE**2
+        normal = columns.T @ columns + np.diag(1 / WIDE**2)
         found = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
         left = (target - columns @ found).reshape(count, 6) / weight
         predicted = wrench - left

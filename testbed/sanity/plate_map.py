@@ -8,8 +8,8 @@ taken; with the products H of what is left, every A leaves vec(A)' H vec(A). A f
 elsewhere by r (moments gain r x F), one that is turned a little more, and a wrench that is a little
 late (A dw/dt) are linear as well: they are fitted beside each A, not searched.
 
-The least generalized eigenvector of H against the signal's own products G is the best A of all:
-what it leaves no mapping of a plate can mend, and it holds a frame turned by any angle.
+What the least generalized eigenvector of H against the signal's own products G leaves, no mapping
+of a plate can mend.
 """
 
 from __future__ import annotations
@@ -183,22 +183,36 @@ class PlateRows:
         sigma[:, free] = spread * np.sqrt(found.sum(axis=1, keepdims=True) / (6 * self._count))
         return Judged(np.maximum(found, 0.0), extras, sigma, along)
 
+    def gain_ratio(self, each: Array) -> float:
+        """Times that moments must grow to be as large beside the forces as the model file's.
+
+        Args:
+            each: The map, (6, 6).
+        """
+        varied = self._variance(each).reshape(2, 3).sum(axis=1)
+        return float(np.sqrt(varied[0] / varied[1])) if varied.min() > 0 else 1.0
+
+    def _variance(self, each: Array) -> Array:
+        """Of each channel after a map, in parts of the model's, (6,)."""
+        flat = np.zeros((6, 12))
+        flat[:, :6] = each
+        found: Array = np.einsum("x,cxy,y->c", flat.ravel(), self._whole, flat.ravel())
+        return found
+
     def noise_share(self, each: Array) -> Array:
         """Part of each channel's variance that is the plate's own noise after a map, (6,).
 
         Args:
             each: The map, (6, 6).
         """
-        flat = np.zeros((6, 12))
-        flat[:, :6] = each
-        whole = np.einsum("x,cxy,y->c", flat.ravel(), self._whole, flat.ravel())
+        whole = self._variance(each)
         least = SILENT * np.repeat(whole.reshape(2, 3).mean(axis=1), 3)
         noise = self.weight**2 * (each**2 @ self._noise)
         share: Array = noise / np.maximum(whole, np.maximum(least, 1e-300))
         return share
 
-    def best_map(self, *, late: bool = False) -> tuple[Array, Array]:
-        """The least shares that any map leaves, in order, and the map of the first, (6, 6).
+    def least_share(self, *, late: bool = False) -> float:
+        """What the best of all maps leaves, crosstalk and all.
 
         Args:
             late: Whether derivatives of the channels may be mixed in, as a late plate needs.
@@ -211,8 +225,5 @@ class PlateRows:
         left, whole = left[np.ix_(used, used)], whole[np.ix_(used, used)]
         size = np.sqrt(np.diagonal(whole))
         scaled = whole / np.outer(size, size) + 1e-10 * np.eye(len(size))
-        shares, vectors = eigh(left / np.outer(size, size), scaled, subset_by_index=[0, 1])
-        found = np.zeros(72)
-        found[used] = vectors[:, 0] / size
-        sense = 1.0 if found @ self._model >= 0 else -1.0
-        return np.maximum(shares, 1e-12), sense * found.reshape(6, 12)[:, :6]
+        found = eigh(left / np.outer(size, size), scaled, eigvals_only=True, subset_by_index=[0, 0])
+        return max(float(found[0]), 1e-12)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -16,8 +17,17 @@ from testbed.arrays import Array
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.instants import Instants, delay
-from testbed.sanity.mistakes import QUARTERS, Frame, Mistake, merged, plate_hypotheses
-from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, PlateRows
+from testbed.sanity.mistakes import (
+    AS_READ,
+    PLATE_ORDERS,
+    QUARTERS,
+    Frame,
+    Mistake,
+    merged,
+    plain_hypotheses,
+)
+from testbed.sanity.plate_frame import Hypothesis, frame_hypotheses
+from testbed.sanity.plate_map import LATE, SLOPES, PlateRows
 from testbed.sanity.torque_choice import Choice, chosen, least
 from testbed.sanity.torque_evidence import TorqueEvidence
 
@@ -106,7 +116,7 @@ class Reading:
     @cached_property
     def least(self) -> float:
         """Share that no map of the plate can mend; 0 without a plate."""
-        return 0.0 if self.plate is None else float(self.plate.best_map(late=True)[0][0])
+        return 0.0 if self.plate is None else self.plate.least_share(late=True)
 
     @cached_property
     def delay(self) -> tuple[float, float]:
@@ -125,7 +135,7 @@ class Reading:
     @cached_property
     def linear_share(self) -> float:
         """The same for a plate that is not late."""
-        return 0.0 if self.plate is None else float(self.plate.best_map()[0][0])
+        return 0.0 if self.plate is None else self.plate.least_share()
 
     def mixed(self, left: Array) -> bool:
         """Whether a matrix of all six channels explains the plate far better than what leaves this.
@@ -207,28 +217,31 @@ class Reading:
         root = prior.root @ scaled
         return prior.mean + root @ (scaled.T @ (columns.T @ target)), root
 
-    def explanations(self, kinds: int) -> list[Explanation]:
-        """All that this reading leaves open, judged; of the plate's maps the best forty.
-
-        Args:
-            kinds: Mistakes about a plate at once, at most.
-        """
+    @cached_property
+    def explanations(self) -> list[Explanation]:
+        """All that this reading leaves open, judged; of the plate's maps the best forty."""
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
-        return self.of_plate(*plate_hypotheses(self.prior.frame, kinds))
+        frame = self.prior.frame
+        found = self.of_plate(
+            [*plain_hypotheses(frame), *frame_hypotheses(self.plate, frame, AS_READ)]
+        )
+        if not any(each.explained(EXPLAINED) for each in found):
+            others = (frame_hypotheses(self.plate, frame, order) for order in PLATE_ORDERS)
+            found += self.of_plate(list(chain.from_iterable(others)))
+        return found
 
-    def of_plate(
-        self, mistakes: Sequence[tuple[Mistake, ...]], maps: Sequence[Array],
-        free: Sequence[int] = (*SHIFT, LATE),
-    ) -> list[Explanation]:  # fmt: skip
+    def of_plate(self, hypotheses: Sequence[Hypothesis]) -> list[Explanation]:
         """Explanations by maps of the plate, a shift and lateness fitted."""
+        if not hypotheses:
+            return []
         assert self.plate is not None
-        judged = self.plate.judge(maps, free)
+        judged = self.plate.judge([each for _, each in hypotheses])
         size = np.log(np.maximum(np.abs(judged.size), 1e-9)) / ROUGH
         costs = WEIGHT * (np.log(judged.left + TINY).sum(axis=1) + size**2)
         found = []
         for k in np.argsort(costs, kind="stable")[:40]:
-            said, each, shift = list(mistakes[k]), maps[k], judged.extras[k, :3]
+            said, each, shift = list(hypotheses[k][0]), hypotheses[k][1], judged.extras[k, :3]
             distance, sigma = (float(np.linalg.norm(x)) for x in (shift, judged.sigma[k, :3]))
             if distance > max(SHIFTED, CLEAR * sigma):
                 place = self.prior.frame.place + shift

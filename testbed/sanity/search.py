@@ -15,7 +15,6 @@ from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
-from testbed.sanity.any_turn import any_turn
 from testbed.sanity.explanation import Explanation, ranked
 from testbed.sanity.instants import LATE, Instants, instants
 from testbed.sanity.mistakes import (
@@ -129,7 +128,7 @@ class Search:
         found = ranked(self._found(given, as_read))
         nearest = found[0].reading
         if self.plate and nearest.mistakes and nearest.mistakes[-1].kind == "zero":
-            found = ranked([*found, *self._refined(nearest).explanations(2)])
+            found = ranked([*found, *self._refined(nearest).explanations])
         several = list({each.mistakes: each for each in found[::-1]}.values())[::-1]
         return as_given, ranked(each.told() for each in several[:SAID])
 
@@ -151,43 +150,40 @@ class Search:
             several: All that was found before.
         """
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
-        yield given.explanations(2)
-        yield any_turn(given)
+        yield given.explanations
         units = [each for each in hypotheses if each.kind in UNITS]
         self._look(given, units)
         if units:  # without them the readings are those that were judged
-            yield self._judged(2)
-        in_time = self._in_time(given)
+            yield self._judged()
+        explained = any(each.explained(EXPLAINED) for each in several)
+        in_time = None if explained else self._in_time(given)
         if in_time is None:
             self._look(given, hypotheses)
-            in_time = self._in_time(given)
+            in_time = None if explained else self._in_time(given)
         if in_time is not None:
             yield from self._stages(in_time, several)
             return
         if not self.plate:
-            yield self._judged(1)
+            yield self._judged()
             plain = [each.cost for each in several if not each.sized]
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to tell of the rest
                 return
             near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
-            yield list(chain.from_iterable(self._refined(r).explanations(1) for r in near))
+            yield list(chain.from_iterable(self._refined(r).explanations for r in near))
             likeliest = min(several, key=lambda each: each.cost)
             gain = several[0].told(changed=False).cost - likeliest.cost
             if gain < DOUBTED or likeliest.explained(GOOD):
                 return
-        yield self._judged(2)
-        yield self._turned()
-        yield self._judged(3)
+        yield self._judged()
         if self.plate and given.mixed(min(several, key=lambda each: each.cost).left[-6:]):
             return  # positions are right where only a matrix explains the plate
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
         zeros = [each for each in self._nearest(3) if each.rare]
-        yield list(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        yield list(chain.from_iterable(self._refined(each).explanations for each in zeros))
         for each in self._nearest(2 if self.plate else 4):
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
-        yield self._judged(2)
-        yield self._turned()
+        yield self._judged()
 
     def _in_time(self, given: Reading) -> Reading | None:
         """The same with the plate's clock set, where a reading shows that it is late, or early."""
@@ -206,13 +202,9 @@ class Search:
     def _nearest(self, count: int) -> list[Reading]:
         return sorted(self.readings.values(), key=lambda each: each.bound)[:count]
 
-    def _judged(self, kinds: int) -> list[Explanation]:
+    def _judged(self) -> list[Explanation]:
         """What the readings leave that may be the best."""
-        return list(chain.from_iterable(each.explanations(kinds) for each in self._promising()))
-
-    def _turned(self) -> list[Explanation]:
-        """The same with a plate's frame turned by any angle."""
-        return list(chain.from_iterable(any_turn(each) for each in self._promising()[:3]))
+        return list(chain.from_iterable(each.explanations for each in self._promising()))
 
     def _promising(self) -> list[Reading]:
         """The nearest readings, but for those that no map of a plate could explain as well."""

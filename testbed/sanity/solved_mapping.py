@@ -7,18 +7,14 @@ frame refined (`plate_fit`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.draft import Draft
-from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, RAW
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
@@ -28,8 +24,7 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
-from testbed.sanity.cure_words import share
-from testbed.sanity.mistakes import BEYOND
+from testbed.sanity.cure_words import CLEARLY, share
 from testbed.sanity.plate_fit import PlateFit, plate_fit
 from testbed.sanity.sanity import Sanity, check_sanity
 from testbed.sanity.search import Progress
@@ -151,8 +146,9 @@ def _cured(draft: Draft, found: Sanity) -> Draft:
     """What the search says, and what for."""
     for each in found.cures:
         known = f"solved: {share(each.after)} of {each.channel} is unexplained"
-        known += f", {share(each.before)} as before" if each.before > each.after else ""
-        known += f"; the runner-up leaves {found.times:.3g} times more" if found.runner_up else ""
+        known += f", {share(each.before)} without" if each.before > each.after else ""
+        if found.runner_up and found.times > CLEARLY:
+            known += f"; the runner-up leaves {found.times:.3g} times more"
         known += f"; not told apart from {', '.join(found.equals)}" if found.equals else ""
         for table, key, value in each.lines:
             draft = draft.saying(table, key, value, known)
@@ -165,7 +161,9 @@ def _with_rates(draft: Draft, unit: str | list[str]) -> Draft:
     """Units of derivatives that were assumed, in those of the positions."""
     for kind, ending in (("velocity", "/s"), ("acceleration", "/s^2")):
         if draft.notes.get((kind, "unit")) == ASSUMED:
-            rates = [f"{each}{ending}" for each in unit] if isinstance(unit, list) else unit + ending
+            rates = (
+                [f"{each}{ending}" for each in unit] if isinstance(unit, list) else unit + ending
+            )
             draft = draft.saying(kind, "unit", rates, ASSUMED)
     return draft
 

@@ -67,8 +67,7 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
     pairs = {(k, k): least(torques, k, k) for k in several}
     if tree.n <= MOST_JOINTS:
         for j, k in ((j, k) for j in several for k in several if j != k):
-            if tree.joints[j].kind == tree.joints[k].kind:
-                pairs[j, k] = least(torques, j, k)
+            pairs[j, k] = least(torques, j, k)
         costs = np.full((tree.n, tree.n), 1e9)
         for pair, found in pairs.items():
             costs[pair] = found[0]

@@ -140,7 +140,9 @@ def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float
     Raises:
         RecordingError: A file is missing or damaged, or its clock is none.
     """
-    return {name: (float(t.min()), float(t.max())) for name, t in _opened(mapping, folder)[1].items()}
+    return {
+        name: (float(t.min()), float(t.max())) for name, t in _opened(mapping, folder)[1].items()
+    }
 
 
 def _opened(mapping: Mapping, folder: Path) -> tuple[dict[str, ForeignTable], dict[str, Array]]:

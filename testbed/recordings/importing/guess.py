@@ -73,7 +73,7 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
         draft = draft.remarking(name, *_listed(each.table)).saying(name, "file", file)
         if each.topic is not None:
             draft = draft.saying(name, "topic", each.topic)
-        for said in each.clock.keys():
+        for said in each.clock.said():
             draft = draft.saying(name, *said)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)

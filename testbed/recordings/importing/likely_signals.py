@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -112,8 +113,7 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
     values = [np.stack([read[name] for name in part], axis=1) for part in parts]
     time = source.clock.time(source.table, len(read[names[0]])) if names else np.zeros(0)
     rates = [
-        float(np.diagonal(slopes(*pair, time).fit).min()) > SURE
-        for pair in zip(values[:2], values[1:3], strict=False)
+        float(np.diagonal(slopes(*pair, time).fit).min()) > SURE for pair in pairwise(values[:3])
     ]
     moved = 1 + next((k for k, follows in enumerate(rates) if not follows), len(rates))
     kinds: list[tuple[str, tuple[int, int] | None]] = []

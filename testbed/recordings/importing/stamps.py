@@ -70,7 +70,7 @@ class Clock:
         unit = min(TIMES, key=lambda name: abs(np.log(TIMES[name] / seconds)))
         return replace(self, unit=unit, rate=self.rate / TIMES[unit], because=because)
 
-    def keys(self) -> Iterator[tuple[str, Any, str]]:
+    def said(self) -> Iterator[tuple[str, Any, str]]:
         """Keys of the source in a mapping, their values and what is said beside them."""
         if self.column is None:
             known = f"{self.because}; the file has no times".removeprefix("; ")

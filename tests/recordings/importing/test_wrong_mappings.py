@@ -240,10 +240,10 @@ def test_of_a_field_that_is_no_number_line_and_column_are_named(
 
 def test_what_is_no_log_has_no_guess(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="there is no file"):
-        guessed([tmp_path / "none.csv"], tmp_path).text
+        guessed([tmp_path / "none.csv"], tmp_path)
     np.savez(tmp_path / "empty.npz", text=np.array(["a", "b"]))
     with pytest.raises(RecordingError, match="no columns of numbers in"):
-        guessed([tmp_path / "empty.npz"], tmp_path).text
+        guessed([tmp_path / "empty.npz"], tmp_path)
 
 
 def test_endings_are_of_formats(tmp_path: Path) -> None:
