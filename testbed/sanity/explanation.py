@@ -96,18 +96,21 @@ class Explanation:
     def torques_fit(self) -> bool:
         """Whether nothing of the torques is odd, once they are in their order and sense.
 
-        With a plate only: without one, masses that are rough leave more. Where the plate tells
-        little of a joint, another sense or order of its torque may be that of its position.
+        With a plate only: without one, masses that are rough leave more.
         """
         count = len(self.unchanged)
         left = self.left[:count] < BRAKED + 3 * self.noise[:count] + self.spread
-        changed = {
-            joint
-            for each in self.mistakes
-            if each.kind in ("torque_order", "torque_sign")
-            for joint in each.joints
-        }
-        return bool(left.all()) and all(self.spread[joint] < BRAKED for joint in changed)
+        return bool(left.all())
+
+    @property
+    def unclear(self) -> set[int]:
+        """Joints whose torque's sense or order is another one, but of which the plate tells little.
+
+        It may be their position's as well.
+        """
+        kinds = ("torque_order", "torque_sign")
+        changed = {k for each in self.mistakes if each.kind in kinds for k in each.joints}
+        return {joint for joint in changed if self.spread[joint] > BRAKED}
 
     @property
     def tolerance(self) -> float:

@@ -138,9 +138,20 @@ class Search:
         for found in self._stages(given, several):
             several += found
             likeliest = min(several, key=lambda each: each.cost)
-            if self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit:
+            if self.plate and likeliest.explained(EXPLAINED) and self._settled(likeliest.told()):
                 break
         return several
+
+    def _settled(self, likeliest: Explanation) -> bool:
+        """Whether the torques fit, and positions that explain the same were looked at."""
+        looked = {
+            joint
+            for mistakes in self.readings
+            for each in mistakes
+            if each.kind == "position_sign"
+            for joint in each.joints
+        }
+        return likeliest.torques_fit and likeliest.unclear <= looked
 
     def _stages(self, given: Reading, several: list[Explanation]) -> Iterator[list[Explanation]]:
         """Explanations from the simple to the rare.

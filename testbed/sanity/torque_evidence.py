@@ -105,10 +105,11 @@ class TorqueEvidence:
         self.constant = torque.std(axis=0) < 1e-3 * self._rms
         white = _whitening(len(torque), round(spacing, 6))
         self._white_torque = white @ torque
-        self._raw, self._columns, self._power = [], [], []
+        self._raw, self._columns, self._power, self._moved = [], [], [], []
         for joint in range(rows.shape[1]):
             moved = rows[:, joint] @ root
             moved = moved[:, np.abs(moved).max(axis=0) > 0]
+            self._moved.append(float(moved.var(axis=0).sum()))
             friction = _friction(velocity[:, joint], acceleration[:, joint])
             foretold = rows[:, joint] @ mean
             raw = np.column_stack([foretold, friction])
@@ -176,9 +177,7 @@ class TorqueEvidence:
             joint: Of the robot.
             column: Of the recording.
         """
-        moved = self._raw[joint][:, 5:]
-        variance = float(((moved - moved.mean(axis=0)) ** 2).sum()) / self._count
-        return variance / max(float(self._torque[:, column].var()), 1e-30)
+        return self._moved[joint] / max(float(self._torque[:, column].var()), 1e-30)
 
     def size(self, joint: int, column: int, told_times: float = 1.0) -> float:
         """Times what the mean's masses make that a column is; nan where they do not tell."""
