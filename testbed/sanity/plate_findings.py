@@ -118,18 +118,19 @@ def zero_of_plate(best: Explanation) -> tuple[Array, Array]:
     return rest.mean(axis=0), np.linalg.norm(spread, axis=1)
 
 
-def zero_mistake(best: Explanation, tare: Array | None) -> Mistake | None:
+def zero_mistake(best: Explanation, tare: Array | None, least: float = MOVED) -> Mistake | None:
     """The mistake of a plate that shows something without the robot, if it clearly does.
 
     Args:
         best: What explains the recording best; with a wrench.
         tare: What the recording says that it shows, (6,) [N, N m]; None for the model's pedestal.
+        least: Parts of the robot's weight by which it must be another one.
     """
     tree = best.reading.prior.tree
     known = pedestal_wrench(tree) if tare is None else tare
     found, sigma = zero_of_plate(best)
-    least = MOVED * weight(tree) * np.repeat([1.0, ARM], 3)
-    if not (np.abs(found - known) > np.maximum(least, CLEAR * sigma)).any():
+    smallest = least * weight(tree) * np.repeat([1.0, ARM], 3)
+    if not (np.abs(found - known) > np.maximum(smallest, CLEAR * sigma)).any():
         return None
     return Mistake("tare", (), tuple(np.round(found, 3).tolist()))
 

@@ -25,6 +25,8 @@ from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
 from testbed.sanity.cure_words import CLEARLY, share
+from testbed.sanity.explanation import Explanation
+from testbed.sanity.plate_findings import zero_mistake
 from testbed.sanity.plate_fit import PlateFit, plate_fit
 from testbed.sanity.sanity import Sanity, check_sanity
 from testbed.sanity.search import Progress
@@ -41,6 +43,12 @@ COMMON = 0.5
 
 STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
 """Of angles that a person writes [rad]."""
+
+CLEAR = 4.0
+"""Standard deviations from which a plate is late by a clock that it shares with the positions."""
+
+FAR = 0.05
+"""Standard deviation from which a place is not told [m]."""
 
 NEAR = 14.2
 """Squared distance, in standard deviations, below which a turn is one that a person writes: one of
@@ -74,11 +82,10 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
         draft = _cured(draft, found)
     found.require()
     draft = _by_the_data(draft, found, open_keys)
-    draft = _refined(draft, found)  # clocks are as right as the frame is, and it as they are
     late = _with_clocks(draft, _recording(draft, out), tree)
-    if late is draft:
-        return draft
-    return _refined(late, check_sanity(tree, _recording(late, out), progress))
+    if late is not draft:
+        draft, found = late, check_sanity(tree, _recording(late, out), progress)
+    return _with_plate(draft, found)
 
 
 def _open(draft: Draft) -> set[tuple[str, str]]:
@@ -183,30 +190,36 @@ def _by_the_data(draft: Draft, found: Sanity, keys: set[tuple[str, str]]) -> Dra
 
 
 def _with_clocks(draft: Draft, source: Recording, tree: Tree) -> Draft:
-    """Delays that are clear; of a clock of its own as its offset."""
+    """Delays and drifts that are clear."""
     found = [each for each in clock_offsets(tree, source) if each.late or each.drifts]
     if not found:
         return draft
     mapping = checked(MappingFile, draft.content, "the mapping")
-    report = ImportReport.from_dict(source.facts["import"])
-    new = aligned(mapping, report, found)
+    new = aligned(mapping, ImportReport.from_dict(source.facts["import"]), found)
     for each in found:
         table = getattr(new, each.signal)
-        own = f"sources.{table.source}"
-        said = f"solved: {1e3 * each.delay:.3f} +- {1e3 * each.sigma:.3f} ms late"
         skew = new.sources[table.source].skew
         if skew:
-            draft = draft.saying(own, "skew", skew, f"solved: +- {each.skew_sigma:.2g}")
-        if table.source == mapping.position.source or skew:
-            draft = draft.saying(each.signal, "delay", round(table.delay, 7), said)
-        else:
-            offset = mapping.sources[table.source].offset - table.delay
-            draft = draft.saying(own, "offset", offset, said)
+            said = f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
+            draft = draft.saying(f"sources.{table.source}", "skew", skew, said)
+        late = table.delay - getattr(mapping, each.signal).delay
+        draft = _delayed(draft, each.signal, late, each.sigma)
     return draft
 
 
-def _refined(draft: Draft, found: Sanity) -> Draft:
-    """The plate's frame as the data tell it, rounded where a person would write it so."""
+def _delayed(draft: Draft, signal: str, late: float, sigma: float) -> Draft:
+    """A signal that is later by so much [s]; of a clock of its own as its offset."""
+    source, delay = draft.tables[signal]["source"], draft.tables[signal].get("delay", 0.0) + late
+    table, key, value = signal, "delay", round(delay, 7)
+    if source != draft.tables["position"]["source"]:
+        table, key = f"sources.{source}", "offset"
+        value = draft.tables[table].get("offset", 0.0) - delay
+        draft = draft.saying(signal, "delay", None)
+    return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
+
+
+def _with_plate(draft: Draft, found: Sanity) -> Draft:
+    """Frame, clock and zero of a plate as the data tell them."""
     table = draft.tables.get("wrench")
     if table is None or found.best is None or found.best.map is None:
         return draft
@@ -216,18 +229,35 @@ def _refined(draft: Draft, found: Sanity) -> Draft:
     turn = moved @ from_rpy(place["rpy"])
     xyz = moved @ place["xyz"] + fit.shift
     rpy, written = to_rpy(turn), _written(turn, fit)
+    known = draft.notes.get(("wrench", "place"), "solved")
     said = (
-        f"rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.turn_sigma), 3)} deg; "
+        f"{known}; rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.turn_sigma), 3)} deg; "
         f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * fit.shift_sigma, 2)} mm"
     )
-    known = draft.notes.get(("wrench", "place"), "solved").partition("; rpy ")[0]
-    draft = draft.saying("wrench", "# place", None)
+    axes = ", ".join(
+        axis for axis, sigma in zip("xyz", fit.shift_sigma, strict=True) if sigma > FAR
+    )
+    said += f"; {axes} cannot be told from these data" * bool(axes)
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in written or rpy]}
-    draft = draft.saying("wrench", "place", value, f"{known}; {said}")
+    draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, said)
     ratio = FORCES[table["units"][0]] / MOMENTS[table["units"][1]] / (1 + fit.ratio)
-    known = draft.notes.get(("wrench", "units"), "by the file").partition("; ratio ")[0]
+    known = draft.notes.get(("wrench", "units"), "by the file")
     said = f"{known}; ratio {ratio:.6g} +- {ratio * fit.ratio_sigma:.2g}"
-    return draft.saying("wrench", "units", table["units"], said)
+    draft = draft.saying("wrench", "units", table["units"], said)
+    own_clock = table["source"] != draft.tables["position"]["source"]
+    if own_clock or "delay" in table or abs(fit.late) > CLEAR * fit.late_sigma:
+        draft = _delayed(draft, "wrench", fit.late, fit.late_sigma)
+    return _with_zero(draft, found.best)
+
+
+def _with_zero(draft: Draft, best: Explanation) -> Draft:
+    """What the plate shows without the robot, where that is clear."""
+    given = draft.tables["wrench"].get("tare")
+    zero = zero_mistake(best, None if given is None else np.array(given), least=0.0)
+    if zero is None:
+        return draft
+    said = "solved: Fz, Mx and My, as far as they are of weight, by the model file's masses"
+    return draft.saying("wrench", "tare", list(zero.values), said)
 
 
 def _written(turn: Array, fit: PlateFit) -> tuple[float, float, float] | None:
