@@ -34,6 +34,9 @@ ARM = 1.0
 PULLED = -0.1
 """Parts of the robot's weight below which a robot weighs less than nothing."""
 
+FOREIGN, MIXED_CHANNELS, WEIGHT = "plate.foreign", "plate.crosstalk", "plate.weight"
+"""Codes of findings."""
+
 ALONG = 1e-3
 """By how much a turn's axis may differ from a joint's."""
 
@@ -59,6 +62,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
             float(left[channel]),
             ("crosstalk", "a calibration matrix that is not used"),
             "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
+            MIXED_CHANNELS,
         )
         return ([mixed], []) if sure else ([], [mixed])
     foreign = Finding(
@@ -67,6 +71,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         float(left[channel]),
         ("another robot", "columns that are not the plate's", "a plate that drifts"),
         "look at the columns of [position] and [wrench], and at the model",
+        FOREIGN,
     )
     return ([foreign], []) if sure else ([], [])
 
@@ -156,6 +161,7 @@ def weight_finding(best: Explanation, tare: Array | None) -> Iterator[Finding]:
             carried,
             ("a plate that was zeroed under the robot", "the opposite sense of the wrench"),
             "in the mapping: [wrench] tare, what the plate shows without the robot",
+            WEIGHT,
         )
 
 

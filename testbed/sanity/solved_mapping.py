@@ -13,7 +13,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.recordings.importing.convert import clock_ranges
-from testbed.recordings.importing.draft import Draft
+from testbed.recordings.importing.draft import Draft, in_toml
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import Mapping as MappingFile
@@ -26,7 +26,7 @@ from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
 from testbed.sanity.cure_words import CLEARLY, share
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate_findings import zero_mistake
+from testbed.sanity.plate_findings import FOREIGN, MIXED_CHANNELS, WEIGHT, zero_mistake
 from testbed.sanity.plate_fit import PlateFit, plate_fit
 from testbed.sanity.sanity import Sanity, check_sanity
 from testbed.sanity.search import Progress
@@ -34,6 +34,9 @@ from testbed.toml_text import checked
 
 ASSUMED = "ASSUMED"
 """Mark of what neither names nor data tell."""
+
+KNOWN = (ASSUMED, "solved", "by the data")
+"""Beginnings of what is said beside a value that no name tells."""
 
 ROUNDS = 4
 """Most times that a recording is made and searched."""
@@ -77,15 +80,37 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     draft = _with_starts(draft, out)
     for _ in range(ROUNDS):
         found = check_sanity(tree, _recording(draft, out), progress)
-        if not found.cures:
+        codes = {each.code for each in found.certain}
+        if codes == {WEIGHT} and found.best is not None and "tare" not in draft.tables["wrench"]:
+            draft = _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
+        elif found.cures:
+            draft = _cured(draft, found)
+        else:
             break
-        draft = _cured(draft, found)
     found.require()
+    foreign = [each.text for each in found.likely if each.code in (FOREIGN, MIXED_CHANNELS)]
+    if foreign:
+        raise RecordingError(
+            f"the data are not of this robot, or not in these columns: {'; '.join(foreign)}"
+        )
     draft = _by_the_data(draft, found, open_keys)
     late = _with_clocks(draft, _recording(draft, out), tree)
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
     return _with_plate(draft, found)
+
+
+def table_of(draft: Draft) -> list[tuple[str, str, str]]:
+    """What was assumed or solved: key, value, and what it is known by.
+
+    Args:
+        draft: That was solved.
+    """
+    return [
+        (f"{table}.{key}".removeprefix("."), in_toml(draft.tables[table][key]), note)
+        for (table, key), note in draft.notes.items()
+        if note.startswith(KNOWN) and key != "# place"
+    ]
 
 
 def _open(draft: Draft) -> set[tuple[str, str]]:
