@@ -34,8 +34,8 @@ def write_mapping(
     """
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
-    from testbed.recordings.importing.mapping import empty_keys
     from testbed.reporting import output
+    from testbed.sanity.solved_mapping import missing, solved
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
@@ -43,10 +43,9 @@ def write_mapping(
     with output.Progress("reading"):
         draft = guessed(files, folder, () if tree is None else tree.names)
     if tree is not None:
-        from testbed.sanity.solved_mapping import solved
-
         with output.Progress("solving for what names do not tell") as bar:
-            draft = solved(draft, out or folder / "mapping.toml", tree, bar)
+            draft, warnings = solved(draft, out or folder / "mapping.toml", tree, bar)
+        output.print_lines((), warnings)
     if out is None:
         typer.echo(draft.text, nl=False)
         return False
@@ -54,7 +53,7 @@ def write_mapping(
         _show(draft)
     with replacing(out) as fresh:
         fresh.write_text(draft.text, encoding="utf-8")
-    empty = [*empty_keys(draft.content)]
+    empty = missing(draft)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
     made = out.with_suffix(".parquet")
     against = "ROBOT" if model is None else str(model)

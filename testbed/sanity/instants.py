@@ -141,7 +141,9 @@ def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
         dependent: Share of the largest singular value, of columns of unit length, of none.
     """
     size = np.linalg.norm(columns, axis=0)
-    kept = size > dependent**1.5 * size.max()
+    kept = size > dependent**1.5 * size.max(initial=0.0)
+    if not kept.any():
+        return columns[:, :0]
     wide, small = np.linalg.qr(columns[:, kept] / size[kept])
     turned, spread, _ = np.linalg.svd(small)
     found: Array = wide @ turned[:, spread > dependent * spread[0]]

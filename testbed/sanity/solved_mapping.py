@@ -26,7 +26,7 @@ from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
 from testbed.sanity.cure_words import CLEARLY, share
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate_findings import FOREIGN, MIXED_CHANNELS, WEIGHT, zero_mistake
+from testbed.sanity.plate_findings import WEIGHT, zero_mistake
 from testbed.sanity.plate_fit import PlateFit, plate_fit
 from testbed.sanity.sanity import Sanity, check_sanity
 from testbed.sanity.search import Progress
@@ -58,8 +58,10 @@ NEAR = 14.2
 three normal numbers is beyond in .3 % of all cases."""
 
 
-def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None) -> Draft:
-    """A mapping without empty keys, as far as names and data tell.
+def solved(
+    draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
+) -> tuple[Draft, tuple[str, ...]]:
+    """A mapping without empty keys, as far as names and data tell, and what may be wrong with it.
 
     Args:
         draft: By the columns' names.
@@ -68,36 +70,64 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
         progress: Told how much of a search is done.
 
     Returns:
-        The mapping; with keys still empty where no columns or no clock was found.
+        The mapping, with keys still empty where no columns or no clock was found; warnings.
 
     Raises:
         RecordingError: The data are not of this robot, or not in these columns.
     """
     open_keys = _open(draft)
     draft = _assumed(draft, tree)
-    if [*empty_keys(draft.content)] or not {"position"} <= draft.content.keys():
-        return draft
+    if missing(draft):
+        return draft, ()
     draft = _with_starts(draft, out)
     for _ in range(ROUNDS):
         found = check_sanity(tree, _recording(draft, out), progress)
-        codes = {each.code for each in found.certain}
-        if codes == {WEIGHT} and found.best is not None and "tare" not in draft.tables["wrench"]:
-            draft = _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
-        elif found.cures:
-            draft = _cured(draft, found)
-        else:
+        better = _better(draft, found)
+        if better is draft:
             break
+        draft = better
     found.require()
-    foreign = [each.text for each in found.likely if each.code in (FOREIGN, MIXED_CHANNELS)]
-    if foreign:
-        raise RecordingError(
-            f"the data are not of this robot, or not in these columns: {'; '.join(foreign)}"
-        )
+    if found.best is None:
+        return draft, tuple(each.text for each in found.likely)
     draft = _by_the_data(draft, found, open_keys)
     late = _with_clocks(draft, _recording(draft, out), tree)
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
-    return _with_plate(draft, found)
+    return _with_plate(draft, found), tuple(each.text for each in found.likely)
+
+
+def missing(draft: Draft) -> list[str]:
+    """Keys that a person must fill in.
+
+    Args:
+        draft: A mapping.
+    """
+    content = draft.content
+    rates = {"rate": content["rate"]} | {
+        f"sources.{name}.rate": each.get("rate", 1.0) for name, each in content["sources"].items()
+    }
+    none = [key for key in ("position",) if key not in content]
+    return [*empty_keys(content), *(key for key, rate in rates.items() if not rate), *none]
+
+
+def _better(draft: Draft, found: Sanity) -> Draft:
+    """What the search says instead; the same where it finds nothing wrong."""
+    codes = {each.code for each in found.certain}
+    if codes == {WEIGHT} and found.best is not None and "tare" not in draft.tables["wrench"]:
+        return _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
+    if found.cures:
+        return _cured(draft, found)
+    told = np.isfinite(found.sizes)
+    if draft.tables.get("torque", {}).get("gain") == 1.0 and told.any():
+        sizes = np.where(told, found.sizes, np.median(found.sizes[told]))
+        joints = [found.joints.index(name) for name in draft.tables[""]["joints"]]
+        gains = [float(f"{1 / sizes[k]:.4g}") for k in joints]
+        known = f"{ASSUMED}: by the model file's masses"
+        if found.best is not None and found.best.map is not None:
+            known = "solved: by the plate"
+        note = f"{known}; torque of one unit, joint by joint [N m]"
+        return draft.saying("torque", "gain", gains, note)
+    return draft
 
 
 def table_of(draft: Draft) -> list[tuple[str, str, str]]:
