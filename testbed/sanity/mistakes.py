@@ -68,8 +68,8 @@ class Mistake:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of a plate that is late how late [s]; of sizes,
-            and of a base's unit, how many times too large the numbers are.
+            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
+            sizes, and of a base's unit, how many times too large the numbers are.
     """
 
     kind: Kind

@@ -118,7 +118,7 @@ class Reading:
         if self.plate is None or taken.wrench is None:
             return 0.0, 1.0
         channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
-        each: Array = np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1)
+        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(len(channels), 6, -1)
         late, times = delay(each, self.plate.foretold, taken.spacing)
         return -late, times
 
