@@ -20,6 +20,7 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
+from testbed.sanity.channel_findings import spike_findings, still_findings, unmoved_finding
 from testbed.sanity.cure_words import (
     cure_finding,
     gain_finding,
@@ -33,7 +34,6 @@ from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
     map_findings,
-    still_findings,
     weight_finding,
     zero_mistake,
 )
@@ -120,17 +120,22 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         tree, (position, part.torque, part.wrench), source.rate,
         position_offset(tree, mapping), frame_of(mapping), progress,
     )  # fmt: skip
-    outside = tuple(position_finding(tree, position, OUTSIDE))
-    if search.given is None:  # too short to tell
-        return Sanity(tree.names, np.zeros(0), np.zeros(0), certain=outside)
+    nothing, spikes = np.zeros(0), tuple(spike_findings(part))
+    outside = spikes or tuple(position_finding(tree, position, OUTSIDE))
+    if search.given is None or spikes:  # too short to tell, or spoiled
+        return Sanity(tree.names, nothing, nothing, certain=outside)
     sure, maybe = still_findings(tree, search.given)
     if sure or maybe:
-        nothing = np.zeros(0)
-        return Sanity(tree.names, nothing, nothing, certain=(*outside, *sure), likely=tuple(maybe))
+        return Sanity(tree.names, nothing, nothing, certain=(*outside, *sure), likely=maybe)
     given, found = search.best()
     best = found[0]
     gain = given.cost - best.cost
+    clear = gain > CERTAIN and explains(given, best)
     foreign, certain, likely, more = _about_plate(best, source.tare)
+    unmoved = unmoved_finding(tree, search.given, given)
+    if unmoved is not None and unmoved.number and not clear:
+        sure, maybe = ((unmoved,), ()) if foreign else ((), (unmoved,))
+        return Sanity(tree.names, given.left, best.sizes, certain=(*outside, *sure), likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
@@ -141,7 +146,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
     if wrong:
         said = cure_finding(tree, cures, runner_up, times, equals, gain)
-        if gain > CERTAIN and explains(given, best):
+        if clear:
             certain, likely = [said, *certain], []
         else:
             likely = [*likely, said]
@@ -152,6 +157,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         certain += [each for sure, each in sizes if sure]
         likely += [each for sure, each in sizes if not sure]
     certain = [*(outside if not wrong else ()), *certain]
+    likely += [unmoved] if unmoved is not None else []
     return Sanity(
         tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
     )
