@@ -165,7 +165,7 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     rows = columns[most : len(columns) - most]
     basis = directions(rows.reshape(-1, rows.shape[2])).reshape(*rows.shape[:2], -1)
     explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
-    counted = rows.any(axis=2).astype(np.float64)
+    counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
     whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
     share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
     best = int(np.argmax(share))

@@ -18,6 +18,7 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.channel_findings import spike_findings, still_findings, unmoved_finding
@@ -30,6 +31,7 @@ from testbed.sanity.cure_words import (
 )
 from testbed.sanity.cures import Cure, cures_of, frame_of, position_offset
 from testbed.sanity.explanation import Explanation
+from testbed.sanity.instants import Instants
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
@@ -120,13 +122,9 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         tree, (position, part.torque, part.wrench), source.rate,
         position_offset(tree, mapping), frame_of(mapping), progress,
     )  # fmt: skip
-    nothing, spikes = np.zeros(0), tuple(spike_findings(part))
-    outside = spikes or tuple(position_finding(tree, position, OUTSIDE))
-    if search.given is None or spikes:  # too short to tell, or spoiled
-        return Sanity(tree.names, nothing, nothing, certain=outside)
-    sure, maybe = still_findings(tree, search.given)
-    if sure or maybe:
-        return Sanity(tree.names, nothing, nothing, certain=(*outside, *sure), likely=maybe)
+    by_channels = _by_channels(tree, part, search.given)
+    if by_channels is not None or search.given is None:
+        return by_channels or Sanity(tree.names, np.zeros(0), np.zeros(0))
     given, found = search.best()
     best = found[0]
     gain = given.cost - best.cost
@@ -135,7 +133,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     unmoved = unmoved_finding(tree, search.given, given)
     if unmoved is not None and unmoved.number and not clear:
         sure, maybe = ((unmoved,), ()) if foreign else ((), (unmoved,))
-        return Sanity(tree.names, given.left, best.sizes, certain=(*outside, *sure), likely=maybe)
+        return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
@@ -156,11 +154,22 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         sizes = [*gain_findings(tree, best, mapping)]
         certain += [each for sure, each in sizes if sure]
         likely += [each for sure, each in sizes if not sure]
-    certain = [*(outside if not wrong else ()), *certain]
+    certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
     likely += [unmoved] if unmoved is not None else []
     return Sanity(
         tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
     )
+
+
+def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity | None:
+    """What channels say by themselves, where nothing else can be told."""
+    spikes = tuple(spike_findings(part))
+    still, resting = still_findings(tree, taken) if taken is not None else ((), ())
+    if taken is not None and not (spikes or still or resting):
+        return None
+    sure = spikes or (*position_finding(tree, part.position, OUTSIDE), *still)
+    nothing = np.zeros(0)
+    return Sanity(tree.names, nothing, nothing, certain=sure, likely=() if spikes else resting)
 
 
 def _about_plate(best: Explanation, tare: Array | None
