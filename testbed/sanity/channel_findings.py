@@ -85,14 +85,14 @@ def still_findings(tree: Tree, taken: Instants) -> tuple[tuple[Finding, ...], tu
     return (silent,), ()
 
 
-def unmoved_finding(tree: Tree, taken: Instants, read: Explanation) -> Finding | None:
+def unmoved_finding(tree: Tree, read: Explanation) -> Finding | None:
     """Joints that rest throughout by their positions, those first that their torques say move.
 
     Args:
         tree: The robot.
-        taken: The recording.
         read: The recording as it is; without torques, the plate's channels count.
     """
+    taken = read.reading.taken
     odd = read.left > BRAKED + 3 * read.noise
     moves = odd[: tree.n] if taken.torque is not None else np.full(tree.n, odd.any())
     still = [k for k in own_joints(tree) if np.ptp(taken.position[:, k]) < STILL]

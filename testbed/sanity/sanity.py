@@ -8,7 +8,7 @@ weight. Where that is less clear, or torques are only too small or too large, th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -123,14 +123,14 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         position_offset(tree, mapping), frame_of(mapping), progress,
     )  # fmt: skip
     by_channels = _by_channels(tree, part, search.given)
-    if by_channels is not None or search.given is None:
-        return by_channels or Sanity(tree.names, np.zeros(0), np.zeros(0))
+    if by_channels is not None:
+        return by_channels
     given, found = search.best()
     best = found[0]
     gain = given.cost - best.cost
     clear = gain > CERTAIN and explains(given, best)
     foreign, certain, likely, more = _about_plate(best, source.tare)
-    unmoved = unmoved_finding(tree, search.given, given)
+    unmoved = unmoved_finding(tree, given)
     if unmoved is not None and unmoved.number and not clear:
         sure, maybe = ((unmoved,), ()) if foreign else ((), (unmoved,))
         return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
@@ -151,9 +151,8 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     elif more:
         likely = [*likely, zero_finding(cures[-1])]
     if not foreign:
-        sizes = [*gain_findings(tree, best, mapping)]
-        certain += [each for sure, each in sizes if sure]
-        likely += [each for sure, each in sizes if not sure]
+        sure, maybe = gain_findings(tree, best, mapping)
+        certain, likely = [*certain, *sure], [*likely, *maybe]
     certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
     likely += [unmoved] if unmoved is not None else []
     return Sanity(
@@ -186,8 +185,8 @@ def _about_plate(best: Explanation, tare: Array | None
 
 def gain_findings(
     tree: Tree, best: Explanation, mapping: Mapping[str, Any]
-) -> Iterator[tuple[bool, Finding]]:
-    """Torques of another size, and whether that is certain.
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """Torques of another size, where that is certain, and where it is likely.
 
     Args:
         tree: The robot.
@@ -196,9 +195,10 @@ def gain_findings(
     """
     odd = any(m.kind == "torque_size" for m in best.mistakes)
     if odd and not _within(best.sizes, LEAST, MOST):
-        yield True, gain_finding(tree, best.sizes, LEAST, MOST, mapping)
-    elif not _within(best.sizes, SMALL, LARGE):
-        yield False, gain_finding(tree, best.sizes, SMALL, LARGE, mapping)
+        return (gain_finding(tree, best.sizes, LEAST, MOST, mapping),), ()
+    if not _within(best.sizes, SMALL, LARGE):
+        return (), (gain_finding(tree, best.sizes, SMALL, LARGE, mapping),)
+    return (), ()
 
 
 def explains(given: Explanation, found: Explanation) -> bool:
