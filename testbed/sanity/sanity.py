@@ -9,7 +9,7 @@ weight. Where that is less clear, or torques are only too small or too large, th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -126,14 +126,13 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     if by_channels is not None:
         return by_channels
     given, found = search.best()
-    best = found[0]
-    gain = given.cost - best.cost
+    best, gain = found[0], given.cost - found[0].cost
     clear = gain > CERTAIN and explains(given, best)
     foreign, certain, likely, more = _about_plate(best, source.tare)
     unmoved = unmoved_finding(tree, given)
     if unmoved is not None and unmoved.number and not clear:
-        sure, maybe = ((unmoved,), ()) if foreign else ((), (unmoved,))
-        return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
+        nothing = Sanity(tree.names, given.left, best.sizes)
+        return replace(nothing, **{"certain" if foreign else "likely": (unmoved,)})
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
