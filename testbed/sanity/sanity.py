@@ -9,7 +9,7 @@ weight. Where that is less clear, or torques are only too small or too large, th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -131,8 +131,8 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     foreign, certain, likely, more = _about_plate(best, source.tare)
     unmoved = unmoved_finding(tree, given)
     if unmoved is not None and unmoved.number and not clear:
-        nothing = Sanity(tree.names, given.left, best.sizes)
-        return replace(nothing, **{"certain" if foreign else "likely": (unmoved,)})
+        sure, maybe = (unmoved,) * foreign, (unmoved,) * (not foreign)
+        return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
