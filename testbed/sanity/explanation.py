@@ -91,14 +91,16 @@ class Explanation:
         return 2 * odd >= len(self.unchanged) > 0
 
     @property
-    def torques_fit(self) -> bool:
-        """Whether torques are in order and sense and nothing of them is odd.
-
-        With a plate only: without one, masses that are rough leave more.
-        """
-        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+    def torques_explained(self) -> bool:
+        """Whether nothing of them is odd; without a plate rough masses leave more."""
         left = (self.left < BRAKED + 3 * self.noise)[: len(self.unchanged)]
-        return not wrong and bool(left.all())
+        return bool(left.all())
+
+    @property
+    def torques_fit(self) -> bool:
+        """Whether they are in order and sense besides."""
+        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
+        return not wrong and self.torques_explained
 
     @property
     def tolerance(self) -> float:

@@ -179,8 +179,11 @@ class Search:
         yield self._judged(2)
         yield self._turned()
         yield self._judged(3)
-        if self.plate and given.mixed(min(several, key=lambda each: each.cost).left[-6:]):
+        likeliest = min(several, key=lambda each: each.cost)
+        if self.plate and given.mixed(likeliest.left[-6:]):
             return  # positions are right where only a matrix explains the plate
+        if self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_explained:
+            return  # by other columns or senses of torques
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
         zeros = [each for each in self._nearest(3) if each.rare]
         yield list(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
