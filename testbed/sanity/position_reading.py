@@ -147,11 +147,15 @@ class Reading:
         return found[int(np.argmin([float(costs.sum()) for costs in found]))]
 
     @cached_property
-    def bound(self) -> float:
-        """About what the best explanation costs."""
+    def misfit(self) -> float:
+        """About what the best explanation costs, whatever its mistakes [nats]."""
         plate = 3 * WEIGHT * np.log(self.least) if self.plate is not None else 0.0
-        doubt = sum(each.doubt for each in self.mistakes)
-        return float(plate + self.own_torques.sum() + 2 * doubt)
+        return float(plate + self.own_torques.sum())
+
+    @property
+    def bound(self) -> float:
+        """The same with what its mistakes must explain."""
+        return self.misfit + 2 * sum(each.doubt for each in self.mistakes)
 
     @cached_property
     def torque_choice(self) -> Choice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -226,13 +227,14 @@ class Search:
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
         *before, last = reading.mistakes
-        for width in np.deg2rad([12, 6, 3, 1.5, 0.7]):
-            for side in (-width, width):
+        for step in np.deg2rad([12, -12, 6, -6, 3, -3, 1.5, -1.5, 0.7, -0.7]):
+            nearer = True
+            while nearer:
                 scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
-                added[list(last.joints)] = side
-                values = tuple(angle + side for angle in last.values)
-                moved = (*before, Mistake(last.kind, last.joints, values))
-                tried = self.read(moved, reading.taken.moved(scale, added))
-                if tried.bound < reading.bound:
-                    reading, last = tried, tried.mistakes[-1]
+                added[list(last.joints)] = step
+                moved = replace(last, values=tuple(round(angle + step, 6) for angle in last.values))
+                tried = self.read((*before, moved), reading.taken.moved(scale, added))
+                nearer = tried.misfit < reading.misfit
+                if nearer:
+                    reading, last = tried, moved
         return reading
