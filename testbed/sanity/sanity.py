@@ -207,7 +207,10 @@ def explains(given: Explanation, found: Explanation) -> bool:
         given: The data as they are.
         found: The data without mistakes.
     """
-    before, after = given.left, found.left
+    before, after = given.left, found.left.copy()
+    for each in found.mistakes:
+        if each.kind == "torque_order":  # what is left of a column, whosever it is
+            after[list(each.values)] = found.left[: len(each.values)]
     better = (before > TIMES * after) & (before > NOISY * given.noise)
     better |= np.array([m.kind == "shift" for m in found.mistakes]).any() & (before < WELL)
     return bool(better.any() and (after < WELL + NOISY * found.noise)[better].all())
