@@ -26,7 +26,7 @@ Kind = Literal[
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
 
-SCANNED = tuple(np.deg2rad(angle) for angle in range(-150, 180, 30) if angle % 90)
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
 """Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi

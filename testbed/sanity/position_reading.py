@@ -16,7 +16,7 @@ from testbed.arrays import Array
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.instants import Instants, delay
-from testbed.sanity.mistakes import QUARTERS, Frame, Mistake, merged, plate_hypotheses
+from testbed.sanity.mistakes import Frame, Mistake, merged, plate_hypotheses
 from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, PlateRows
 from testbed.sanity.torque_choice import Choice, chosen, least
 from testbed.sanity.torque_evidence import TorqueEvidence
@@ -98,10 +98,9 @@ class Reading:
         )  # fmt: skip
 
     @property
-    def rare(self) -> bool:
-        """Whether its last mistake is a zero that is no quarter turn."""
-        last = self.mistakes[-1:]
-        return any(each.kind == "zero" and not set(each.values) <= set(QUARTERS) for each in last)
+    def moved(self) -> bool:
+        """Whether its last mistake is a zero."""
+        return bool(self.mistakes) and self.mistakes[-1].kind == "zero"
 
     @cached_property
     def least(self) -> float:

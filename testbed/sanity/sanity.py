@@ -220,10 +220,11 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     """The next best explanation that is none like the best, times more that it leaves; equals."""
     best = found[0]
     least = best.cost + best.tolerance
+    said = {each: " and ".join(named(tree, m) for m in each.mistakes) for each in found}
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
     for each in found[1:]:
-        if each.cost <= least and each.count <= best.count and each.mistakes != best.mistakes:
-            equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
+        if each.cost <= least and each.count <= best.count and said[each] != said[best]:
+            equals[said[each] or "nothing wrong"] = None
     others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
         return (), 1.0, tuple(equals)

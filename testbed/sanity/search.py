@@ -129,7 +129,7 @@ class Search:
             return as_given, [as_given]
         found = ranked(self._found(given, as_read))
         nearest = found[0].reading
-        if self.plate and nearest.mistakes and nearest.mistakes[-1].kind == "zero":
+        if self.plate and nearest.moved:
             found = ranked([*found, *self._refined(nearest).explanations(2)])
         several = list({each.mistakes: each for each in found[::-1]}.values())[::-1]
         return as_given, ranked(each.told() for each in several[:SAID])
@@ -171,8 +171,7 @@ class Search:
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to tell of the rest
                 return
-            near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
-            yield list(chain.from_iterable(self._refined(r).explanations(1) for r in near))
+            yield self._at_best_zeros(2)
             likeliest = min(several, key=lambda each: each.cost)
             gain = several[0].told(changed=False).cost - likeliest.cost
             if gain < DOUBTED or likeliest.explained(GOOD):
@@ -186,8 +185,7 @@ class Search:
         if self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_explained:
             return  # by other columns or senses of torques
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
-        zeros = [each for each in self._nearest(3) if each.rare]
-        yield list(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        yield self._at_best_zeros(3)
         for each in self._nearest(2 if self.plate else 4):
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
         yield self._judged(2)
@@ -223,6 +221,10 @@ class Search:
         nearest = self._nearest(READ)
         least = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
         return [each for each in nearest if each.least <= least]
+
+    def _at_best_zeros(self, count: int) -> list[Explanation]:
+        zeros = [self._refined(each) for each in self._nearest(count) if each.moved]
+        return list(chain.from_iterable(each.explanations(1) for each in zeros))
 
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
