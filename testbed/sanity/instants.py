@@ -166,12 +166,12 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
     basis = directions(rows.reshape(-1, rows.shape[2])).reshape(*rows.shape[:2], -1)
-    explained = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
-    counted = rows.any(axis=2).astype(np.float64)
-    whole = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0).sum(axis=1)
-    left: Array = 1 - (explained**2).sum(axis=1) / np.maximum(whole, 1e-300)
-    best = int(np.argmin(left))
-    return spacing * (best - most), float(left[best] / max(left[most], 1e-300))
+    explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
+    counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
+    whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
+    share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
+    best = int(np.argmax(share))
+    return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 
 def _noise(signal: Array) -> Array:

@@ -26,7 +26,7 @@ Kind = Literal[
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
 
-SCANNED = tuple(np.deg2rad(angle) for angle in range(-150, 180, 30) if angle % 90)
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
 """Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi
@@ -68,7 +68,7 @@ class Mistake:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of a plate that is late how late [s]; of
+            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
             sizes, and of a base's unit, how many times too large the numbers are.
     """
 

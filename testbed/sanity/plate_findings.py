@@ -14,16 +14,11 @@ from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.cure_words import share
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
-from testbed.sanity.mistakes import Mistake, own_joints
+from testbed.sanity.mistakes import Mistake
 from testbed.sanity.position_reading import MIXED
 
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
-
-STILL, ROUNDING = 1e-3, 1e-9
-"""Motion of joints below which a robot rests [rad or m]; part of a value that a filter's rounding
-changes at most."""
 
 MOVED, CLEAR = 0.03, 5.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one."""
@@ -74,37 +69,6 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         FOREIGN,
     )
     return ([foreign], []) if sure else ([], [])
-
-
-def still_findings(tree: Tree, taken: Instants) -> tuple[list[Finding], list[Finding]]:
-    """What is certain, and what likely, where nothing moves or a plate shows one value throughout.
-
-    Args:
-        tree: The robot.
-        taken: The recording.
-    """
-    moved = np.ptp(taken.position, axis=0)[list(own_joints(tree))]
-    if moved.size and moved.max() < STILL:
-        rest = Finding(
-            "the robot",
-            f"rests: no joint moves by more than {moved.max():.2g} rad or m, so nothing of units, "
-            "signs, orders and frames can be told",
-            float(moved.max()),
-            ("a robot at rest", "columns that are not positions"),
-            "record a motion of all joints",
-        )
-        return [], [rest]
-    wrench = taken.wrench
-    if wrench is None or np.ptp(wrench, axis=0).max() > ROUNDING * np.abs(wrench).max():
-        return [], []
-    silent = Finding(
-        "the plate",
-        f"shows the same throughout, {components(wrench[0])} N, N m, while joints move",
-        0.0,
-        ("columns that are not the plate's", "a plate that was not read"),
-        "look at the columns of [wrench]",
-    )
-    return [silent], []
 
 
 def zero_of_plate(best: Explanation) -> tuple[Array, Array]:

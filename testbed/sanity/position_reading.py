@@ -20,7 +20,6 @@ from testbed.sanity.instants import Instants, delay
 from testbed.sanity.mistakes import (
     AS_READ,
     PLATE_ORDERS,
-    QUARTERS,
     Frame,
     Mistake,
     merged,
@@ -108,10 +107,9 @@ class Reading:
         )  # fmt: skip
 
     @property
-    def rare(self) -> bool:
-        """Whether its last mistake is a zero that is no quarter turn."""
-        last = self.mistakes[-1:]
-        return any(each.kind == "zero" and not set(each.values) <= set(QUARTERS) for each in last)
+    def moved(self) -> bool:
+        """Whether its last mistake is a zero."""
+        return bool(self.mistakes) and self.mistakes[-1].kind == "zero"
 
     @cached_property
     def least(self) -> float:
@@ -128,7 +126,7 @@ class Reading:
         if self.plate is None or taken.wrench is None:
             return 0.0, 1.0
         channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
-        each: Array = np.kron(channels, np.eye(6)).reshape(len(channels), 6, -1)
+        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(len(channels), 6, -1)
         late, times = delay(each, self.plate.foretold, taken.spacing)
         return -late, times
 
@@ -157,11 +155,15 @@ class Reading:
         return found[int(np.argmin([float(costs.sum()) for costs in found]))]
 
     @cached_property
-    def bound(self) -> float:
-        """About what the best explanation costs."""
+    def misfit(self) -> float:
+        """About what the best explanation costs, whatever its mistakes [nats]."""
         plate = 3 * WEIGHT * np.log(self.least) if self.plate is not None else 0.0
-        doubt = sum(each.doubt for each in self.mistakes)
-        return float(plate + self.own_torques.sum() + 2 * doubt)
+        return float(plate + self.own_torques.sum())
+
+    @property
+    def bound(self) -> float:
+        """The same with what its mistakes must explain."""
+        return self.misfit + 2 * sum(each.doubt for each in self.mistakes)
 
     @cached_property
     def torque_choice(self) -> Choice:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -127,7 +128,7 @@ class Search:
             return as_given, [as_given]
         found = ranked(self._found(given, as_read))
         nearest = found[0].reading
-        if self.plate and nearest.mistakes and nearest.mistakes[-1].kind == "zero":
+        if self.plate and nearest.moved:
             found = ranked([*found, *self._refined(nearest).explanations])
         several = list({each.mistakes: each for each in found[::-1]}.values())[::-1]
         return as_given, ranked(each.told() for each in several[:SAID])
@@ -180,18 +181,17 @@ class Search:
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to tell of the rest
                 return
-            near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
-            yield list(chain.from_iterable(self._refined(r).explanations for r in near))
+            yield self._at_best_zeros(2)
             likeliest = min(several, key=lambda each: each.cost)
             gain = several[0].told(changed=False).cost - likeliest.cost
             if gain < DOUBTED or likeliest.explained(GOOD):
                 return
         yield self._judged()
-        if self.plate and given.mixed(min(several, key=lambda each: each.cost).left[-6:]):
+        likeliest = min(several, key=lambda each: each.cost)
+        if self.plate and given.mixed(likeliest.left[-6:]):
             return  # positions are right where only a matrix explains the plate
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
-        zeros = [each for each in self._nearest(3) if each.rare]
-        yield list(chain.from_iterable(self._refined(each).explanations for each in zeros))
+        yield self._at_best_zeros(3)
         for each in self._nearest(2 if self.plate else 4):
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
         yield self._judged()
@@ -223,16 +223,21 @@ class Search:
         least = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
         return [each for each in nearest if each.least <= least]
 
+    def _at_best_zeros(self, count: int) -> list[Explanation]:
+        zeros = [self._refined(each) for each in self._nearest(count) if each.moved]
+        return list(chain.from_iterable(each.explanations for each in zeros))
+
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
         *before, last = reading.mistakes
-        for width in np.deg2rad([12, 6, 3, 1.5, 0.7]):
-            for side in (-width, width):
+        for step in np.deg2rad([12, -12, 6, -6, 3, -3, 1.5, -1.5, 0.7, -0.7]):
+            nearer = True
+            while nearer:
                 scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
-                added[list(last.joints)] = side
-                values = tuple(angle + side for angle in last.values)
-                moved = (*before, Mistake(last.kind, last.joints, values))
-                tried = self.read(moved, reading.taken.moved(scale, added))
-                if tried.bound < reading.bound:
-                    reading, last = tried, tried.mistakes[-1]
+                added[list(last.joints)] = step
+                moved = replace(last, values=tuple(round(angle + step, 6) for angle in last.values))
+                tried = self.read((*before, moved), reading.taken.moved(scale, added))
+                nearer = tried.misfit < reading.misfit
+                if nearer:
+                    reading, last = tried, moved
         return reading
