@@ -236,6 +236,8 @@ def _in_sigmas(text: str, told: Planted, errors: dict[str, float], untold: str) 
             sigma = sigma / values[0] * 100 if match[4] != "%" else sigma
         if kind == "shift" and len(sigma) == 3:
             sigma = np.delete(sigma, ["xyz".index(axis) for axis in untold])
+        if not len(sigma):
+            continue
         found[kind] = error / float(np.sqrt((sigma**2).sum()))
     return found
 
