@@ -107,7 +107,8 @@ def missing(draft: Draft) -> list[str]:
         f"sources.{name}.rate": each.get("rate", 1.0) for name, each in content["sources"].items()
     }
     none = [key for key in ("position",) if key not in content]
-    return [*empty_keys(content), *(key for key, rate in rates.items() if not rate), *none]
+    rateless = (key for key, rate in rates.items() if not rate)
+    return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
 
 
 def _better(draft: Draft, found: Sanity) -> Draft:
