@@ -66,23 +66,15 @@ class Sanity:
     """What speaks for and against a recording.
 
     Attributes:
-        joints: Joint names.
-        left: Part of each channel's variance that is unexplained as recorded, (C,).
         sizes: Torques are so many times what the model file's masses say; nan where they do
             not tell, (n,) or (0,).
         cures: What would cure the recording, to be made together; empty where nothing is wrong.
-        runner_up: Kinds of mistakes of the next best explanation.
-        times: So many times more is left by that.
         certain: What is certainly wrong.
         likely: What may be.
     """
 
-    joints: tuple[str, ...]
-    left: Array
     sizes: Array
     cures: tuple[Cure, ...] = ()
-    runner_up: tuple[str, ...] = ()
-    times: float = 1.0
     certain: tuple[Finding, ...] = ()
     likely: tuple[Finding, ...] = ()
 
@@ -132,17 +124,16 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     unmoved = unmoved_finding(tree, given)
     if unmoved is not None and unmoved.number and not clear:
         sure, maybe = (unmoved,) * foreign, (unmoved,) * (not foreign)
-        return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
+        return Sanity(best.sizes, certain=sure, likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
     cures: tuple[Cure, ...] = ()
-    runner_up, times, equals = _others(tree, found)
     if wrong or more:
         before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
         cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
     if wrong:
-        said = cure_finding(tree, cures, runner_up, times, equals, gain)
+        said = cure_finding(tree, cures, *_others(tree, found), gain)
         if clear:
             certain, likely = [said, *certain], []
         else:
@@ -154,9 +145,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         certain, likely = [*certain, *sure], [*likely, *maybe]
     certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
     likely += [unmoved] if unmoved is not None else []
-    return Sanity(
-        tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
-    )
+    return Sanity(best.sizes, cures, tuple(certain), tuple(likely))
 
 
 def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity | None:
@@ -166,8 +155,7 @@ def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity 
     if taken is not None and not (spikes or still or resting):
         return None
     sure = spikes or (*position_finding(tree, part.position, OUTSIDE), *still)
-    nothing = np.zeros(0)
-    return Sanity(tree.names, nothing, nothing, certain=sure, likely=() if spikes else resting)
+    return Sanity(np.zeros(0), certain=sure, likely=() if spikes else resting)
 
 
 def _about_plate(best: Explanation, tare: Array | None
