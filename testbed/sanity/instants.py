@@ -169,6 +169,8 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
     share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
     best = int(np.argmax(share))
+    if best in (0, 2 * most):  # no delay is best, the farther the better
+        return 0.0, 1.0
     return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 

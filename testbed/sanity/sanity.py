@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,9 @@ SMALL, LARGE = 0.4, 2.5
 
 LEAST, MOST = 0.25, 4.0
 """The same where they are refused: no masses are so wrong."""
+
+SAME = np.deg2rad(3.0)
+"""Difference of zeros that are no other ones [rad]."""
 
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
@@ -208,11 +212,10 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     """The next best explanation that is none like the best, times more that it leaves; equals."""
     best = found[0]
     least = best.cost + best.tolerance
-    said = {each: " and ".join(named(tree, m) for m in each.mistakes) for each in found}
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
     for each in found[1:]:
-        if each.cost <= least and each.count <= best.count and said[each] != said[best]:
-            equals[said[each] or "nothing wrong"] = None
+        if each.cost <= least and each.count <= best.count and not _alike(each, best):
+            equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
     others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
         return (), 1.0, tuple(equals)
@@ -220,6 +223,17 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     about = slice(-6, None) if best.map is not None else slice(None)
     times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
     return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
+
+
+def _alike(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations are the same, zeros to a few degrees."""
+    pairs = [*zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))]
+    return all(
+        a == b
+        or (a.kind == b.kind == "zero" and a.joints == b.joints
+            and np.allclose(a.values, b.values, atol=SAME))
+        for a, b in pairs
+    )  # fmt: skip
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:
