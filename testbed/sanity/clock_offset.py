@@ -126,7 +126,7 @@ def _offset(
 ) -> ClockOffset:
     """The delay of one signal; with a drift only if it is one that clocks have."""
     rows, counted, taken = _rows(kind, tree, position, rate)
-    reading = _reader(measured, time, taken)
+    reading = _Reading(measured, time, taken)
     start = _start(rows, counted, reading)
     read = reading.time + start
     counted = counted * ((read >= reading.time[0]) & (read <= reading.time[-1]))[:, None]
@@ -166,7 +166,7 @@ def _fitted(
         weights = counted / np.maximum(left, 1e-12)
     late = powers @ unknowns
     values = reading.at(late)
-    sigma = _sigma(rest(values), rest, reading.rate(late), powers)
+    sigma = _sigma(rest(values), rest, reading.at(late, 1), powers)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
     shares = [float(np.linalg.norm(rest(reading.at(each)))) / alone for each in (0 * late, late)]
     delay, skew = np.append(unknowns, 0.0)[:2]
@@ -175,20 +175,21 @@ def _fitted(
     return ClockOffset(kind, float(delay), float(wide), float(skew), float(drift), middle, *shares)
 
 
-@dataclass(frozen=True, eq=False)
 class _Reading:
-    """A measured signal that can be read late: rows' times, and the reading."""
+    """A measured signal that can be read late, filtered as rows are."""
 
-    time: Array
-    read: Callable[[Array, int], Array]
+    def __init__(self, measured: Array, time: Array, taken: Callable[[Array], Array]) -> None:
+        from scipy.interpolate import make_interp_spline
 
-    def at(self, late: Array) -> Array:
-        """The signal so much later, (T, C)."""
-        return self.read(late, 0)
+        spline = make_interp_spline(time, measured, k=min(5, len(time) - 1))
+        self._all, self._taken, self._splines = time, taken, (spline, spline.derivative())
+        self.time = taken(time[:, None])[:, 0]
 
-    def rate(self, late: Array) -> Array:
-        """Its derivative there, (T, C)."""
-        return self.read(late, 1)
+    def at(self, late: Array, derivative: int = 0) -> Array:
+        """The signal so much later, or its derivative there, (T, C)."""
+        shift = np.interp(self._all, self.time, late)
+        at = np.clip(self._all + shift, self._all[0], self._all[-1])
+        return self._taken(self._splines[derivative](at))
 
 
 def _rows(
@@ -229,22 +230,6 @@ def _rows(
     return found[:, :, size > 1e-9 * size.max()], counted, taken
 
 
-def _reader(measured: Array, time: Array, taken: Callable[[Array], Array]) -> _Reading:
-    """A signal that can be read late, filtered as rows are."""
-    from scipy.interpolate import make_interp_spline
-
-    spline = make_interp_spline(time, measured, k=min(5, len(time) - 1))
-    slope = spline.derivative()
-    rows_time = taken(time[:, None])[:, 0]
-
-    def read(late: Array, derivative: int) -> Array:
-        shift = np.interp(time, rows_time, late)
-        at = np.clip(time + shift, time[0], time[-1])
-        return taken((slope if derivative else spline)(at))
-
-    return _Reading(rows_time, read)
-
-
 def _search(
     reading: _Reading, rest: Callable[[Array], Array], powers: Array, start: Array
 ) -> Array:
@@ -252,7 +237,7 @@ def _search(
     unknowns, most = start.copy(), np.array(LARGEST_STEP[: len(start)])
     for _ in range(STEPS):
         late = powers @ unknowns
-        left, slopes = rest(reading.at(late)), reading.rate(late)
+        left, slopes = rest(reading.at(late)), reading.at(late, 1)
         columns = [rest(slopes * power[:, None]).ravel() for power in powers.T]
         step = np.linalg.lstsq(np.column_stack(columns), -left.ravel(), rcond=None)[0]
         unknowns = unknowns + np.clip(step, -most, most)

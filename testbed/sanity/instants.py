@@ -165,12 +165,17 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
 
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
-    basis = directions(rows.reshape(-1, rows.shape[2])).reshape(*rows.shape[:2], -1)
+    basis = directions(rows.reshape(-1, rows.shape[2]))
+    if not basis.size:
+        return 0.0, 1.0  # nothing moves
+    basis = basis.reshape(*rows.shape[:2], -1)
     explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
     counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
     whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
     share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
     best = int(np.argmax(share))
+    if best in (0, 2 * most):  # no delay is best, the farther the better
+        return 0.0, 1.0
     return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 

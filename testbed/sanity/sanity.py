@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,9 @@ SMALL, LARGE = 0.4, 2.5
 LEAST, MOST = 0.25, 4.0
 """The same where they are refused: no masses are so wrong."""
 
+SAME = np.deg2rad(3.0)
+"""Difference of zeros that are no other ones [rad]."""
+
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
 
@@ -66,8 +70,6 @@ class Sanity:
     """What speaks for and against a recording.
 
     Attributes:
-        joints: Joint names.
-        left: Part of each channel's variance that is unexplained as recorded, (C,).
         sizes: Torques are so many times what the model file's masses say; nan where they do
             not tell, (n,) or (0,).
         cures: What would cure the recording, to be made together; empty where nothing is wrong.
@@ -79,8 +81,6 @@ class Sanity:
         likely: What may be.
     """
 
-    joints: tuple[str, ...]
-    left: Array
     sizes: Array
     cures: tuple[Cure, ...] = ()
     runner_up: tuple[str, ...] = ()
@@ -136,17 +136,17 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     unmoved = unmoved_finding(tree, given)
     if unmoved is not None and unmoved.number and not clear:
         sure, maybe = (unmoved,) * foreign, (unmoved,) * (not foreign)
-        return Sanity(tree.names, given.left, best.sizes, certain=sure, likely=maybe)
+        return Sanity(best.sizes, certain=sure, likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
     cures: tuple[Cure, ...] = ()
-    runner_up, times, equals = _others(tree, found)
+    others = _others(tree, found)
     if wrong or more:
         before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
         cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
     if wrong:
-        said = cure_finding(tree, cures, runner_up, times, equals, gain)
+        said = cure_finding(tree, cures, *others, gain)
         if clear:
             certain, likely = [said, *certain], []
         else:
@@ -158,10 +158,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         certain, likely = [*certain, *sure], [*likely, *maybe]
     certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
     likely += [unmoved] if unmoved is not None else []
-    return Sanity(
-        tree.names, given.left, best.sizes, cures, runner_up, times, equals, best,
-        tuple(certain), tuple(likely),
-    )  # fmt: skip
+    return Sanity(best.sizes, cures, *others, best, tuple(certain), tuple(likely))
 
 
 def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity | None:
@@ -171,8 +168,7 @@ def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity 
     if taken is not None and not (spikes or still or resting):
         return None
     sure = spikes or (*position_finding(tree, part.position, OUTSIDE), *still)
-    nothing = np.zeros(0)
-    return Sanity(tree.names, nothing, nothing, certain=sure, likely=() if spikes else resting)
+    return Sanity(np.zeros(0), certain=sure, likely=() if spikes else resting)
 
 
 def _about_plate(best: Explanation, tare: Array | None
@@ -225,11 +221,10 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     """The next best explanation that is none like the best, times more that it leaves; equals."""
     best = found[0]
     least = best.cost + best.tolerance
-    said = {each: " and ".join(named(tree, m) for m in each.mistakes) for each in found}
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
     for each in found[1:]:
-        if each.cost <= least and each.count <= best.count and said[each] != said[best]:
-            equals[said[each] or "nothing wrong"] = None
+        if each.cost <= least and each.count <= best.count and not _alike(each, best):
+            equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
     others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
         return (), 1.0, tuple(equals)
@@ -237,6 +232,17 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     about = slice(-6, None) if best.map is not None else slice(None)
     times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
     return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
+
+
+def _alike(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations are the same, zeros to a few degrees."""
+    pairs = [*zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))]
+    return all(
+        a == b
+        or (a.kind == b.kind == "zero" and a.joints == b.joints
+            and np.allclose(a.values, b.values, atol=SAME))
+        for a, b in pairs
+    )  # fmt: skip
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:

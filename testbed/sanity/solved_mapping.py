@@ -82,7 +82,7 @@ def solved(
     draft = _with_starts(draft, out)
     for _ in range(ROUNDS):
         found = check_sanity(tree, _recording(draft, out), progress)
-        better = _better(draft, found)
+        better = _better(draft, found, tree)
         if better is draft:
             break
         draft = better
@@ -111,7 +111,7 @@ def missing(draft: Draft) -> list[str]:
     return [*dict.fromkeys((*empty_keys(content), *rateless, *none))]
 
 
-def _better(draft: Draft, found: Sanity) -> Draft:
+def _better(draft: Draft, found: Sanity, tree: Tree) -> Draft:
     """What the search says instead; the same where it finds nothing wrong."""
     codes = {each.code for each in found.certain}
     if codes == {WEIGHT} and found.best is not None and "tare" not in draft.tables["wrench"]:
@@ -121,7 +121,7 @@ def _better(draft: Draft, found: Sanity) -> Draft:
     told = np.isfinite(found.sizes)
     if draft.tables.get("torque", {}).get("gain") == 1.0 and told.any():
         sizes = np.where(told, found.sizes, np.median(found.sizes[told]))
-        joints = [found.joints.index(name) for name in draft.tables[""]["joints"]]
+        joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
         gains = [float(f"{1 / sizes[k]:.4g}") for k in joints]
         known = f"{ASSUMED}: by the model file's masses"
         if found.best is not None and found.best.map is not None:
