@@ -99,7 +99,7 @@ class ClockOffset:
 
 
 def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
-    """Of the torques and of the wrench, as far as they were measured.
+    """Of the torques and of the wrench, as far as they were measured and show anything.
 
     Args:
         tree: The robot; its inertias are not used.
@@ -117,7 +117,7 @@ def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
     return [
         _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate)
         for kind in kinds
-        if kind in part.signals
+        if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
     ]
 
 
