@@ -20,7 +20,7 @@ from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.instants import LATE, delay, directions, thinned
+from testbed.sanity.instants import ENOUGH, LATE, delay, directions, thinned
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the
@@ -44,7 +44,7 @@ LAGS = 12
 DEPENDENT = 1e-9
 """Share of the largest singular value below which columns of unit length depend on others."""
 
-LARGEST_STEP, ENOUGH = (0.05, 0.01), 1e-8
+LARGEST_STEP, SMALLEST_STEP = (0.05, 0.01), 1e-8
 """Of delay [s] and drift; delay below which the search ends [s]."""
 
 MOST_SKEW = 5e-4
@@ -99,7 +99,7 @@ class ClockOffset:
 
 
 def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
-    """Of the torques and of the wrench, as far as they were measured and show anything.
+    """Of the torques and of the wrench, as far as they were measured, and tell.
 
     Args:
         tree: The robot; its inertias are not used.
@@ -114,18 +114,24 @@ def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
     first = max(0, (source.samples - most) // 2)
     part = source.part(first, min(source.samples, first + most)).ordered(tree)
     kinds = ("torque", "wrench")
-    return [
+    found = (
         _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate)
         for kind in kinds
         if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
-    ]
+    )
+    return [each for each in found if each is not None]
 
 
 def _offset(
     kind: str, tree: Tree, position: Array, measured: Array, time: Array, rate: float
-) -> ClockOffset:
-    """The delay of one signal; with a drift only if it is one that clocks have."""
+) -> ClockOffset | None:
+    """The delay of one signal, with a drift only if it is one that clocks have.
+
+    None where the robot hardly moves, or so shortly that rows explain whatever is measured.
+    """
     rows, counted, taken = _rows(kind, tree, position, rate)
+    if counted.sum() < ENOUGH * rows.shape[2]:
+        return None
     reading = _Reading(measured, time, taken)
     start = _start(rows, counted, reading)
     read = reading.time + start
@@ -241,7 +247,7 @@ def _search(
         columns = [rest(slopes * power[:, None]).ravel() for power in powers.T]
         step = np.linalg.lstsq(np.column_stack(columns), -left.ravel(), rcond=None)[0]
         unknowns = unknowns + np.clip(step, -most, most)
-        if abs(step[0]) < ENOUGH:
+        if abs(step[0]) < SMALLEST_STEP:
             break
     return unknowns
 

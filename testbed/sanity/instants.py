@@ -24,6 +24,9 @@ LATEST, SPARE = 4.0, 0.25
 LATE = 0.2
 """Times as much as without that may be left where a signal is read later, for it to be late."""
 
+ENOUGH = 4
+"""Values for each column from which delays are looked for."""
+
 DEPENDENT = 1e-7
 """Share of the largest singular value below which a direction of the rows is none."""
 
@@ -166,8 +169,8 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     most = int(min(LATEST / spacing, SPARE * len(signal)))
     rows = columns[most : len(columns) - most]
     basis = directions(rows.reshape(-1, rows.shape[2]))
-    if not basis.size:
-        return 0.0, 1.0  # nothing moves
+    if not 0 < ENOUGH * basis.shape[1] < len(basis):
+        return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
     basis = basis.reshape(*rows.shape[:2], -1)
     explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
     counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])

@@ -7,6 +7,7 @@ frame refined (`plate_fit`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,9 @@ KNOWN = (ASSUMED, "solved", "by the data")
 
 ROUNDS = 4
 """Most times that a recording is made and searched."""
+
+SHORT = 10
+"""Values at instants for each parameter below which data may fit another mapping as well."""
 
 COMMON = 0.5
 """Part of the shorter of two files that they must have in common by their clocks."""
@@ -93,7 +97,32 @@ def solved(
     late = _with_clocks(draft, _recording(draft, out), tree)
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
-    return _with_plate(draft, found), tuple(each.text for each in found.likely)
+    draft, warnings = _with_plate(draft, found), [each.text for each in found.likely]
+    said = _too_short(found)
+    return (_doubted(draft), (*warnings, said)) if said else (draft, tuple(warnings))
+
+
+def _too_short(found: Sanity) -> str:
+    """What is wrong with a recording in which another mapping may fit as well; nothing else."""
+    if found.best is None:
+        return ""
+    taken, parameters = found.best.reading.taken, found.best.reading.prior.told.shape[1]
+    instants, joints = taken.position.shape
+    if instants * (joints if found.best.map is None else 6) > SHORT * parameters:
+        return ""
+    return (
+        f"{instants * taken.spacing:.2g} s of motion are few for {parameters} parameters: "
+        "another mapping may fit as well; record more"
+    )
+
+
+def _doubted(draft: Draft) -> Draft:
+    """The same where what was solved is only assumed."""
+    notes = {
+        place: f"{ASSUMED} ({note})" if note.startswith(KNOWN[1:]) else note
+        for place, note in draft.notes.items()
+    }
+    return replace(draft, notes=notes)
 
 
 def missing(draft: Draft) -> list[str]:
