@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
-APART, ROUGHLY_APART = 5.0, 8.0
+APART, ROUGHLY_APART, ANY_APART = 5.0, 12.0, 8.0
 """Explanations within this of the best are not told apart, and the one with the fewest mistakes is
-taken; the same without a plate, where masses are rough and models of friction are [nats]."""
+taken; the same without a plate, where masses are rough and models of friction are; the same of
+none at all [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,18 +115,24 @@ class Explanation:
 
     @property
     def tolerance(self) -> float:
-        """Costs within this of each other are not told apart [nats]."""
-        return ROUGHLY_APART if self.map is None else APART
+        """A cost that is higher by this is not told apart from the least [nats]."""
+        if self.map is not None:
+            return APART
+        return ROUGHLY_APART if self.mistakes else ANY_APART
 
     @property
     def rank(self) -> float:
         """What decides among those that explain as much."""
-        return self.count * self.tolerance + self.price
+        return self.count * (ANY_APART if self.map is None else APART) + self.price
 
 
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
     """Explanations, the best first: of those that explain about as much the simplest."""
     several = list(found)
-    best = min(several, key=lambda e: e.price)
-    least = best.price + best.tolerance
-    return sorted(several, key=lambda e: (e.price >= least, e.rank if e.price < least else e.price))
+    least = min(each.price for each in several)
+
+    def order(each: Explanation) -> tuple[bool, float]:
+        worse = each.price >= least + each.tolerance
+        return worse, each.price if worse else each.rank
+
+    return sorted(several, key=order)
