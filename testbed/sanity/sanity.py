@@ -134,7 +134,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     clear = gain > CERTAIN and explains(given, best)
     foreign, certain, likely, more = _about_plate(best, source.tare)
     unmoved = unmoved_finding(tree, given)
-    if unmoved is not None and unmoved.number and not clear:
+    if unmoved is not None and unmoved.number and (foreign or not clear):
         sure, maybe = (unmoved,) * foreign, (unmoved,) * (not foreign)
         return Sanity(best.sizes, certain=sure, likely=maybe)
     wrong = [m for m in best.timed if m.kind != "torque_size"]
