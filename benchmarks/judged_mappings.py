@@ -92,7 +92,8 @@ def judged(robot: str, text: str, files: Files, made: Truth, told: Planted) -> J
     if "wrench" not in said:
         return Judged(wrong | {"wrench": "there is none"})
     errors = _plate(robot, said, files, made, told, turned, wrong)
-    return Judged(wrong, errors, _in_sigmas(text, told, errors))
+    untold = UNTOLD.get(robot, ("", ()))[0]
+    return Judged(wrong, errors, _in_sigmas(text, told, errors, untold))
 
 
 def _position(
@@ -215,7 +216,7 @@ LIST = rf"{NUMBER}(?:,\s*{NUMBER})*"
 SAID = re.compile(rf"(ratio )?\[?({LIST})\]?\s*\+-\s*\[?({LIST})\]?\s*(deg|mm|%|ms)?")
 
 
-def _in_sigmas(text: str, told: Planted, errors: dict[str, float]) -> dict[str, float]:
+def _in_sigmas(text: str, told: Planted, errors: dict[str, float], untold: str) -> dict[str, float]:
     """Errors over the sigmas that comments give; rms over the components of turn and shift."""
     found: dict[str, float] = {}
     kinds = {"deg": "turn", "mm": "shift", "%": "ratio", "ms": "clock"}
@@ -233,8 +234,11 @@ def _in_sigmas(text: str, told: Planted, errors: dict[str, float]) -> dict[str, 
             real = FORCE[told.units[0]] / MOMENT[told.units[1]]
             error = min(abs(values[0] / each - 1) for each in (real, 1 / real)) * 100
             sigma = sigma / values[0] * 100 if match[4] != "%" else sigma
-        freedoms = 3 if kind in ("turn", "shift") else 1
-        found[kind] = error / float(np.sqrt(freedoms * (sigma**2).mean()))
+        if kind == "shift" and len(sigma) == 3:
+            sigma = np.delete(sigma, ["xyz".index(axis) for axis in untold])
+        if not len(sigma):
+            continue
+        found[kind] = error / float(np.sqrt((sigma**2).sum()))
     return found
 
 

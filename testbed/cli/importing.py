@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from testbed.cli.guessing import write_mapping
 from testbed.cli.options import (
     Json,
     Lock,
@@ -18,7 +18,7 @@ from testbed.cli.options import (
     app,
     ending,
 )
-from testbed.cli.reading import Reading, to_fill_in
+from testbed.cli.reading import Reading
 
 
 @app.command("import")
@@ -53,7 +53,9 @@ def import_(
 ) -> None:
     """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, C3D and others.
 
-    With --model, signs, units, order, zeros and clocks are held against the robot.
+    With --model, signs, units, order, zeros and clocks are held against the robot. With --guess a
+    mapping file is written, by the columns' names; with --guess and --model what these leave open,
+    the plate's frame, units, sense, zero and clock among it, is solved from the data.
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
@@ -66,7 +68,7 @@ def import_(
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
-        _guess(files, out, model, () if tree is None else tree.names)
+        write_mapping(files, out, model, tree)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
@@ -118,21 +120,3 @@ def _paths(out: Path, count: int) -> list[Path]:
     if count == 1:
         return [out]
     return [out.with_name(f"{out.stem}-{k}{out.suffix}") for k in range(1, count + 1)]
-
-
-def _guess(files: list[Path], out: Path | None, model: Path | None, joints: Sequence[str]) -> None:
-    """A mapping file to start from, on standard output or where it is wanted."""
-    from testbed.files import replacing
-    from testbed.recordings.importing.guess import guessed
-    from testbed.reporting import output
-
-    if out is not None and out.exists():
-        raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
-    with output.Progress("reading"):
-        text = guessed(files, out.parent if out else Path(), joints)
-    if out is None:
-        typer.echo(text, nl=False)
-        return
-    with replacing(out) as fresh:
-        fresh.write_text(text, encoding="utf-8")
-    typer.echo(to_fill_in(out, model))

@@ -130,21 +130,6 @@ class Reading:
         return self.tables().robot.on(tree) if self.settings else tree
 
 
-def to_fill_in(mapping: Path, model: Path | None) -> str:
-    """What is to be done with a mapping that was guessed, in one line.
-
-    Args:
-        mapping: Its file.
-        model: Of the robot, if it is known.
-    """
-    against = "ROBOT" if model is None else str(model)
-    out = mapping.with_suffix(".parquet")
-    return (
-        f"{mapping}: fill in what is empty, then "
-        f"testbed import {mapping} --out {out} --model {against}"
-    )
-
-
 def _require_different(paths: Sequence[Path]) -> None:
     """See to it that no recording is given twice: its noise would count as another's."""
     places = [os.path.realpath(path) for path in paths]  # of a link to itself, too

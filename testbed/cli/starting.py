@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from testbed.cli.guessing import write_mapping
 from testbed.cli.options import Json, app
-from testbed.cli.reading import to_fill_in
 from testbed.installation import own_or_shipped
 
 
@@ -22,8 +22,8 @@ def new(
         ),
     ] = None,
     recording: Annotated[
-        Path | None,
-        typer.Option(help="Instead: a logger's file; writes a mapping for testbed import."),
+        list[Path] | None,
+        typer.Option(help="Instead: a logger's file, again for more; writes a mapping for it."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
     strict: Annotated[
@@ -39,33 +39,52 @@ def new(
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
     no matter can make are repaired ([robot.repair]). A second of it is simulated before it is
-    written. With --recording, a mapping that turns somebody's log into a recording, of ROBOT if it
-    is named.
+    written. With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
+    named, what names do not tell is solved from the data, and the recording is made.
 
     Example: testbed new models/puma562.xml
     """
-    if robot is None and recording is None:
+    if robot is None and not recording:
         raise typer.BadParameter("name a robot's model file, or --recording and a logger's file")
-    source = recording or robot
-    assert source is not None
     from testbed.files import check_writable, replacing
     from testbed.reporting import output
 
     if out:
-        check_writable(out)
+        check_writable(out, read=(robot, *(recording or ())))
         _check_free(out)
+    if recording:
+        _recorded(recording, out or Path(f"{recording[0].stem}.toml"), robot)
+        return
+    assert robot is not None
     folder = out.parent if out else Path()
     with output.Progress("reading"):
-        if recording is not None:
-            path, text = out or Path(f"{source.stem}.toml"), _mapping(source, robot, folder)
-        else:
-            text = _experiment(source, folder, strict, exact_torque_constants)
-            path = out or Path(f"{tomllib.loads(text)['name']}.toml")
+        text = _experiment(robot, folder, strict, exact_torque_constants)
+    path = out or Path(f"{tomllib.loads(text)['name']}.toml")
     check_writable(path)
     _check_free(path)
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
-    typer.echo(to_fill_in(path, robot) if recording else f"{path}: testbed run {path}")
+    typer.echo(f"{path}: testbed run {path}")
+
+
+def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
+    """A mapping for logs, and the recording that it makes of a robot."""
+    from testbed.cli.reading import Reading
+    from testbed.files import check_writable
+    from testbed.reporting import output
+    from testbed.sanity.accept import accepted_import
+
+    made = mapping.with_suffix(".parquet")
+    for path in (mapping, made):
+        check_writable(path, read=(robot, *files))
+    _check_free(mapping)
+    tree = None if robot is None else Reading().tree(robot)
+    if not write_mapping(files, mapping, robot, tree) or tree is None:
+        return
+    with output.Progress("importing, holding it against the robot") as bar:
+        several, _, found = accepted_import(mapping, tree, progress=bar)
+    max(several, key=lambda each: each.samples).save(made)
+    output.print_lines([f"{made}: testbed identify {made} --model {robot}"], found.warnings)
 
 
 def _check_free(path: Path) -> None:
@@ -79,13 +98,6 @@ def _experiment(model: Path, folder: Path, strict: bool, exact: bool) -> str:
     return new_experiment(
         model, folder, strict=strict, exact_torque_constants=exact, say=typer.echo
     )
-
-
-def _mapping(file: Path, robot: Path | None, folder: Path) -> str:
-    from testbed.cli.reading import Reading
-    from testbed.recordings.importing.guess import guessed
-
-    return guessed([file], folder, Reading().tree(robot).names if robot else ())
 
 
 @app.command()

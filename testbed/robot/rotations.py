@@ -10,6 +10,9 @@ from testbed.arrays import Array, skew
 
 _X, _Y, _Z = np.eye(3)
 
+LEVEL = 1e-9
+"""Cosine of the pitch below which it is a right angle."""
+
 
 def about(axis: Array, angle: float) -> Array:
     """The turn about a unit vector by an angle [rad], (3, 3): Rodrigues' formula."""
@@ -34,11 +37,12 @@ def from_rpy(rpy: Sequence[float]) -> Array:
 def to_rpy(turn: Array) -> tuple[float, float, float]:
     """Roll, pitch and yaw of a rotation [rad].
 
-    Roll first, then the others from what it leaves: where the pitch is a right angle, roll
-    and yaw are arbitrary each, and only so do they belong together.
+    Roll first, then the others from what it leaves, so that they belong together; where the pitch
+    is a right angle, and only roll and yaw together count, the roll is zero.
     """
-    roll = float(np.arctan2(turn[2, 1], turn[2, 2]))
+    level = np.hypot(turn[2, 1], turn[2, 2]) > LEVEL
+    roll = float(np.arctan2(turn[2, 1], turn[2, 2])) if level else 0.0
     rest = turn @ about(_X, -roll)
     yaw = float(np.arctan2(-rest[0, 1], rest[1, 1]))
-    level = np.cos(yaw) * rest[0, 0] + np.sin(yaw) * rest[1, 0]
-    return roll, float(np.arctan2(-rest[2, 0], level)), yaw
+    along = np.cos(yaw) * rest[0, 0] + np.sin(yaw) * rest[1, 0]
+    return roll, float(np.arctan2(-rest[2, 0], along)), yaw

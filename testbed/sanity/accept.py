@@ -42,13 +42,15 @@ class Acceptance:
 
 
 def accept(
-    tree: Tree, source: Source, *, unchecked: bool = False, progress: Progress | None = None
-) -> Acceptance:
+    tree: Tree, source: Source, *, align: bool = False, unchecked: bool = False,
+    progress: Progress | None = None,
+) -> Acceptance:  # fmt: skip
     """Hold a recording against its robot; what was accepted and kept its verdict is not held again.
 
     Args:
         tree: The robot, its masses right within a factor of a few.
         source: The recording.
+        align: Whether clocks are set right besides: a late plate does not stop then.
         unchecked: Whether to accept it without a search for what is wrong.
         progress: Told how much of the search is done.
 
@@ -65,7 +67,7 @@ def accept(
         if known is not None:
             return Acceptance((), known)
         found = check_sanity(tree, source, progress)
-        found.require()
+        found.require(align=align)
         said = [each.text for each in found.likely]
     clocks = clock_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
@@ -110,7 +112,7 @@ def accepted_import(
     """
     made, lines = pieces(path)
     longest = max(made, key=lambda each: each.samples)
-    found = accept(tree, longest, unchecked=unchecked, progress=progress)
+    found = accept(tree, longest, align=align, unchecked=unchecked, progress=progress)
     if align:
         report = ImportReport.from_dict(longest.facts["import"])
         made, lines = pieces(path, aligned(read_mapping(path), report, found.clocks))

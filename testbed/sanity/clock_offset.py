@@ -17,11 +17,10 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
-from testbed.parameters.row_space import row_space
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.instants import thinned
+from testbed.sanity.instants import ENOUGH, LATE, delay, directions, thinned
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the
@@ -32,9 +31,6 @@ FINE, ROWS_A_SECOND = 100.0, 12.5
 
 MOST_INSTANTS = 6000
 """At which rows are made; of a longer recording the middle is taken."""
-
-TRIED = (0.0, -0.08, 0.08, -0.04, 0.04, -0.02, 0.02)
-"""Delays from which the search may start [s]."""
 
 STEPS = 8
 """Of Gauss and Newton."""
@@ -48,7 +44,7 @@ LAGS = 12
 DEPENDENT = 1e-9
 """Share of the largest singular value below which columns of unit length depend on others."""
 
-LARGEST_STEP, ENOUGH = (0.05, 0.01), 1e-8
+LARGEST_STEP, SMALLEST_STEP = (0.05, 0.01), 1e-8
 """Of delay [s] and drift; delay below which the search ends [s]."""
 
 MOST_SKEW = 5e-4
@@ -103,7 +99,7 @@ class ClockOffset:
 
 
 def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
-    """Of the torques and of the wrench, as far as they were measured.
+    """Of the torques and of the wrench, as far as they were measured, and tell.
 
     Args:
         tree: The robot; its inertias are not used.
@@ -118,47 +114,65 @@ def clock_offsets(tree: Tree, source: Source) -> list[ClockOffset]:
     first = max(0, (source.samples - most) // 2)
     part = source.part(first, min(source.samples, first + most)).ordered(tree)
     kinds = ("torque", "wrench")
-    return [
+    found = (
         _offset(kind, tree, part.position, part.measured(kind), part.time, source.rate)
         for kind in kinds
-        if kind in part.signals
-    ]
+        if kind in part.signals and np.ptp(part.measured(kind), axis=0).any()
+    )
+    return [each for each in found if each is not None]
 
 
 def _offset(
     kind: str, tree: Tree, position: Array, measured: Array, time: Array, rate: float
-) -> ClockOffset:
-    """The delay of one signal; with a drift only if it is one that clocks have."""
+) -> ClockOffset | None:
+    """The delay of one signal, with a drift only if it is one that clocks have.
+
+    None where the robot hardly moves, or so shortly that rows explain whatever is measured.
+    """
     rows, counted, taken = _rows(kind, tree, position, rate)
-    reading = _reader(measured, time, taken)
-    found = _fitted(kind, rows, counted, reading, drifting=True)
+    if counted.sum() < ENOUGH * rows.shape[2]:
+        return None
+    reading = _Reading(measured, time, taken)
+    start = _start(rows, counted, reading)
+    read = reading.time + start
+    counted = counted * ((read >= reading.time[0]) & (read <= reading.time[-1]))[:, None]
+    found = _fitted(kind, rows, counted, reading, start, drifting=True)
     if found.drifts and abs(found.skew) < MOST_SKEW:
         return found
-    return _fitted(kind, rows, counted, reading, drifting=False)
+    return _fitted(kind, rows, counted, reading, start, drifting=False)
+
+
+def _start(rows: Array, counted: Array, reading: _Reading) -> float:
+    """Where to begin: at the whole number of rows that leaves far less than none [s]."""
+    signal = reading.at(np.zeros(len(rows)))
+    weights = 1 / np.maximum(signal.std(axis=0), 1e-12)
+    signal = (signal - signal.mean(axis=0)) * weights
+    spacing = float(np.diff(reading.time).mean())
+    late, times = delay(rows * (counted * weights)[..., None], signal, spacing)
+    return late if times < LATE else 0.0
 
 
 def _fitted(
-    kind: str, rows: Array, counted: Array, reading: _Reading, *, drifting: bool
+    kind: str, rows: Array, counted: Array, reading: _Reading, start: float, *, drifting: bool
 ) -> ClockOffset:
     """Delay and drift, channels weighed by what is left in them."""
     place = reading.time - reading.time.mean()
     powers = np.stack([np.ones_like(place), place][: 1 + drifting], axis=1)  # (T, 1 or 2)
-    unknowns, weights = np.zeros(powers.shape[1]), counted
+    unknowns, weights = start * np.eye(powers.shape[1])[0], counted
     for _ in range(2):  # the second time by what is left in each channel
-        basis = _basis((rows * weights[..., None]).reshape(-1, rows.shape[2]))
+        basis = directions((rows * weights[..., None]).reshape(-1, rows.shape[2]), DEPENDENT)
 
         def rest(signal: Array, by: Array = weights, base: Array = basis) -> Array:
             flat = (signal * by).reshape(-1)
             return (flat - base @ (base.T @ flat)).reshape(signal.shape)
 
-        tried = [_search(reading, rest, powers, start) for start in _starts(unknowns)]
-        unknowns = min(tried, key=lambda each: each[1])[0]
+        unknowns = _search(reading, rest, powers, unknowns)
         left = rest(reading.at(powers @ unknowns)) / np.maximum(weights, 1e-30)
         left = np.sqrt((counted * left**2).sum(axis=0) / counted.sum(axis=0).clip(1))
         weights = counted / np.maximum(left, 1e-12)
     late = powers @ unknowns
     values = reading.at(late)
-    sigma = _sigma(rest(values), rest, reading.rate(late), powers)
+    sigma = _sigma(rest(values), rest, reading.at(late, 1), powers)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
     shares = [float(np.linalg.norm(rest(reading.at(each)))) / alone for each in (0 * late, late)]
     delay, skew = np.append(unknowns, 0.0)[:2]
@@ -167,29 +181,21 @@ def _fitted(
     return ClockOffset(kind, float(delay), float(wide), float(skew), float(drift), middle, *shares)
 
 
-def _basis(columns: Array) -> Array:
-    """Orthonormal directions of all that columns, (k, N), can make.
-
-    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
-    """
-    size = np.linalg.norm(columns, axis=0)
-    return row_space((columns / np.where(size > 0, size, 1.0)).T, DEPENDENT).rows.T
-
-
-@dataclass(frozen=True, eq=False)
 class _Reading:
-    """A measured signal that can be read late: rows' times, and the reading."""
+    """A measured signal that can be read late, filtered as rows are."""
 
-    time: Array
-    read: Callable[[Array, int], Array]
+    def __init__(self, measured: Array, time: Array, taken: Callable[[Array], Array]) -> None:
+        from scipy.interpolate import make_interp_spline
 
-    def at(self, late: Array) -> Array:
-        """The signal so much later, (T, C)."""
-        return self.read(late, 0)
+        spline = make_interp_spline(time, measured, k=min(5, len(time) - 1))
+        self._all, self._taken, self._splines = time, taken, (spline, spline.derivative())
+        self.time = taken(time[:, None])[:, 0]
 
-    def rate(self, late: Array) -> Array:
-        """Its derivative there, (T, C)."""
-        return self.read(late, 1)
+    def at(self, late: Array, derivative: int = 0) -> Array:
+        """The signal so much later, or its derivative there, (T, C)."""
+        shift = np.interp(self._all, self.time, late)
+        at = np.clip(self._all + shift, self._all[0], self._all[-1])
+        return self._taken(self._splines[derivative](at))
 
 
 def _rows(
@@ -230,43 +236,20 @@ def _rows(
     return found[:, :, size > 1e-9 * size.max()], counted, taken
 
 
-def _reader(measured: Array, time: Array, taken: Callable[[Array], Array]) -> _Reading:
-    """A signal that can be read late, filtered as rows are."""
-    from scipy.interpolate import make_interp_spline
-
-    spline = make_interp_spline(time, measured, k=min(5, len(time) - 1))
-    slope = spline.derivative()
-    rows_time = taken(time[:, None])[:, 0]
-
-    def read(late: Array, derivative: int) -> Array:
-        shift = np.interp(time, rows_time, late)
-        at = np.clip(time + shift, time[0], time[-1])
-        return taken((slope if derivative else spline)(at))
-
-    return _Reading(rows_time, read)
-
-
-def _starts(unknowns: Array) -> list[Array]:
-    """Where to begin: at several delays, then where the first search ended."""
-    if unknowns.any():
-        return [unknowns]
-    return [delay * np.eye(len(unknowns))[0] for delay in TRIED]
-
-
 def _search(
     reading: _Reading, rest: Callable[[Array], Array], powers: Array, start: Array
-) -> tuple[Array, float]:
-    """The best delay and drift near a start, and what is left there."""
+) -> Array:
+    """The best delay and drift near a start."""
     unknowns, most = start.copy(), np.array(LARGEST_STEP[: len(start)])
     for _ in range(STEPS):
         late = powers @ unknowns
-        left, slopes = rest(reading.at(late)), reading.rate(late)
+        left, slopes = rest(reading.at(late)), reading.at(late, 1)
         columns = [rest(slopes * power[:, None]).ravel() for power in powers.T]
         step = np.linalg.lstsq(np.column_stack(columns), -left.ravel(), rcond=None)[0]
         unknowns = unknowns + np.clip(step, -most, most)
-        if abs(step[0]) < ENOUGH:
+        if abs(step[0]) < SMALLEST_STEP:
             break
-    return unknowns, float(np.linalg.norm(rest(reading.at(powers @ unknowns))))
+    return unknowns
 
 
 def _sigma(left: Array, rest: Callable[[Array], Array], slopes: Array, powers: Array) -> Array:

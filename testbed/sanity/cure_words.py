@@ -87,7 +87,7 @@ def named(tree: Tree, mistake: Mistake) -> str:
     if not mistake.joints or len(mistake.joints) == len(own_joints(tree)):
         return WHAT[mistake.kind]
     names = few([tree.names[k] for k in mistake.joints])
-    by = ", ".join(f"{np.rad2deg(angle):.4g}" for angle in mistake.values)
+    by = ", ".join(f"{np.rad2deg(angle):.0f}" for angle in mistake.values)
     return f"{WHAT[mistake.kind]} ({names}{f' by {by} deg' if mistake.kind == 'zero' else ''})"
 
 

@@ -34,12 +34,13 @@ WHAT = {
     "turn": "a plate's frame that is turned",
     "shift": "a plate's frame that lies elsewhere",
     "tare": "a plate that was not zero without the robot",
+    "late": "a clock of the plate that is off",
     "base_unit": "another unit of the base's position",
     "quaternion_order": "x, y, z, w of the base's quaternion taken for w, x, y, z",
 }
 """By the kind of mistake."""
 
-OF_PLATE = ("sense", "units", "plate_order", "turn", "shift", "tare")
+OF_PLATE = ("sense", "units", "plate_order", "turn", "shift", "tare", "late")
 """Mistakes about plates."""
 
 OF_BASE = ("base_unit", "quaternion_order")
@@ -150,6 +151,8 @@ def _of_plate(mistake: Mistake, table: Mapping[str, Any], *, alone: bool) -> tup
         columns = table.get("columns", AXES)
         columns = columns if len(columns) == len(AXES) else AXES
         return "columns", [columns[k] for k in mistake.values]
+    if mistake.kind == "late":
+        return "delay", round(float(table.get("delay", 0.0)) + mistake.values[0], 4)
     if mistake.kind in ("units", "tare"):
         return mistake.kind, list(mistake.values)
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from testbed.arrays import Array
@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
-APART, ROUGHLY_APART = 5.0, 8.0
+APART, ROUGHLY_APART, ANY_APART = 5.0, 12.0, 8.0
 """Explanations within this of the best are not told apart, and the one with the fewest mistakes is
-taken; the same without a plate, where masses are rough and models of friction are [nats]."""
+taken; the same without a plate, where masses are rough and models of friction are; the same of
+none at all [nats]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,7 @@ class Explanation:
         late: How late the wrench is [s].
         reading: Of the positions.
         unchanged: What is left of the torques where only theirs are not undone, (n,) or (0,).
+        spread: Part of each torque's variance by which parameters may move it, (n,) or (0,).
         sizes: Times what the masses make that torques are; nan where not told, (n,) or (0,).
     """
 
@@ -44,6 +46,7 @@ class Explanation:
     late: float
     reading: Reading
     unchanged: Array
+    spread: Array
     sizes: Array
 
     @property
@@ -53,6 +56,14 @@ class Explanation:
         each = ("position_sign", "torque_sign", "zero")
         return sum(
             len(m.joints) if m.kind in each and len(m.joints) < own else 1 for m in self.mistakes
+        )
+
+    @property
+    def timed(self) -> tuple[Mistake, ...]:
+        """Its mistakes, a late plate's with what was found beside."""
+        return tuple(
+            replace(m, values=(m.values[0] + self.late,)) if m.kind == "late" else m
+            for m in self.mistakes
         )
 
     @property
@@ -84,28 +95,44 @@ class Explanation:
 
     @property
     def torques_fit(self) -> bool:
-        """Whether torques are in order and sense and nothing of them is odd.
+        """Whether nothing of the torques is odd, once they are in their order and sense.
 
         With a plate only: without one, masses that are rough leave more.
         """
-        wrong = any(each.kind in ("torque_order", "torque_sign") for each in self.mistakes)
-        left = (self.left < BRAKED + 3 * self.noise)[: len(self.unchanged)]
-        return not wrong and bool(left.all())
+        count = len(self.unchanged)
+        left = self.left[:count] < BRAKED + 3 * self.noise[:count] + self.spread
+        return bool(left.all())
+
+    @property
+    def unclear(self) -> set[int]:
+        """Joints whose torque's sense or order is another one, but of which the plate tells little.
+
+        It may be their position's as well.
+        """
+        kinds = ("torque_order", "torque_sign")
+        changed = {k for each in self.mistakes if each.kind in kinds for k in each.joints}
+        return {joint for joint in changed if self.spread[joint] > BRAKED}
 
     @property
     def tolerance(self) -> float:
-        """Costs within this of each other are not told apart [nats]."""
-        return ROUGHLY_APART if self.map is None else APART
+        """A cost that is higher by this is not told apart from the least [nats]."""
+        if self.map is not None:
+            return APART
+        return ROUGHLY_APART if self.mistakes else ANY_APART
 
     @property
     def rank(self) -> float:
         """What decides among those that explain as much."""
-        return self.count * self.tolerance + self.price
+        return self.count * (ANY_APART if self.map is None else APART) + self.price
 
 
 def ranked(found: Iterable[Explanation]) -> list[Explanation]:
     """Explanations, the best first: of those that explain about as much the simplest."""
     several = list(found)
-    best = min(several, key=lambda e: e.price)
-    least = best.price + best.tolerance
-    return sorted(several, key=lambda e: (e.price >= least, e.rank if e.price < least else e.price))
+    least = min(each.price for each in several)
+
+    def order(each: Explanation) -> tuple[bool, float]:
+        worse = each.price >= least + each.tolerance
+        return worse, each.price if worse else each.rank
+
+    return sorted(several, key=order)

@@ -18,6 +18,18 @@ MOST, A_SECOND = 400, 16.0
 LEAST = 20
 """Instants below which a recording tells nothing."""
 
+LATEST, SPARE = 4.0, 0.25
+"""Delays that are looked for at most [s], and in parts of a recording."""
+
+LATE = 0.2
+"""Times as much as without that may be left where a signal is read later, for it to be late."""
+
+ENOUGH = 4
+"""Values for each column from which delays are looked for."""
+
+DEPENDENT = 1e-7
+"""Share of the largest singular value below which a direction of the rows is none."""
+
 MEDIAN = 0.4549
 """Of the square of a normal number of variance one."""
 
@@ -63,7 +75,7 @@ class Instants:
 
 
 def instants(
-    position: Array, torque: Array | None, wrench: Array | None, rate: float
+    position: Array, torque: Array | None, wrench: Array | None, rate: float, late: float = 0.0
 ) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
 
@@ -72,6 +84,7 @@ def instants(
         torque: (M, n) [N m or N], if measured.
         wrench: (M, 6) [N, N m], if measured.
         rate: Samples a second [Hz].
+        late: How late the wrench is [s].
     """
     taps = motion_taps(rate, min(CUTOFF, rate / 6))
     lost = taps.shape[1] // 2
@@ -79,10 +92,11 @@ def instants(
     count = min(MOST, int(inside / rate * A_SECOND))
     if count < LEAST:
         return None
-    at = np.linspace(0, inside - 1, count).astype(int)
+    later = round(late * rate)
+    at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
 
-    def taken(signal: Array, derivative: int) -> Array:
-        found: Array = thinned(signal, taps[derivative, ::-1], lost, 1)[at]
+    def taken(signal: Array, derivative: int, later: int = 0) -> Array:
+        found: Array = thinned(signal, taps[derivative, ::-1], lost, 1)[at + later]
         return found
 
     n = position.shape[1]
@@ -96,9 +110,9 @@ def instants(
         taken(position, 1),
         taken(position, 2),
         torque=None if torque is None else taken(torque, 0),
-        wrench=None if wrench is None else taken(wrench, 0),
-        wrench_rate=None if wrench is None else taken(wrench, 1),
-        spacing=inside / rate / count,
+        wrench=None if wrench is None else taken(wrench, 0, later),
+        wrench_rate=None if wrench is None else taken(wrench, 1, later),
+        spacing=(inside - abs(later)) / rate / count,
         noise=noise,
     )
 
@@ -118,6 +132,54 @@ def thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
     found = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
     kept: Array = found[spare : len(found) - spare or None : step]
     return kept
+
+
+def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
+    """Orthonormal directions of all that columns, (k, N), can make.
+
+    A column that others imitate, as a first rotor's, has none of its own: rounding would make one.
+
+    Args:
+        columns: Of any sizes.
+        dependent: Share of the largest singular value, of columns of unit length, of none.
+    """
+    size = np.linalg.norm(columns, axis=0)
+    kept = size > dependent**1.5 * size.max(initial=0.0)
+    if not kept.any():
+        return columns[:, :0]
+    wide, small = np.linalg.qr(columns[:, kept] / size[kept])
+    turned, spread, _ = np.linalg.svd(small)
+    found: Array = wide @ turned[:, spread > dependent * spread[0]]
+    return found
+
+
+def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
+    """How late a signal is beside columns, to a row [s], and times less that they leave of it then.
+
+    For all delays at once: what orthonormal columns explain are their correlations. Rows of zeros
+    do not count.
+
+    Args:
+        columns: Of the signal, (T, C, N).
+        signal: (T, C).
+        spacing: From one row to the next [s].
+    """
+    from scipy.signal import fftconvolve
+
+    most = int(min(LATEST / spacing, SPARE * len(signal)))
+    rows = columns[most : len(columns) - most]
+    basis = directions(rows.reshape(-1, rows.shape[2]))
+    if not 0 < ENOUGH * basis.shape[1] < len(basis):
+        return 0.0, 1.0  # nothing moves, or columns explain whatever is measured
+    basis = basis.reshape(*rows.shape[:2], -1)
+    explained: Array = fftconvolve(signal[..., None], basis[::-1], mode="valid", axes=0).sum(axis=1)
+    counted: Array = np.any(rows, axis=2) * np.ones(rows.shape[:2])
+    whole: Array = fftconvolve(signal**2, counted[::-1], mode="valid", axes=0)
+    share = (explained**2).sum(axis=1) / np.maximum(whole.sum(axis=1), 1e-300)
+    best = int(np.argmax(share))
+    if best in (0, 2 * most):  # no delay is best, the farther the better
+        return 0.0, 1.0
+    return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 
 def _noise(signal: Array) -> Array:

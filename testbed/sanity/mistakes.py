@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, product
 from typing import Any, Literal
 
@@ -19,13 +20,13 @@ from testbed.sanity.plate_map import placed, quarter_turns
 Kind = Literal[
     "degrees", "radians", "position_sign", "position_order", "zero", "base_unit",
     "quaternion_order", "torque_sign", "torque_order", "torque_size", "units", "plate_order",
-    "turn", "shift", "sense", "tare",
+    "turn", "shift", "sense", "tare", "late",
 ]  # fmt: skip
 
 QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
 """Zeros that model files and controllers put elsewhere [rad]."""
 
-SCANNED = tuple(np.deg2rad(angle) for angle in range(-150, 180, 30) if angle % 90)
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
 """Other zeros to try [rad]."""
 
 BEYOND = 2 * np.pi
@@ -47,7 +48,7 @@ SCALAR_LAST = (3, 0, 1, 2)
 """Where w, x, y, z of a quaternion stand that is x, y, z, w."""
 
 DOUBT: dict[str, float] = {
-    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0,
+    "plate_order": 1.0, "position_order": 1.5, "position_sign": 1.5, "zero": 4.0, "late": 4.0,
 }  # fmt: skip
 """Of two mistakes that explain the same, the one that files hold more often comes first [nats]."""
 
@@ -67,8 +68,8 @@ class Mistake:
         joints: Indices of the joints that it is about.
         values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
             joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
-            [rad]; of a shift the frame's origin [m]; of sizes, and of a base's unit, how many
-            times too large the numbers are.
+            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
+            sizes, and of a base's unit, how many times too large the numbers are.
     """
 
     kind: Kind
@@ -101,15 +102,18 @@ class Frame:
     place: Array
     units: tuple[str, str]
 
-    def map(self, turn: Array, units: tuple[str, str], order: Sequence[int]) -> Array:
+    def map(
+        self, turn: Array, units: tuple[str, str], order: Sequence[int], ratio: float = 1.0
+    ) -> Array:
         """The wrench in the bedplate's frame by another reading, of that by this one, (6, 6).
 
         Args:
             turn: Of the sensor's frame, (3, 3).
             units: Of forces and moments.
             order: In which column each channel is.
+            ratio: Times that moments are larger than in these units.
         """
-        sizes = (FORCES[units[0]], MOMENTS[units[1]])
+        sizes = (FORCES[units[0]], ratio * MOMENTS[units[1]])
         given = (FORCES[self.units[0]], MOMENTS[self.units[1]])
         scale = np.repeat(sizes, 3)
         columns = (
@@ -124,25 +128,25 @@ class Frame:
 AS_READ = (0, 1, 2, 3, 4, 5)
 
 
-def plate_hypotheses(frame: Frame, most: int) -> Iterator[tuple[tuple[Mistake, ...], Array]]:
-    """Up to so many kinds of mistakes about a plate, and the map that undoes them.
+@lru_cache(maxsize=3)
+def plain_hypotheses(frame: Frame) -> tuple[tuple[tuple[Mistake, ...], Array], ...]:
+    """Nothing wrong about a plate, or one mistake, and the map that undoes it.
 
-    The sense is the sign of what the model file foretells; a shift is fitted.
+    The sense is the sign of what the model file predicts; a shift is fitted.
 
     Args:
         frame: How the mapping has read the plate.
-        most: Kinds at once.
     """
-    turns = [turn @ frame.turn for turn in quarter_turns()]
-    units = [frame.units, *(u for u in product(FORCES, MOMENTS) if u != frame.units)]
-    for order in (AS_READ, *PLATE_ORDERS):
-        for unit in units:
-            for k, turn in enumerate(turns):
-                mistakes = [Mistake("plate_order", (), order)] * (order != AS_READ)
-                mistakes += [Mistake("units", (), unit)] * (unit != frame.units)
-                mistakes += [turned(turn)] * (k > 0)
-                if len(mistakes) <= most:
-                    yield tuple(mistakes), frame.map(turn, unit, order)
+    turns = [turn @ frame.turn for turn in quarter_turns()[1:]]
+    pairs = [units for units in product(FORCES, MOMENTS) if units != frame.units]
+    return (
+        ((), np.eye(6)),
+        *(((Mistake("plate_order", (), order),), frame.map(frame.turn, frame.units, order))
+          for order in PLATE_ORDERS),
+        *(((Mistake("units", (), units),), frame.map(frame.turn, units, AS_READ))
+          for units in pairs),
+        *(((turned(turn),), frame.map(turn, frame.units, AS_READ)) for turn in turns),
+    )  # fmt: skip
 
 
 def turned(turn: Array) -> Mistake:

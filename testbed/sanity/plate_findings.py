@@ -14,16 +14,11 @@ from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.cure_words import share
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
-from testbed.sanity.mistakes import Mistake, own_joints
+from testbed.sanity.mistakes import Mistake
 from testbed.sanity.position_reading import MIXED
 
 UNEXPLAINED, NOISY = 0.05, 3.0
 """Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
-
-STILL, ROUNDING = 1e-3, 1e-9
-"""Motion of joints below which a robot rests [rad or m]; part of a value that a filter's rounding
-changes at most."""
 
 MOVED, CLEAR = 0.03, 5.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one."""
@@ -33,6 +28,9 @@ ARM = 1.0
 
 PULLED = -0.1
 """Parts of the robot's weight below which a robot weighs less than nothing."""
+
+FOREIGN, MIXED_CHANNELS, WEIGHT = "plate.foreign", "plate.crosstalk", "plate.weight"
+"""Codes of findings."""
 
 ALONG = 1e-3
 """By how much a turn's axis may differ from a joint's."""
@@ -59,6 +57,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
             float(left[channel]),
             ("crosstalk", "a calibration matrix that is not used"),
             "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
+            MIXED_CHANNELS,
         )
         return ([mixed], []) if sure else ([], [mixed])
     foreign = Finding(
@@ -67,39 +66,9 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         float(left[channel]),
         ("another robot", "columns that are not the plate's", "a plate that drifts"),
         "look at the columns of [position] and [wrench], and at the model",
+        FOREIGN,
     )
     return ([foreign], []) if sure else ([], [])
-
-
-def still_findings(tree: Tree, taken: Instants) -> tuple[list[Finding], list[Finding]]:
-    """What is certain, and what likely, where nothing moves or a plate shows one value throughout.
-
-    Args:
-        tree: The robot.
-        taken: The recording.
-    """
-    moved = np.ptp(taken.position, axis=0)[list(own_joints(tree))]
-    if moved.size and moved.max() < STILL:
-        rest = Finding(
-            "the robot",
-            f"rests: no joint moves by more than {moved.max():.2g} rad or m, so nothing of units, "
-            "signs, orders and frames can be told",
-            float(moved.max()),
-            ("a robot at rest", "columns that are not positions"),
-            "record a motion of all joints",
-        )
-        return [], [rest]
-    wrench = taken.wrench
-    if wrench is None or np.ptp(wrench, axis=0).max() > ROUNDING * np.abs(wrench).max():
-        return [], []
-    silent = Finding(
-        "the plate",
-        f"shows the same throughout, {components(wrench[0])} N, N m, while joints move",
-        0.0,
-        ("columns that are not the plate's", "a plate that was not read"),
-        "look at the columns of [wrench]",
-    )
-    return [silent], []
 
 
 def zero_of_plate(best: Explanation) -> tuple[Array, Array]:
@@ -118,18 +87,19 @@ def zero_of_plate(best: Explanation) -> tuple[Array, Array]:
     return rest.mean(axis=0), np.linalg.norm(spread, axis=1)
 
 
-def zero_mistake(best: Explanation, tare: Array | None) -> Mistake | None:
+def zero_mistake(best: Explanation, tare: Array | None, least: float = MOVED) -> Mistake | None:
     """The mistake of a plate that shows something without the robot, if it clearly does.
 
     Args:
         best: What explains the recording best; with a wrench.
         tare: What the recording says that it shows, (6,) [N, N m]; None for the model's pedestal.
+        least: Parts of the robot's weight by which it must be another one.
     """
     tree = best.reading.prior.tree
     known = pedestal_wrench(tree) if tare is None else tare
     found, sigma = zero_of_plate(best)
-    least = MOVED * weight(tree) * np.repeat([1.0, ARM], 3)
-    if not (np.abs(found - known) > np.maximum(least, CLEAR * sigma)).any():
+    smallest = least * weight(tree) * np.repeat([1.0, ARM], 3)
+    if not (np.abs(found - known) > np.maximum(smallest, CLEAR * sigma)).any():
         return None
     return Mistake("tare", (), tuple(np.round(found, 3).tolist()))
 
@@ -155,6 +125,7 @@ def weight_finding(best: Explanation, tare: Array | None) -> Iterator[Finding]:
             carried,
             ("a plate that was zeroed under the robot", "the opposite sense of the wrench"),
             "in the mapping: [wrench] tare, what the plate shows without the robot",
+            WEIGHT,
         )
 
 

@@ -8,8 +8,8 @@ taken; with the products H of what is left, every A leaves vec(A)' H vec(A). A f
 elsewhere by r (moments gain r x F), one that is turned a little more, and a wrench that is a little
 late (A dw/dt) are linear as well: they are fitted beside each A, not searched.
 
-The least generalized eigenvector of H against the signal's own products G is the best A of all:
-what it leaves no mapping of a plate can mend, and it holds a frame turned by any angle.
+What the least generalized eigenvector of H against the signal's own products G leaves, no mapping
+of a plate can mend.
 """
 
 from __future__ import annotations
@@ -22,10 +22,7 @@ from itertools import permutations, product
 import numpy as np
 
 from testbed.arrays import Array, skew
-from testbed.sanity.instants import Instants
-
-DEPENDENT = 1e-7
-"""Share of the largest singular value below which a direction of the rows is none."""
+from testbed.sanity.instants import Instants, directions
 
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""
@@ -125,7 +122,7 @@ class PlateRows:
         count = len(channels)
         fixed = np.broadcast_to(np.eye(6), (count, 6, 6))
         columns = np.concatenate([rows * weight[:, None], fixed], axis=2).reshape(6 * count, -1)
-        basis = _basis(columns).reshape(count, 6, -1)
+        basis = directions(columns).reshape(count, 6, -1)
         weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
         known = weighted.reshape(basis.shape[2], 72)
         self._left, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
@@ -136,9 +133,9 @@ class PlateRows:
             left[:, own] += weight[channel] * channels
             self._left[channel] = left.T @ left
             self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
-        model = varied * weight
-        self._model = np.einsum("tc,tk,c->ck", model, centred, weight).ravel()
-        self._model_size = float((model**2).sum())
+        self.foretold = varied * weight
+        self._model = np.einsum("tc,tk,c->ck", self.foretold, centred, weight).ravel()
+        self._model_size = float((self.foretold**2).sum())
         self.weight, self._count = weight, count
         noise = taken.noise[-6:]
         self._noise = np.where(np.isfinite(noise), noise, 0.0) * count
@@ -186,22 +183,36 @@ class PlateRows:
         sigma[:, free] = spread * np.sqrt(found.sum(axis=1, keepdims=True) / (6 * self._count))
         return Judged(np.maximum(found, 0.0), extras, sigma, along)
 
+    def gain_ratio(self, each: Array) -> float:
+        """Times that moments must grow to be as large beside the forces as the model file's.
+
+        Args:
+            each: The map, (6, 6).
+        """
+        varied = self._variance(each).reshape(2, 3).sum(axis=1)
+        return float(np.sqrt(varied[0] / varied[1])) if varied.min() > 0 else 1.0
+
+    def _variance(self, each: Array) -> Array:
+        """Of each channel after a map, in parts of the model's, (6,)."""
+        flat = np.zeros((6, 12))
+        flat[:, :6] = each
+        found: Array = np.einsum("x,cxy,y->c", flat.ravel(), self._whole, flat.ravel())
+        return found
+
     def noise_share(self, each: Array) -> Array:
         """Part of each channel's variance that is the plate's own noise after a map, (6,).
 
         Args:
             each: The map, (6, 6).
         """
-        flat = np.zeros((6, 12))
-        flat[:, :6] = each
-        whole = np.einsum("x,cxy,y->c", flat.ravel(), self._whole, flat.ravel())
+        whole = self._variance(each)
         least = SILENT * np.repeat(whole.reshape(2, 3).mean(axis=1), 3)
         noise = self.weight**2 * (each**2 @ self._noise)
         share: Array = noise / np.maximum(whole, np.maximum(least, 1e-300))
         return share
 
-    def best_map(self, *, late: bool = False) -> tuple[Array, Array]:
-        """The least shares that any map leaves, in order, and the map of the first, (6, 6).
+    def least_share(self, *, late: bool = False) -> float:
+        """What the best of all maps leaves, crosstalk and all.
 
         Args:
             late: Whether derivatives of the channels may be mixed in, as a late plate needs.
@@ -214,18 +225,5 @@ class PlateRows:
         left, whole = left[np.ix_(used, used)], whole[np.ix_(used, used)]
         size = np.sqrt(np.diagonal(whole))
         scaled = whole / np.outer(size, size) + 1e-10 * np.eye(len(size))
-        shares, vectors = eigh(left / np.outer(size, size), scaled, subset_by_index=[0, 1])
-        found = np.zeros(72)
-        found[used] = vectors[:, 0] / size
-        sense = 1.0 if found @ self._model >= 0 else -1.0
-        return np.maximum(shares, 1e-12), sense * found.reshape(6, 12)[:, :6]
-
-
-def _basis(columns: Array) -> Array:
-    """Orthonormal directions of all that columns, (k, N), make."""
-    size = np.linalg.norm(columns, axis=0)
-    kept = size > DEPENDENT**1.5 * size.max()
-    wide, small = np.linalg.qr(columns[:, kept] / size[kept])
-    turned, spread, _ = np.linalg.svd(small)
-    found: Array = wide @ turned[:, spread > DEPENDENT * spread[0]]
-    return found
+        found = eigh(left / np.outer(size, size), scaled, eigvals_only=True, subset_by_index=[0, 0])
+        return max(float(found[0]), 1e-12)

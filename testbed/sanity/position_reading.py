@@ -9,15 +9,24 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
-from testbed.sanity.mistakes import QUARTERS, Frame, Mistake, merged, plate_hypotheses
-from testbed.sanity.plate_map import LATE, SHIFT, SLOPES, PlateRows
+from testbed.sanity.instants import Instants, delay
+from testbed.sanity.mistakes import (
+    AS_READ,
+    PLATE_ORDERS,
+    Frame,
+    Mistake,
+    merged,
+    plain_hypotheses,
+)
+from testbed.sanity.plate_frame import Hypothesis, frame_hypotheses
+from testbed.sanity.plate_map import LATE, SLOPES, PlateRows
 from testbed.sanity.torque_choice import Choice, chosen, least
 from testbed.sanity.torque_evidence import TorqueEvidence
 
@@ -98,20 +107,33 @@ class Reading:
         )  # fmt: skip
 
     @property
-    def rare(self) -> bool:
-        """Whether its last mistake is a zero that is no quarter turn."""
-        last = self.mistakes[-1:]
-        return any(each.kind == "zero" and not set(each.values) <= set(QUARTERS) for each in last)
+    def moved(self) -> bool:
+        """Whether its last mistake is a zero."""
+        return bool(self.mistakes) and self.mistakes[-1].kind == "zero"
 
     @cached_property
     def least(self) -> float:
         """Share that no map of the plate can mend; 0 without a plate."""
-        return 0.0 if self.plate is None else float(self.plate.best_map(late=True)[0][0])
+        return 0.0 if self.plate is None else self.plate.least_share(late=True)
+
+    @cached_property
+    def delay(self) -> tuple[float, float]:
+        """How late the plate is by the model file's masses [s], and times less that is left then.
+
+        What the masses foretell is held against all maps of the plate's channels.
+        """
+        taken = self.taken
+        if self.plate is None or taken.wrench is None:
+            return 0.0, 1.0
+        channels = np.hstack([taken.wrench, np.ones((len(taken.wrench), 1))])
+        each = np.einsum("tk,cd->tcdk", channels, np.eye(6)).reshape(len(channels), 6, -1)
+        late, times = delay(each, self.plate.foretold, taken.spacing)
+        return -late, times
 
     @cached_property
     def linear_share(self) -> float:
         """The same for a plate that is not late."""
-        return 0.0 if self.plate is None else float(self.plate.best_map()[0][0])
+        return 0.0 if self.plate is None else self.plate.least_share()
 
     def mixed(self, left: Array) -> bool:
         """Whether a matrix of all six channels explains the plate far better than what leaves this.
@@ -133,11 +155,15 @@ class Reading:
         return found[int(np.argmin([float(costs.sum()) for costs in found]))]
 
     @cached_property
-    def bound(self) -> float:
-        """About what the best explanation costs."""
+    def misfit(self) -> float:
+        """About what the best explanation costs, whatever its mistakes [nats]."""
         plate = 3 * WEIGHT * np.log(self.least) if self.plate is not None else 0.0
-        doubt = sum(each.doubt for each in self.mistakes)
-        return float(plate + self.own_torques.sum() + 2 * doubt)
+        return float(plate + self.own_torques.sum())
+
+    @property
+    def bound(self) -> float:
+        """The same with what its mistakes must explain."""
+        return self.misfit + 2 * sum(each.doubt for each in self.mistakes)
 
     @cached_property
     def torque_choice(self) -> Choice:
@@ -160,6 +186,7 @@ class Reading:
             mistakes=merged((*kept, *by_plate.mistakes)),
             left=np.concatenate([by_plate.left, each.left[len(by_plate.left) :]]),
             unchanged=by_plate.unchanged,
+            spread=by_plate.spread,
             cost=of_plate + by_plate.cost,
             sizes=by_plate.sizes,
         )
@@ -192,29 +219,31 @@ class Reading:
         root = prior.root @ scaled
         return prior.mean + root @ (scaled.T @ (columns.T @ target)), root
 
-    def explanations(self, kinds: int) -> list[Explanation]:
-        """All that this reading leaves open, judged; of the plate's maps the best forty.
-
-        Args:
-            kinds: Mistakes about a plate at once, at most.
-        """
+    @cached_property
+    def explanations(self) -> list[Explanation]:
+        """All that this reading leaves open, judged; of the plate's maps the best forty."""
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
-        several = list(plate_hypotheses(self.prior.frame, kinds))
-        return self.of_plate([m for m, _ in several], [a for _, a in several])
+        frame = self.prior.frame
+        found = self.of_plate(
+            [*plain_hypotheses(frame), *frame_hypotheses(self.plate, frame, AS_READ)]
+        )
+        if not any(each.explained(EXPLAINED) for each in found):
+            others = (frame_hypotheses(self.plate, frame, order) for order in PLATE_ORDERS)
+            found += self.of_plate(list(chain.from_iterable(others)))
+        return found
 
-    def of_plate(
-        self, mistakes: Sequence[tuple[Mistake, ...]], maps: Sequence[Array],
-        free: Sequence[int] = (*SHIFT, LATE),
-    ) -> list[Explanation]:  # fmt: skip
+    def of_plate(self, hypotheses: Sequence[Hypothesis]) -> list[Explanation]:
         """Explanations by maps of the plate, a shift and lateness fitted."""
+        if not hypotheses:
+            return []
         assert self.plate is not None
-        judged = self.plate.judge(maps, free)
+        judged = self.plate.judge([each for _, each in hypotheses])
         size = np.log(np.maximum(np.abs(judged.size), 1e-9)) / ROUGH
         costs = WEIGHT * (np.log(judged.left + TINY).sum(axis=1) + size**2)
         found = []
         for k in np.argsort(costs, kind="stable")[:40]:
-            said, each, shift = list(mistakes[k]), maps[k], judged.extras[k, :3]
+            said, each, shift = list(hypotheses[k][0]), hypotheses[k][1], judged.extras[k, :3]
             distance, sigma = (float(np.linalg.norm(x)) for x in (shift, judged.sigma[k, :3]))
             if distance > max(SHIFTED, CLEAR * sigma):
                 place = self.prior.frame.place + shift
@@ -230,19 +259,13 @@ class Reading:
     def _explained(
         self, plate: tuple[Mistake, ...], left: Array, cost: float, each: Array | None, late: float
     ) -> Explanation:
-        choice = self.torque_choice
-        mistakes = merged((*self.mistakes, *plate, *choice.mistakes))
-        return self._left(mistakes, choice.left, left, cost + choice.cost, each, late)
-
-    def _left(self, mistakes: tuple[Mistake, ...], torques: Array, left: Array, cost: float,
-              each: Array | None, late: float) -> Explanation:  # fmt: skip
-        noise = np.zeros(0)
+        choice, noise = self.torque_choice, np.zeros(0)
         if self.plate is not None and each is not None:
             noise = self.plate.noise_share(each)
-        choice = self.torque_choice
         return Explanation(
-            mistakes, np.concatenate([torques, left]), np.concatenate([self.torque_noise, noise]),
-            cost, each, late, self, choice.unchanged, choice.sizes,
+            merged((*self.mistakes, *plate, *choice.mistakes)), np.concatenate([choice.left, left]),
+            np.concatenate([self.torque_noise, noise]), cost + choice.cost, each, late, self,
+            choice.unchanged, choice.spread, choice.sizes,
         )  # fmt: skip
 
     @cached_property

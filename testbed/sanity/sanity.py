@@ -8,8 +8,9 @@ weight. Where that is less clear, or torques are only too small or too large, th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,10 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
+from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
+from testbed.sanity.channel_findings import spike_findings, still_findings, unmoved_finding
 from testbed.sanity.cure_words import (
     cure_finding,
     gain_finding,
@@ -29,11 +32,11 @@ from testbed.sanity.cure_words import (
 )
 from testbed.sanity.cures import Cure, cures_of, frame_of, position_offset
 from testbed.sanity.explanation import Explanation
+from testbed.sanity.instants import Instants
 from testbed.sanity.mistakes import Mistake
 from testbed.sanity.plate_findings import (
     equal_zeros,
     map_findings,
-    still_findings,
     weight_finding,
     zero_mistake,
 )
@@ -52,6 +55,9 @@ SMALL, LARGE = 0.4, 2.5
 LEAST, MOST = 0.25, 4.0
 """The same where they are refused: no masses are so wrong."""
 
+SAME = np.deg2rad(3.0)
+"""Difference of zeros that are no other ones [rad]."""
+
 OUTSIDE = 1.0
 """Ranges of a joint by which its positions must leave it to be certainly wrong."""
 
@@ -64,33 +70,37 @@ class Sanity:
     """What speaks for and against a recording.
 
     Attributes:
-        joints: Joint names.
-        left: Part of each channel's variance that is unexplained as recorded, (C,).
         sizes: Torques are so many times what the model file's masses say; nan where they do
             not tell, (n,) or (0,).
         cures: What would cure the recording, to be made together; empty where nothing is wrong.
         runner_up: Kinds of mistakes of the next best explanation.
         times: So many times more is left by that.
+        equals: What explains the same, in words.
+        best: What explains the recording best; None where nothing can be told.
         certain: What is certainly wrong.
         likely: What may be.
     """
 
-    joints: tuple[str, ...]
-    left: Array
     sizes: Array
     cures: tuple[Cure, ...] = ()
     runner_up: tuple[str, ...] = ()
     times: float = 1.0
+    equals: tuple[str, ...] = ()
+    best: Explanation | None = None
     certain: tuple[Finding, ...] = ()
     likely: tuple[Finding, ...] = ()
 
-    def require(self) -> None:
+    def require(self, *, align: bool = False) -> None:
         """Stop where something is certainly wrong.
+
+        Args:
+            align: Whether clocks are set right besides.
 
         Raises:
             RecordingError: Says what was found, and what would cure it.
         """
-        if self.certain:
+        late = len(self.certain) == 1 and [each.kind for each in self.cures] == ["late"]
+        if self.certain and not (align and late):
             said = "; ".join(in_lines(self.certain))
             raise RecordingError(f"the recording cannot be true of this robot: {said}")
 
@@ -116,41 +126,49 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         tree, (position, part.torque, part.wrench), source.rate,
         position_offset(tree, mapping), frame_of(mapping), progress,
     )  # fmt: skip
-    outside = tuple(position_finding(tree, position, OUTSIDE))
-    if search.given is None:  # too short to tell
-        return Sanity(tree.names, np.zeros(0), np.zeros(0), certain=outside)
-    sure, maybe = still_findings(tree, search.given)
-    if sure or maybe:
-        nothing = np.zeros(0)
-        return Sanity(tree.names, nothing, nothing, certain=(*outside, *sure), likely=tuple(maybe))
+    by_channels = _by_channels(tree, part, search.given)
+    if by_channels is not None:
+        return by_channels
     given, found = search.best()
-    best = found[0]
-    gain = given.cost - best.cost
+    best, gain = found[0], given.cost - found[0].cost
+    clear = gain > CERTAIN and explains(given, best)
     foreign, certain, likely, more = _about_plate(best, source.tare)
-    wrong = [m for m in best.mistakes if m.kind != "torque_size"]
+    unmoved = unmoved_finding(tree, given)
+    if unmoved is not None and unmoved.number and (foreign or not clear):
+        sure, maybe = (unmoved,) * foreign, (unmoved,) * (not foreign)
+        return Sanity(best.sizes, certain=sure, likely=maybe)
+    wrong = [m for m in best.timed if m.kind != "torque_size"]
     if foreign or gain <= LIKELY:
         wrong = []
     cures: tuple[Cure, ...] = ()
-    runner_up, times, equals = _others(tree, found)
+    others = _others(tree, found)
     if wrong or more:
         before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
         cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
     if wrong:
-        said = cure_finding(tree, cures, runner_up, times, equals, gain)
-        if gain > CERTAIN and explains(given, best):
+        said = cure_finding(tree, cures, *others, gain)
+        if clear:
             certain, likely = [said, *certain], []
         else:
             likely = [*likely, said]
     elif more:
         likely = [*likely, zero_finding(cures[-1])]
     if not foreign:
-        sizes = [*gain_findings(tree, best, mapping)]
-        certain += [each for sure, each in sizes if sure]
-        likely += [each for sure, each in sizes if not sure]
-    certain = [*(outside if not wrong else ()), *certain]
-    return Sanity(
-        tree.names, given.left, best.sizes, cures, runner_up, times, tuple(certain), tuple(likely)
-    )
+        sure, maybe = gain_findings(tree, best, mapping)
+        certain, likely = [*certain, *sure], [*likely, *maybe]
+    certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
+    likely += [unmoved] if unmoved is not None else []
+    return Sanity(best.sizes, cures, *others, best, tuple(certain), tuple(likely))
+
+
+def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity | None:
+    """What channels say by themselves, where nothing else can be told."""
+    spikes = tuple(spike_findings(part))
+    still, resting = still_findings(tree, taken) if taken is not None else ((), ())
+    if taken is not None and not (spikes or still or resting):
+        return None
+    sure = spikes or (*position_finding(tree, part.position, OUTSIDE), *still)
+    return Sanity(np.zeros(0), certain=sure, likely=() if spikes else resting)
 
 
 def _about_plate(best: Explanation, tare: Array | None
@@ -167,8 +185,8 @@ def _about_plate(best: Explanation, tare: Array | None
 
 def gain_findings(
     tree: Tree, best: Explanation, mapping: Mapping[str, Any]
-) -> Iterator[tuple[bool, Finding]]:
-    """Torques of another size, and whether that is certain.
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """Torques of another size, where that is certain, and where it is likely.
 
     Args:
         tree: The robot.
@@ -177,9 +195,10 @@ def gain_findings(
     """
     odd = any(m.kind == "torque_size" for m in best.mistakes)
     if odd and not _within(best.sizes, LEAST, MOST):
-        yield True, gain_finding(tree, best.sizes, LEAST, MOST, mapping)
-    elif not _within(best.sizes, SMALL, LARGE):
-        yield False, gain_finding(tree, best.sizes, SMALL, LARGE, mapping)
+        return (gain_finding(tree, best.sizes, LEAST, MOST, mapping),), ()
+    if not _within(best.sizes, SMALL, LARGE):
+        return (), (gain_finding(tree, best.sizes, SMALL, LARGE, mapping),)
+    return (), ()
 
 
 def explains(given: Explanation, found: Explanation) -> bool:
@@ -189,7 +208,10 @@ def explains(given: Explanation, found: Explanation) -> bool:
         given: The data as they are.
         found: The data without mistakes.
     """
-    before, after = given.left, found.left
+    before, after = given.left, found.left.copy()
+    for each in found.mistakes:
+        if each.kind == "torque_order":  # what is left of a column, whosever it is
+            after[list(each.values)] = found.left[: len(each.values)]
     better = (before > TIMES * after) & (before > NOISY * given.noise)
     better |= np.array([m.kind == "shift" for m in found.mistakes]).any() & (before < WELL)
     return bool(better.any() and (after < WELL + NOISY * found.noise)[better].all())
@@ -201,7 +223,7 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     least = best.cost + best.tolerance
     equals = dict.fromkeys(equal_zeros(tree, best.mistakes))
     for each in found[1:]:
-        if each.cost <= least and each.count <= best.count and each.mistakes != best.mistakes:
+        if each.cost <= least and each.count <= best.count and not _alike(each, best):
             equals[" and ".join(named(tree, m) for m in each.mistakes) or "nothing wrong"] = None
     others = [each for each in found[1:] if each.cost > least and each.mistakes != best.mistakes]
     if not others:
@@ -210,6 +232,17 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
     about = slice(-6, None) if best.map is not None else slice(None)
     times = float(nearest.left[about].sum() / (best.left[about].sum() + 1e-9))
     return tuple(dict.fromkeys(m.kind for m in nearest.mistakes)), times, tuple(equals)
+
+
+def _alike(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations are the same, zeros to a few degrees."""
+    pairs = [*zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))]
+    return all(
+        a == b
+        or (a.kind == b.kind == "zero" and a.joints == b.joints
+            and np.allclose(a.values, b.values, atol=SAME))
+        for a, b in pairs
+    )  # fmt: skip
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:

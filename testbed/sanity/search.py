@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -15,9 +16,8 @@ from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
-from testbed.sanity.any_turn import any_turn
 from testbed.sanity.explanation import Explanation, ranked
-from testbed.sanity.instants import Instants, instants
+from testbed.sanity.instants import LATE, Instants, instants
 from testbed.sanity.mistakes import (
     Frame,
     Mistake,
@@ -47,6 +47,9 @@ READ = 4
 
 SAID = 6
 """Explanations that are kept, the best first."""
+
+AFRESH = ("late", "quaternion_order")
+"""Mistakes without which a recording's instants are others."""
 
 UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 """Mistakes that concern all joints, which are looked at before those of some."""
@@ -88,20 +91,32 @@ class Search:
         return self.readings[mistakes]
 
     def without(self, beside: Reading, mistake: Mistake) -> Reading | None:
-        """A reading with one mistake less about positions; None where it is no motion."""
-        if mistake.kind != "quaternion_order":
-            scale, added = joint_map(mistake, self.tree.n, self._offset)
-            taken: Instants | None = beside.taken.moved(scale, added)
+        """A reading with one mistake less about positions or clocks; None where it is no motion."""
+        mistakes = (*beside.mistakes, mistake)
+        if mistake.kind in AFRESH:
+            taken = self._afresh(mistakes)
         else:
-            position, *others = self._signals
-            pose = poses(position[:, :FREE])
-            pose[:, 3:] = pose[:, 3:][:, list(mistake.values)]
-            try:
-                moved = np.hstack([coordinates(pose), position[:, FREE:]])
-            except RecordingError:  # the base would stand on its head
-                return None
-            taken = instants(moved, others[0], others[1], self._rate)
-        return None if taken is None else self.read((*beside.mistakes, mistake), taken)
+            taken = beside.taken.moved(*joint_map(mistake, self.tree.n, self._offset))
+        return None if taken is None else self.read(mistakes, taken)
+
+    def _afresh(self, mistakes: tuple[Mistake, ...]) -> Instants | None:
+        """Instants without mistakes that change what is read when, or how a base stands."""
+        (position, *others), late = self._signals, 0.0
+        for each in mistakes:
+            if each.kind == "late":
+                late += each.values[0]
+            if each.kind == "quaternion_order":
+                pose = poses(position[:, :FREE])
+                pose[:, 3:] = pose[:, 3:][:, list(each.values)]
+                try:
+                    position = np.hstack([coordinates(pose), position[:, FREE:]])
+                except RecordingError:  # the base would stand on its head
+                    return None
+        taken = instants(position, others[0], others[1], self._rate, late)
+        for each in mistakes:
+            if taken is not None and each.kind not in AFRESH:
+                taken = taken.moved(*joint_map(each, self.tree.n, self._offset))
+        return taken
 
     def best(self) -> tuple[Explanation, list[Explanation]]:
         """The recording as it is, and what explains it, the best first."""
@@ -113,8 +128,8 @@ class Search:
             return as_given, [as_given]
         found = ranked(self._found(given, as_read))
         nearest = found[0].reading
-        if self.plate and nearest.mistakes and nearest.mistakes[-1].kind == "zero":
-            found = ranked([*found, *self._refined(nearest).explanations(2)])
+        if self.plate and nearest.moved:
+            found = ranked([*found, *self._refined(nearest).explanations])
         several = list({each.mistakes: each for each in found[::-1]}.values())[::-1]
         return as_given, ranked(each.told() for each in several[:SAID])
 
@@ -124,9 +139,20 @@ class Search:
         for found in self._stages(given, several):
             several += found
             likeliest = min(several, key=lambda each: each.cost)
-            if self.plate and likeliest.explained(EXPLAINED) and likeliest.told().torques_fit:
+            if self.plate and likeliest.explained(EXPLAINED) and self._settled(likeliest.told()):
                 break
         return several
+
+    def _settled(self, likeliest: Explanation) -> bool:
+        """Whether the torques fit, and positions that explain the same were looked at."""
+        looked = {
+            joint
+            for mistakes in self.readings
+            for each in mistakes
+            if each.kind == "position_sign"
+            for joint in each.joints
+        }
+        return likeliest.torques_fit and likeliest.unclear <= looked
 
     def _stages(self, given: Reading, several: list[Explanation]) -> Iterator[list[Explanation]]:
         """Explanations from the simple to the rare.
@@ -136,37 +162,46 @@ class Search:
             several: All that was found before.
         """
         hypotheses = list(position_hypotheses(self.tree, given.taken.position, ()))
-        yield given.explanations(2)
-        yield any_turn(given)
+        yield given.explanations
         units = [each for each in hypotheses if each.kind in UNITS]
         self._look(given, units)
         if units:  # without them the readings are those that were judged
-            yield self._judged(2)
-        self._look(given, hypotheses)
+            yield self._judged()
+        explained = any(each.explained(EXPLAINED) for each in several)
+        in_time = None if explained else self._in_time(given)
+        if in_time is None:
+            self._look(given, hypotheses)
+            in_time = None if explained else self._in_time(given)
+        if in_time is not None:
+            yield from self._stages(in_time, several)
+            return
         if not self.plate:
-            yield self._judged(1)
+            yield self._judged()
             plain = [each.cost for each in several if not each.sized]
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to tell of the rest
                 return
-            near = [r for r in self._nearest(2) if r.mistakes and r.mistakes[-1].kind == "zero"]
-            yield list(chain.from_iterable(self._refined(r).explanations(1) for r in near))
+            yield self._at_best_zeros(2)
             likeliest = min(several, key=lambda each: each.cost)
             gain = several[0].told(changed=False).cost - likeliest.cost
             if gain < DOUBTED or likeliest.explained(GOOD):
                 return
-        yield self._judged(2)
-        yield self._turned()
-        yield self._judged(3)
-        if self.plate and given.mixed(min(several, key=lambda each: each.cost).left[-6:]):
+        yield self._judged()
+        likeliest = min(several, key=lambda each: each.cost)
+        if self.plate and given.mixed(likeliest.left[-6:]):
             return  # positions are right where only a matrix explains the plate
         self._look(given, rarer_hypotheses(self.tree, pairs=not self.plate))
-        zeros = [each for each in self._nearest(3) if each.rare]
-        yield list(chain.from_iterable(self._refined(each).explanations(1) for each in zeros))
+        yield self._at_best_zeros(3)
         for each in self._nearest(2 if self.plate else 4):
             self._look(each, position_hypotheses(self.tree, each.taken.position, each.mistakes))
-        yield self._judged(2)
-        yield self._turned()
+        yield self._judged()
+
+    def _in_time(self, given: Reading) -> Reading | None:
+        """The same with the plate's clock set, where a reading shows that it is late, or early."""
+        late, times = min((each.delay for each in self.readings.values()), key=lambda d: d[1])
+        if times > LATE or given.mistakes:
+            return None
+        return self.without(given, Mistake("late", (), (late,)))
 
     def _look(self, beside: Reading, hypotheses: Iterable[Mistake]) -> None:
         several = list(hypotheses)
@@ -178,13 +213,9 @@ class Search:
     def _nearest(self, count: int) -> list[Reading]:
         return sorted(self.readings.values(), key=lambda each: each.bound)[:count]
 
-    def _judged(self, kinds: int) -> list[Explanation]:
+    def _judged(self) -> list[Explanation]:
         """What the readings leave that may be the best."""
-        return list(chain.from_iterable(each.explanations(kinds) for each in self._promising()))
-
-    def _turned(self) -> list[Explanation]:
-        """The same with a plate's frame turned by any angle."""
-        return list(chain.from_iterable(any_turn(each) for each in self._promising()[:3]))
+        return list(chain.from_iterable(each.explanations for each in self._promising()))
 
     def _promising(self) -> list[Reading]:
         """The nearest readings, but for those that no map of a plate could explain as well."""
@@ -192,16 +223,21 @@ class Search:
         least = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
         return [each for each in nearest if each.least <= least]
 
+    def _at_best_zeros(self, count: int) -> list[Explanation]:
+        zeros = [self._refined(each) for each in self._nearest(count) if each.moved]
+        return list(chain.from_iterable(each.explanations for each in zeros))
+
     def _refined(self, reading: Reading) -> Reading:
         """A reading whose last zero is the best angle, not one that was tried."""
         *before, last = reading.mistakes
-        for width in np.deg2rad([12, 6, 3, 1.5, 0.7]):
-            for side in (-width, width):
+        for step in np.deg2rad([12, -12, 6, -6, 3, -3, 1.5, -1.5, 0.7, -0.7]):
+            nearer = True
+            while nearer:
                 scale, added = np.eye(self.tree.n), np.zeros(self.tree.n)
-                added[list(last.joints)] = side
-                values = tuple(angle + side for angle in last.values)
-                moved = (*before, Mistake(last.kind, last.joints, values))
-                tried = self.read(moved, reading.taken.moved(scale, added))
-                if tried.bound < reading.bound:
-                    reading, last = tried, tried.mistakes[-1]
+                added[list(last.joints)] = step
+                moved = replace(last, values=tuple(round(angle + step, 6) for angle in last.values))
+                tried = self.read((*before, moved), reading.taken.moved(scale, added))
+                nearer = tried.misfit < reading.misfit
+                if nearer:
+                    reading, last = tried, moved
         return reading

@@ -29,6 +29,7 @@ class Choice:
         gain: By how much it is less than with them [nats].
         left: Part of each joint's torque that is not explained, (n,).
         unchanged: The same with the mistakes, (n,).
+        spread: Part of it that parameters within their sigma may leave, (n,).
         sizes: Times what the masses make that torques are; nan where they do not tell, (n,).
     """
 
@@ -37,6 +38,7 @@ class Choice:
     gain: float
     left: Array
     unchanged: Array
+    spread: Array
     sizes: Array
 
     def undoing_nothing(self) -> Choice:
@@ -47,7 +49,7 @@ class Choice:
 TOLD = 5.0
 """Times what is left that bodies must explain of a torque for its size to be said."""
 
-NO_TORQUES = Choice((), 0.0, 0.0, np.zeros(0), np.zeros(0), np.zeros(0))
+NO_TORQUES = Choice((), 0.0, 0.0, *[np.zeros(0)] * 4)
 
 
 def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
@@ -65,8 +67,7 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
     pairs = {(k, k): least(torques, k, k) for k in several}
     if tree.n <= MOST_JOINTS:
         for j, k in ((j, k) for j in several for k in several if j != k):
-            if tree.joints[j].kind == tree.joints[k].kind:
-                pairs[j, k] = least(torques, j, k)
+            pairs[j, k] = least(torques, j, k)
         costs = np.full((tree.n, tree.n), 1e9)
         for pair, found in pairs.items():
             costs[pair] = found[0]
@@ -89,6 +90,7 @@ def chosen(tree: Tree, torques: TorqueEvidence | None) -> Choice:
         given - cost,
         np.array([torques.left(j, k, *best[j][1:]) for j, k in enumerate(columns)]),
         np.array([torques.left(k, k, 1.0) for k in several]),
+        np.array([torques.spread(j, k) for j, k in enumerate(columns)]),
         _positive(
             [
                 gain if gain != 1.0 else torques.size(j, k, TOLD) * sense

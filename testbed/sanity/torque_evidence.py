@@ -36,6 +36,9 @@ LEFT = np.geomspace(0.1, 0.5, 12)
 FAINT = 0.02
 """Part of all torques' rms that a torque counts with at least."""
 
+NOTHING = 1e-4
+"""Part of the most by which parameters move torques below which they do not."""
+
 SURELY_NOT = -12.0
 """Log probability at least of friction that drives: what a model lacks may look like it."""
 
@@ -102,15 +105,18 @@ class TorqueEvidence:
         self.constant = torque.std(axis=0) < 1e-3 * self._rms
         white = _whitening(len(torque), round(spacing, 6))
         self._white_torque = white @ torque
-        self._raw, self._columns, self._power = [], [], []
+        self._raw, self._columns, self._power, self._moved = [], [], [], []
         for joint in range(rows.shape[1]):
             moved = rows[:, joint] @ root
             moved = moved[:, np.abs(moved).max(axis=0) > 0]
+            self._moved.append(float(moved.var(axis=0).sum()))
             friction = _friction(velocity[:, joint], acceleration[:, joint])
             foretold = rows[:, joint] @ mean
-            raw = np.column_stack([foretold, friction, moved])
+            raw = np.column_stack([foretold, friction])
             self._raw.append(raw)
-            self._columns.append(white @ raw)
+            wide, spread, _ = np.linalg.svd(white @ moved, full_matrices=False)
+            moves = spread > NOTHING * spread[:1]
+            self._columns.append(np.hstack([white @ raw, (wide * spread)[:, moves]]))
             self._power.append(friction.T @ velocity[:, joint] * [1, 1, 0, 0])
         self._count = len(torque)
 
@@ -163,6 +169,15 @@ class TorqueEvidence:
         true = sense * (self._torque[:, column] - self._torque[:, column].mean()) / gain
         _, rest = nnls(columns[:, [1, 2, 4]], true - columns[:, 0])
         return float(rest**2 / (true @ true))
+
+    def spread(self, joint: int, column: int) -> float:
+        """Part of a torque's variance by which parameters may move what is expected.
+
+        Args:
+            joint: Of the robot.
+            column: Of the recording.
+        """
+        return self._moved[joint] / max(float(self._torque[:, column].var()), 1e-30)
 
     def size(self, joint: int, column: int, told_times: float = 1.0) -> float:
         """Times what the mean's masses make that a column is; nan where they do not tell."""

@@ -87,7 +87,7 @@ def foreign(folder: Path) -> None:
     table = np.hstack([recording.measured(kind) for kind, _ in UNITS])
     lines = [",".join(map(repr, row)) for row in np.column_stack([recording.time, table]).tolist()]
     (folder / "log.csv").write_text("\n".join([",".join(["t (s)", *names]), *lines]) + "\n")
-    (folder / "map.toml").write_text(guessed([folder / "log.csv"], folder, recording.names))
+    (folder / "map.toml").write_text(guessed([folder / "log.csv"], folder, recording.names).text)
 
 
 @pytest.mark.parametrize("name", LONG)

@@ -11,8 +11,10 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.sanity.accept import accepted_import
+from testbed.errors import RecordingError
+from testbed.sanity.accept import accept, accepted_import
 from testbed.sanity.clock_offset import clock_offsets
+from testbed.sanity.sanity import check_sanity
 from tests.helpers.cases import cases
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot
@@ -91,6 +93,34 @@ def test_a_drift_no_clock_has_is_not_taken_for_one() -> None:
         ),
     )
     assert not found.drifts
+
+
+@pytest.mark.parametrize(
+    ("name", "late", "degrees"),
+    [("ur5", 1.3, False), ("puma", -2.4, False), ("ur5", 0.13, True)],
+)
+def test_a_plate_whose_clock_is_off_by_far_is_no_other_robot(
+    name: str, late: float, degrees: bool
+) -> None:
+    """Its delay is the mapping's line, beside other cures; `align` takes it back."""
+    tree = robot(name)
+    recording = without(measured(tree, 4), "torque")
+    inside = (recording.time > abs(late)) & (recording.time < recording.time[-1] - abs(late))
+    wrench = shifted(recording.measured("wrench"), recording.time, late)[inside]
+    read = replace(
+        recording, time=recording.time[: len(wrench)], wrench=wrench,
+        position=recording.position[inside] * (180 / np.pi if degrees else 1),
+    )  # fmt: skip
+    found = check_sanity(tree, read)
+    assert [cure.kind for cure in found.cures] == ["late", *["degrees"] * degrees]
+    ((table, key, value),) = found.cures[0].lines
+    assert (table, key) == ("wrench", "delay")
+    assert value == pytest.approx(late, abs=5e-3)
+    with pytest.raises(RecordingError, match="delay ="):
+        accept(tree, read)
+    if not degrees:
+        (clock,) = accept(tree, read, align=True).clocks
+        assert clock.delay == pytest.approx(late, abs=max(1e-3, 5 * clock.sigma))
 
 
 MAPPING = """

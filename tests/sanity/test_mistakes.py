@@ -18,7 +18,7 @@ from testbed.sanity.mistakes import (
     Mistake,
     joint_map,
     merged,
-    plate_hypotheses,
+    plain_hypotheses,
     position_hypotheses,
     rarer_hypotheses,
 )
@@ -122,7 +122,7 @@ def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
         "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
     }
     mapping: dict[str, Any] = {"wrench": given}
-    several = list(plate_hypotheses(frame_of(mapping), 2))
+    several = list(plain_hypotheses(frame_of(mapping)))
     columns = rng.normal(size=(5, 6))
     by_name = dict(zip(RIGHT["columns"], columns.T, strict=True))
 

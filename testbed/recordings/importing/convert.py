@@ -130,6 +130,21 @@ def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], li
     return [_converted(mapping, tables, times, each) for each in windows], lines
 
 
+def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
+    """First and last instant of each source by its own clock, since an instant in common [s].
+
+    Args:
+        mapping: What the files' columns mean.
+        folder: To which the files are relative.
+
+    Raises:
+        RecordingError: A file is missing or damaged, or its clock is none.
+    """
+    return {
+        name: (float(t.min()), float(t.max())) for name, t in _opened(mapping, folder)[1].items()
+    }
+
+
 def _opened(mapping: Mapping, folder: Path) -> tuple[dict[str, ForeignTable], dict[str, Array]]:
     """The sources' files, and when their samples were taken."""
     tables = {name: _open(folder, mapping, name) for name in _used(mapping)}

@@ -32,6 +32,12 @@ NEAR = 0.1
 BETWEEN = 0.03
 """Relative error of a slope by which a unit is recognised."""
 
+CLEARLY = 2.0
+"""Difference of logarithms of sizes from which one of two signals is in another unit."""
+
+MOVED = 0.02
+"""Integral of a velocity from which a joint has moved [rad or m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Slopes:
@@ -120,10 +126,12 @@ def derivatives(
             np.stack([columns[f"{each}/{joint}"] for joint in mapping.joints], axis=1)
             for each in (below, kind)
         )
+        _check_moves(kind, below, mapping.joints, values, rates, columns["time"])
         notes = _notes(
             *(kind, mapping.signals[kind], below, mapping.signals[below]),
             mapping.joints,
             slopes(values, rates, columns["time"]),
+            np.sqrt([np.mean(each**2, axis=0) for each in (values, rates)]),
         )
         said = f"; held against the {below}s, " + (
             "taken for their derivatives" if used else "and not used by estimates"
@@ -132,11 +140,25 @@ def derivatives(
     return found
 
 
+def _check_moves(
+    kind: Kind, of: Kind, joints: Sequence[str], values: Array, rates: Array, time: Array
+) -> None:
+    """Whether what has a derivative changes at all."""
+    varied = np.cumsum((rates - rates.mean(axis=0))[1:] * np.diff(time)[:, None], axis=0)
+    dead = (np.ptp(values, axis=0) == 0) & (np.ptp(varied, axis=0) > MOVED)
+    names = [joint for joint, each in zip(joints, dead, strict=True) if each]
+    if names:
+        raise RecordingError(
+            f"the {of} of {_listed(names, len(joints))} is the same throughout, and by the {kind} "
+            f"it moves: a dead encoder, or another column in [{of}] columns; or leave [{kind}] out"
+        )
+
+
 def _notes(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, joints: Sequence[str],
-    found: Slopes,
+    found: Slopes, sizes: Array,
 ) -> tuple[str, ...]:  # fmt: skip
-    """What to doubt of a signal that should be the derivative of another.
+    """What to doubt of a signal that should be the derivative of another, both of sizes (2, n).
 
     Raises:
         RecordingError: It is of another unit, sign or order; says which line of the mapping cures
@@ -147,12 +169,13 @@ def _notes(
     sure = fit > SURE
     wrong = sure & (np.abs(slope - 1) > NEAR)
     if (order != np.arange(n)).any() or wrong.any():
-        cures = _cures(kind, table, of, below, order, np.where(sure, slope, 1.0))
+        read = np.stack([sizes[0], sizes[1][order]])
+        cures, other = _cures(kind, table, of, below, order, np.where(sure, slope, 1.0), read)
         names = [joints[k] for k in range(n) if wrong[k] or order[k] != k]
         said = f"it is {_times(slope[wrong])}" if wrong.any() else "it is that of other joints"
         raise RecordingError(
             f"the {kind} of {_listed(names, n)} is not the derivative of the {of}: {said}; in the "
-            f"mapping: {cures}; or leave [{kind}] out"
+            f"mapping: {cures}; or leave [{kind}] out{other}"
         )
     moving = (found.fit.max(axis=1) > 0) & ~sure
     if not moving.any():
@@ -179,12 +202,15 @@ def _times(slope: Array) -> str:
 
 def _cures(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, order: NDArray[np.intp],
-    slope: Array,
-) -> str:  # fmt: skip
-    """Lines of the mapping without the mistake."""
+    slope: Array, read: Array,
+) -> tuple[str, str]:  # fmt: skip
+    """Lines of the mapping without the mistake, and what else it may be.
+
+    Of two signals whose units may be wrong that one is whose sizes are less usual.
+    """
     if table.matrix is not None or below.matrix is not None:
-        return f"check [{kind}] matrix, unit and sign"
-    lines = []
+        return f"check [{kind}] matrix, unit and sign", ""
+    lines, instead = [], ""
     if (order != np.arange(len(order))).any():
         lines.append(f"columns = {_toml([table.columns[k] for k in order])}")
     if (slope < 0).any():
@@ -195,14 +221,33 @@ def _cures(
     if (np.abs(sizes - 1) > NEAR).any():
         own = _units(kind, table, order, sizes)
         other = _units(of, below, np.arange(len(order)), 1 / sizes)
+        odd = _odd(read, sizes)
+        of_below = own is None or (other is not None and odd > 0)
+        said = [f"[{kind}] unit = {_toml(own)}", f"[{of}] unit = {_toml(other)}"]
+        if None not in (own, other) and abs(odd) < CLEARLY:
+            instead = f"; or, if the {of if not of_below else kind} is wrong, {said[not of_below]}"
         if own is None and other is None:
             lines.append("side, or another unit")
-        elif own is not None:
+        elif not of_below:
             lines.append(f"unit = {_toml(own)}")
         else:
-            said = f"[{of}] unit = {_toml(other)}"
-            return f"[{kind}] {', '.join(lines)} and {said}" if lines else said
-    return f"[{kind}] {', '.join(lines)}"
+            return " and ".join(
+                [*([f"[{kind}] {', '.join(lines)}"] if lines else []), said[1]]
+            ), instead
+    return f"[{kind}] {', '.join(lines)}", instead
+
+
+def _odd(read: Array, sizes: Array) -> float:
+    """By how much less usual it is that the derivative's unit is wrong than the signal's own.
+
+    Joints turn, or slide, by about one, and as fast: logarithms of sizes are small.
+    """
+    wrong = np.abs(sizes - 1) > NEAR
+    values, rates = np.maximum(read[:, wrong], 1e-12)
+    found = np.abs(np.log([values, rates * sizes[wrong]])) - np.abs(
+        np.log([values / sizes[wrong], rates])
+    )
+    return float(found.sum(axis=0).mean())
 
 
 def _units(

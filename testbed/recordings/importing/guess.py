@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, printable
 from testbed.recordings.importing.column_groups import at_the_hand
 from testbed.recordings.importing.column_names import ColumnName
+from testbed.recordings.importing.draft import Draft
 from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import KINDS, RAW, UNITS, Kind, plain
 from testbed.recordings.importing.likely_signals import (
@@ -29,15 +31,12 @@ from testbed.recordings.importing.likely_signals import (
 SHOWN = 100
 """Most columns of a source that are listed."""
 
-HEAD = """\
-# What {files} {hold}, made into a recording. Fill in what is empty or 0, then
-#   testbed import THIS.toml --out recording.parquet --model ROBOT
-# What is filled in is by the columns' names, or as said; see docs/real-recordings.md.
-"""
+Said = tuple[str, Any, str]
+"""A key, its value, and what is said beside it."""
 
 
-def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> str:
-    """A mapping in TOML with comments; where something is empty, `read_mapping` refuses it.
+def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> Draft:
+    """A mapping to start from; where something is empty, `read_mapping` refuses it.
 
     Args:
         paths: Files of other programs.
@@ -51,64 +50,79 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     for path in paths:
         if "\0" in str(path) or not path.exists():
             raise RecordingError(f"there is no file '{path}'")
-    sources = likely_sources(paths)
+    sources = likely_sources(paths, len(joints))
     if not sources:
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals = likely_signals(sources, joints)
     told = {each.source.name: each.source for each in signals.values()}
     sources = [told.get(each.name, each) for each in sources]
-    plate = likely_plate(sources)
     files = ", ".join(printable(path.name, 100) for path in paths)
-    lines = [HEAD.format(files=files, hold="holds" if len(paths) == 1 else "hold")]
-    lines += [_rate(sources, signals), _joints(signals, joints)]
+    draft = Draft().remarking(
+        "",
+        f"# What {files} {'holds' if len(paths) == 1 else 'hold'}, made into a recording by",
+        "#   testbed import THIS.toml --out recording.parquet --model ROBOT",
+        "# once nothing is empty or 0. See docs/real-recordings.md.",
+        "",
+    )
+    draft = draft.saying("", "rate", _rate(sources, signals), "of the recording [Hz]")
+    draft = draft.saying("", "joints", *_joints(signals, joints))
     for each in sources:
-        lines += ["", *_listed(each.table), f"[sources.{each.name}]"]
-        lines.append(f"file = {_text(os.path.relpath(each.file.resolve(), folder.resolve()))}")
-        lines += [f"topic = {_text(each.topic)}"] if each.topic is not None else []
-        lines += each.clock.lines()
+        name = f"sources.{each.name}"
+        file = os.path.relpath(each.file.resolve(), folder.resolve())
+        draft = draft.remarking(name, *_listed(each.table)).saying(name, "file", file)
+        if each.topic is not None:
+            draft = draft.saying(name, "topic", each.topic)
+        for said in each.clock.said():
+            draft = draft.saying(name, *said)
     for kind in KINDS:
-        lines += _signal_lines(kind, signals, sources)
-    return "\n".join([*lines, *_plate_lines(plate), *_base_lines(sources)]) + "\n"
+        draft = _with_signal(draft, kind, signals, sources)
+    for said in _plate(likely_plate(sources)):
+        draft = draft.saying("wrench", *said)
+    for said in _base(sources):
+        draft = draft.saying("base", *said)
+    return draft
 
 
-def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> str:
+def _rate(sources: Sequence[LikelySource], signals: Mapping[Kind, LikelySignal]) -> float:
     """The positions' rate, else the highest."""
     rates = [each.clock.rate for each in sources if each.clock.rate]
     if "position" in signals:
         (own,) = (s.clock.rate for s in sources if s.name == signals["position"].source.name)
         rates = [own] if own else rates
-    return f"rate = {max(rates, default=0.0):.9g}  # of the recording [Hz]"
+    return max(rates, default=0.0)
 
 
-def _joints(signals: Mapping[Kind, LikelySignal], joints: Sequence[str]) -> str:
+def _joints(
+    signals: Mapping[Kind, LikelySignal], joints: Sequence[str]
+) -> tuple[Sequence[str], str]:
     """Names, by the model or by the columns."""
     about = "as in the model file, in the order of the columns below"
     group = next((each.group for each in signals.values()), None)
     if group is None:
-        return f"joints = {_text(list(joints) or [''])}  # {about}"
+        return list(joints) or [""], about
     missing = [name for name in joints if name not in group.names]
     if group.matched or not joints:
         plain = [name for name in group.names if not re.search("[A-Za-z]", name)]
-        names = [""] if plain else list(group.names)
         more = "" if plain or group.matched else "; these are by the columns' names"
         more += f"; no columns of {', '.join(missing)}" if missing and group.matched else ""
-        return f"joints = {_text(names)}  # {about}{printable(more, 200)}"
-    return f'joints = [""]  # {about}: {printable(", ".join(joints), 300)}'
+        return [""] if plain else list(group.names), about + more
+    return [""], f"{about}: {', '.join(joints)}"
 
 
-def _listed(table: ForeignTable) -> list[str]:
+def _listed(table: ForeignTable) -> Iterator[str]:
     """What the columns hold, as comments."""
-    lines = ["# column, samples, from .. to, unit by the file"]
+    yield "# column, samples, from .. to, unit by the file"
     lengths = table.lengths
     for column in table.columns[:SHOWN]:
         values = table.read([column])[column]
-        lines.append(
+        yield (
             f"#   {printable(json.dumps(column), 80)}  {lengths[column]}  {_range(values)}  "
             f"{printable(table.unit(column) or '-', 20)}"
         )
     more = len(table.columns) - SHOWN
-    return lines + [f"#   and {more} more"] * (more > 0)
+    if more > 0:
+        yield f"#   and {more} more"
 
 
 def _range(values: Array) -> str:
@@ -117,33 +131,33 @@ def _range(values: Array) -> str:
     return (f"{finite.min():.4g} .. {finite.max():.4g}" if len(finite) else "nothing") + missing
 
 
-def _signal_lines(
-    kind: Kind, signals: Mapping[Kind, LikelySignal], sources: Sequence[LikelySource]
-) -> list[str]:
+def _with_signal(
+    draft: Draft, kind: Kind, signals: Mapping[Kind, LikelySignal],
+    sources: Sequence[LikelySource],
+) -> Draft:  # fmt: skip
     """A signal's table, if columns look like one."""
     found = signals.get(kind)
     beside = [c.name for s in sources for c in s.columns if c.kind == kind and c.beside]
-    said = [f"# left out, by their names: {_text(beside)}"] if beside else []
-    if found is not None:
-        columns = _text([each.name for each in found.group.columns])
-        lines = ["", f"[{kind}]", f'source = "{found.source.name}"', f"columns = {columns}"]
-        lines += [f"# others that look like it: {_text(list(found.others))}"] * bool(found.others)
-        lines += [*said, *_unit_lines(kind, found)]
-        return lines + [f"sign = {list(found.sign)}  # {BY_BOTH}"] * bool(found.sign)
-    if kind not in ("position", "torque"):
-        return []
-    more = "" if kind == "position" else ", if there are any"
-    return [
-        "",
-        f"# [{kind}]  # no column looks like it{more}",
-        *said,
-        f'# source = "{sources[0].name}"',
-        "# columns = []  # one a joint",
-        f'# unit = ""  # {", ".join(UNITS[kind])}',
-    ]
+    if beside:
+        draft = draft.remarking(kind, f"# left out, by their names: {json.dumps(beside)}")
+    if found is None:
+        optional = ", if there are any" if kind != "position" else ""
+        lines = [
+            f"# [{kind}]  # no column looks like it{optional}",
+            f'# source = "{sources[0].name}"',
+            "# columns = []  # one a joint",
+            f'# unit = ""  # {", ".join(UNITS[kind])}',
+        ]
+        return draft.remarking(kind, *lines) if kind in ("position", "torque") else draft
+    others = f"others that look like it: {json.dumps(found.others)}" if found.others else ""
+    draft = draft.saying(kind, "source", found.source.name)
+    draft = draft.saying(kind, "columns", [each.name for each in found.group.columns], others)
+    for said in _unit(kind, found):
+        draft = draft.saying(kind, *said)
+    return draft.saying(kind, "sign", list(found.sign), BY_BOTH) if found.sign else draft
 
 
-def _unit_lines(kind: Kind, found: LikelySignal) -> list[str]:
+def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
     """The unit of a signal's columns, if all are known, and what else it needs."""
     known = UNITS[kind] | (RAW if kind == "torque" else {})
     taken = [unit for unit in found.units if unit in known]
@@ -152,38 +166,36 @@ def _unit_lines(kind: Kind, found: LikelySignal) -> list[str]:
         more = "; or A, V, raw with gain = [N m each]" if kind == "torque" else ""
         large = float(np.nanmax(np.abs(values_of(found)))) if kind == "position" else 0.0
         more += f"; {large:.4g} rad would be more than a turn" if large > 2 * np.pi else ""
-        return [f'unit = ""  # {", ".join(UNITS[kind])}{more}']
-    unit = taken[0] if len(set(taken)) == 1 else taken
-    lines = [f"unit = {_text(unit)}" + f"  # {found.because}" * bool(found.because)]
-    gains = [f'gain = ""  # torque of one {each}, joint by joint [N m]' for each in raw[:1]]
-    return lines + gains
+        yield "unit", "", f"{', '.join(UNITS[kind])}{more}"
+        return
+    yield "unit", taken[0] if len(set(taken)) == 1 else taken, found.because
+    if raw:
+        yield "gain", "", f"torque of one {raw[0]}, joint by joint [N m]"
 
 
-def _plate_lines(plate: tuple[LikelySource, list[ColumnName]] | None) -> list[str]:
-    """The wrench's table."""
+def _plate(plate: tuple[LikelySource, list[ColumnName]] | None) -> Iterator[Said]:
+    """The wrench's keys."""
     if plate is None:
-        return []
+        return
     source, columns = plate
+    yield "source", source.name, ""
+    odd = "" if len(columns) == 6 else "six are wanted: force x, y, z, moment x, y, z"
+    hand = "they look like those of a sensor at the tool: leave [wrench] out then"
+    yield "columns", [each.name for each in columns], hand if at_the_hand(columns[0]) else odd
     units = [_of_all(columns[:3], "force"), _of_all(columns[3:], "moment")]
-    forces, moments = ", ".join(UNITS["force"]), ", ".join(UNITS["moment"])
-    said = "" if all(units) else f"  # {forces}; {moments}"
-    lines = ["", "[wrench]", f'source = "{source.name}"']
-    lines.append(f"columns = {_text([each.name for each in columns])}")
-    if len(columns) != 6:
-        lines.append("# six are wanted: force x, y, z, moment x, y, z")
-    if at_the_hand(columns[0]):
-        lines.append("# they look like those of a sensor at the tool: leave [wrench] out then")
+    yield "units", units, "" if all(units) else f"{_listing('force')}; {_listing('moment')}"
     pull = [
-        f"; {_text(each.name)} is {source.table.read([each.name])[each.name].mean():.4g} on average"
+        f"; {json.dumps(each.name)} is "
+        f"{source.table.read([each.name])[each.name].mean():.4g} on average"
         for each in columns
         if each.role == (0, 2)
     ]
-    return [
-        *lines,
-        f"units = {_text(units)}{said}",
-        f'sense = ""  # on_robot (at rest upwards) or on_plate{printable("".join(pull), 200)}',
-        "# place = { xyz = [0, 0, 0], rpy = [0, 0, 0] }  # of the sensor [m, rad]",
-    ]
+    yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
+    yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
+
+
+def _listing(kind: str) -> str:
+    return ", ".join(UNITS[kind])
 
 
 def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
@@ -192,23 +204,13 @@ def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
     return units.pop() if len(units) == 1 and units <= UNITS[kind].keys() else ""
 
 
-def _base_lines(sources: Sequence[LikelySource]) -> list[str]:
-    """The table of a base that moves, if columns look like it."""
+def _base(sources: Sequence[LikelySource]) -> Iterator[Said]:
+    """Keys of a base that moves, if columns look like it."""
     for source in sources:
         columns = [c.name for c in source.columns if c.kind == "base"]
         if columns:
-            return [
-                "",
-                "[base]",
-                f'source = "{source.name}"',
-                f"# of these: {_text(columns)}",
-                'position = ["", "", ""]',
-                'unit = ""  # m, cm, mm, inch',
-                'quaternion = ["", "", "", ""]  # w, x, y, z, in this order',
-            ]
-    return []
-
-
-def _text(value: object) -> str:
-    """A text or a list of texts as TOML writes it."""
-    return json.dumps(value, ensure_ascii=True)
+            yield "source", source.name, ""
+            yield "position", ["", "", ""], f"of these: {json.dumps(columns)}"
+            yield "unit", "", "m, cm, mm, inch"
+            yield "quaternion", ["", "", "", ""], "w, x, y, z, in this order"
+            return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -74,11 +75,12 @@ class LikelySignal:
 _Pair = tuple[str | None, str | None]
 
 
-def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
+def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]:
     """Tables of foreign files with what their columns likely are.
 
     Args:
         paths: The files; of a bag every topic of numbers is a table.
+        joints: Of the robot; 0 if that is not known.
 
     Raises:
         RecordingError: One cannot be read.
@@ -91,7 +93,40 @@ def likely_sources(paths: Sequence[Path]) -> list[LikelySource]:
         name = f"{stem}_{len(stems)}" if stem in stems else stem
         stems.append(stem)
         found += _tables(path, name if len(paths) > 1 else "")
-    return found
+    return [in_order(each, joints) for each in found] if joints else found
+
+
+def in_order(source: LikelySource, joints: int) -> LikelySource:
+    """A source whose columns have no names, with what they are in the order that loggers have.
+
+    Positions, velocities and accelerations if what follows is a derivative, torques, the plate.
+
+    Args:
+        source: As its names tell it.
+        joints: Of the robot.
+    """
+    if any(re.search("[A-Za-z]", column.name) for column in source.columns):
+        return source
+    names = [column.name for column in source.columns]
+    parts = [names[k : k + joints] for k in range(0, len(names) - joints + 1, joints)]
+    read = source.table.read(names)
+    values = [np.stack([read[name] for name in part], axis=1) for part in parts]
+    time = source.clock.time(source.table, len(read[names[0]])) if names else np.zeros(0)
+    rates = [
+        float(np.diagonal(slopes(*pair, time).fit).min()) > SURE for pair in pairwise(values[:3])
+    ]
+    moved = 1 + next((k for k, follows in enumerate(rates) if not follows), len(rates))
+    kinds: list[tuple[str, tuple[int, int] | None]] = []
+    for kind in (*KINDS[:moved], "torque"):
+        kinds += [(kind, None)] * joints
+    kinds += [("wrench", divmod(k, 3)) for k in range(6)]
+    if len(names) < len(kinds):  # there are no torques, or there is no plate
+        kinds = kinds[: joints * moved] + kinds[-6:] if len(names) < len(kinds) - 6 else kinds[:-6]
+    if len(kinds) != len(names):
+        return source
+    pairs = zip(source.columns, kinds, strict=True)
+    told = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
+    return replace(source, columns=tuple(told))
 
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:

@@ -257,20 +257,25 @@ def read_mapping(path: Path) -> Mapping:
         ExperimentError: It cannot be read, or says what is not understood, in one line.
     """
     content = read_toml(path, "mapping")
-    empty = [*_empty(content, ())]
+    empty = [*empty_keys(content)]
     if empty:
         raise ExperimentError(f"{path}: fill in what is empty: {', '.join(dict.fromkeys(empty))}")
     return checked(Mapping, content, str(path))
 
 
-def _empty(content: object, place: tuple[str, ...]) -> Iterator[str]:
-    """Keys that are still empty, as a mapping that was guessed leaves them."""
+def empty_keys(content: object, place: tuple[str, ...] = ()) -> Iterator[str]:
+    """Dotted names of keys that are still empty, as a mapping that was guessed leaves them.
+
+    Args:
+        content: Of the file.
+        place: Of the content in it.
+    """
     if isinstance(content, dict):
         for key, value in content.items():
-            yield from _empty(value, (*place, str(key)))
+            yield from empty_keys(value, (*place, str(key)))
     elif isinstance(content, list):
         for value in content:
-            yield from _empty(value, place)
+            yield from empty_keys(value, place)
     elif content == "":
         yield ".".join(place)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,18 +70,15 @@ class Clock:
         unit = min(TIMES, key=lambda name: abs(np.log(TIMES[name] / seconds)))
         return replace(self, unit=unit, rate=self.rate / TIMES[unit], because=because)
 
-    def lines(self) -> list[str]:
-        """Keys of the source in a mapping."""
-        why = f"  # {self.because}" * bool(self.because)
+    def said(self) -> Iterator[tuple[str, Any, str]]:
+        """Keys of the source in a mapping, their values and what is said beside them."""
         if self.column is None:
-            known = f"rate = {self.rate:.9g}{why}; the file has no times"
-            return [known if self.rate else "rate = 0  # no column looks like times [Hz]"]
-        rate = f"  # {self.rate:.9g} a second" if self.unit else ""
-        lines = [f"time = {json.dumps(self.column)}{rate}"]
+            known = f"{self.because}; the file has no times".removeprefix("; ")
+            yield "rate", self.rate, known if self.rate else "no column looks like times [Hz]"
+            return
+        yield "time", self.column, f"{self.rate:.9g} a second" if self.unit else ""
         if not self.given:
-            unit = f'"{self.unit}"{why}' if self.unit else f'""  # {", ".join(TIMES)}'
-            lines.append(f"time_unit = {unit}")
-        return lines
+            yield "time_unit", self.unit or "", self.because if self.unit else ", ".join(TIMES)
 
 
 def clock_of(table: ForeignTable) -> Clock:
@@ -90,11 +88,12 @@ def clock_of(table: ForeignTable) -> Clock:
         table: Of a file of another program.
     """
     likely = sorted((c for c in table.columns if like_time(c) < len(TIME_WORDS)), key=like_time)
-    for column in likely[:LOOKED_AT]:
+    unnamed = not any(re.search("[A-Za-z]", column) for column in table.columns)
+    for column in table.columns[:1] if unnamed else likely[:LOOKED_AT]:
         stamps = table.stamps(column)
         if len(stamps) < 2 or not np.isfinite(stamps).all():
             continue
-        if (np.diff(stamps) > 0).mean() <= RISING:
+        if (np.diff(stamps) > 0).mean() <= (1 - 1e-9 if unnamed else RISING):
             continue
         said = plain(table.unit(column) or "")
         given = said in TIMES

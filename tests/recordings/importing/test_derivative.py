@@ -103,6 +103,33 @@ def test_degrees_taken_for_radians_are_told_by_the_velocity(tmp_path: Path) -> N
     assert cure(tmp_path, mapping()) == {"position": {"unit": "deg"}}
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("wrong", ["position", "velocity"])
+@pytest.mark.parametrize(("was", "said"), [("rad", "deg"), ("deg", "rad")])
+def test_which_of_two_is_in_degrees_is_told_by_their_sizes(
+    wrong: str, was: str, said: str, seed: int, tmp_path: Path
+) -> None:
+    """Both are in one unit in the file, and the mapping says another of one of them."""
+    log(tmp_path, seed)
+    data: dict[str, Any] = dict(np.load(tmp_path / "log.npz"))
+    both = {kind: data[kind] / factor("position", was) for kind in ("position", "velocity")}
+    np.savez(tmp_path / "log.npz", **data | both)
+    units = {"position": was, "velocity": f"{was}/s"}
+    mistaken = units | {wrong: units[wrong].replace(was, said)}
+    tables = {kind: {"unit": unit} for kind, unit in mistaken.items()}
+    assert cure(tmp_path, mapping(**tables)) == {wrong: {"unit": units[wrong]}}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dead_encoder_is_told_by_its_velocity(seed: int, tmp_path: Path) -> None:
+    log(tmp_path, seed, noise=0.02)
+    data: dict[str, Any] = dict(np.load(tmp_path / "log.npz"))
+    data["position"][:, seed] = 0.0
+    np.savez(tmp_path / "log.npz", **data)
+    with pytest.raises(RecordingError, match=f"joint {JOINTS[seed]} is the same throughout"):
+        imported(tmp_path, mapping())
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.2])
 def test_a_right_velocity_is_taken_and_said_to_be_unused(noise: float, tmp_path: Path) -> None:
     log(tmp_path, noise=noise)

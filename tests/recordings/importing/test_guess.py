@@ -186,7 +186,7 @@ def test_a_guess_converts_the_log_back(seed: int, tmp_path: Path) -> None:
         paths.append(tmp_path / f"log{k}{log.ending}")
         write(log, paths[-1])
     known = not layout.named or bool(layout.rng.integers(2))
-    text = guessed(paths, tmp_path, layout.names if known else ())
+    text = guessed(paths, tmp_path, layout.names if known else ()).text
     assert [line.split("=")[0].strip() for line in empty(text)] == ["sense"], text
     (tmp_path / "map.toml").write_text(text.replace('sense = ""', 'sense = "on_robot"'))
     made = tb.Recording.from_mapping(tmp_path / "map.toml")

@@ -199,7 +199,7 @@ def test_the_mapping_stays_with_the_recording(text: str, tmp_path: Path) -> None
 def test_what_grows_is_a_clock_only_by_its_name(first: str, clock: bool, tmp_path: Path) -> None:
     rows = "".join(f"{k / 10},{k % 3}\n" for k in range(9))
     (tmp_path / "log.csv").write_text(f"{first},q\n{rows}")
-    assert (f'time = "{first}"' in guessed([tmp_path / "log.csv"], tmp_path)) is clock
+    assert (f'time = "{first}"' in guessed([tmp_path / "log.csv"], tmp_path).text) is clock
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -208,7 +208,7 @@ def test_a_guess_names_all_columns_and_is_refused_until_it_is_filled_in(
 ) -> None:
     FORMATS[name](tmp_path, some_log())
     file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
-    text = guessed([file], tmp_path)
+    text = guessed([file], tmp_path).text
     (tmp_path / "guess.toml").write_text(text)
     with pytest.raises(ExperimentError) as error:
         read_mapping(tmp_path / "guess.toml")
@@ -220,7 +220,7 @@ def test_a_guess_names_all_columns_and_is_refused_until_it_is_filled_in(
 
 def test_a_guess_that_is_filled_in_is_a_mapping(tmp_path: Path, log: Log) -> None:
     FORMATS["bag"](tmp_path, log)
-    text = guessed([tmp_path / "log.bag"], tmp_path)
+    text = guessed([tmp_path / "log.bag"], tmp_path).text
     start, end = text.index("[velocity]"), text.index("[torque]")
     text = (text[:start] + text[end:]).replace('sense = ""', 'sense = "on_robot"')
     text = text.replace('units = ["", ""]', 'units = ["N", "N m"]')
@@ -241,7 +241,7 @@ def test_a_guess_of_a_moving_base_names_its_source_and_leaves_the_choice(tmp_pat
     head = "t,q1,base_x,base_y,base_z,quat_w,quat_x,quat_y,quat_z"
     lines = [f"{0.01 * k:.2f},{k},0,0,1,1,0,0,0" for k in range(5)]
     (tmp_path / "walk.csv").write_text("\n".join([head, *lines]) + "\n")
-    table = guessed([tmp_path / "walk.csv"], tmp_path).partition("[base]")[2]
+    table = guessed([tmp_path / "walk.csv"], tmp_path).text.partition("[base]")[2]
     assert table.splitlines()[1] == 'source = "log"'
     assert "# of these: " in table
     assert 'position = ["", "", ""]' in table

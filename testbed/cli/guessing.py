@@ -1,0 +1,78 @@
+"""A mapping file for other programs' files, as import --guess and new --recording write it."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from testbed.recordings.importing.draft import Draft
+    from testbed.robot.tree import Tree
+
+
+def write_mapping(
+    files: Sequence[Path], out: Path | None, model: Path | None, tree: Tree | None
+) -> bool:
+    """Write a mapping where it is wanted, or on standard output; say what to do with it.
+
+    Args:
+        files: Of other programs.
+        out: Mapping file to write.
+        model: The robot's file, if it is known.
+        tree: The robot.
+
+    Returns:
+        Whether it is complete.
+
+    Raises:
+        typer.BadParameter: The mapping is there.
+        RecordingError: The data are not of this robot.
+    """
+    from testbed.files import replacing
+    from testbed.recordings.importing.guess import guessed
+    from testbed.reporting import output
+    from testbed.sanity.solved_mapping import missing, solved
+
+    if out is not None and out.exists():
+        raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
+    folder = out.parent if out else Path()
+    with output.Progress("reading"):
+        draft = guessed(files, folder, () if tree is None else tree.names)
+    if tree is not None:
+        with output.Progress("solving for what names do not tell") as bar:
+            draft, warnings = solved(draft, out or folder / "mapping.toml", tree, bar)
+        output.print_lines((), warnings)
+    if out is None:
+        typer.echo(draft.text, nl=False)
+        return False
+    if tree is not None:
+        _show(draft)
+    with replacing(out) as fresh:
+        fresh.write_text(draft.text, encoding="utf-8")
+    empty = missing(draft)
+    fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
+    made = out.with_suffix(".parquet")
+    against = "ROBOT" if model is None else str(model)
+    typer.echo(f"{out}: {fill}testbed import {out} --out {made} --model {against}")
+    return not empty
+
+
+def _show(draft: Draft) -> None:
+    """What was solved; on a terminal a person says yes to it."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table
+    from rich.text import Text
+
+    from testbed.reporting import output
+    from testbed.sanity.solved_mapping import table_of
+
+    table = Table("key", "value", "known by", box=SIMPLE_HEAD)
+    for key, value, note in table_of(draft):
+        table.add_row(*map(Text, (key, value, note)))
+    output.console().print(table)
+    if sys.stdin.isatty() and sys.stdout.isatty():
+        typer.confirm("Write it so?", default=True, abort=True)
