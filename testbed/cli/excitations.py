@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from testbed.experiment.experiment import Experiment
     from testbed.reporting.output import Progress
 
+TIMED = 3
+"""Steps by which the time that all would take is told."""
+
 
 @app.command()
 def excite(
@@ -96,34 +99,39 @@ def excite(
         print_excitation(output.console(), found, out)
 
 
-def _budget(experiment: Experiment) -> str:
-    """What the search may take."""
+def _budget(experiment: Experiment) -> Callable[[float], str]:
+    """What the search may take, in words, given how long all its steps would take [s]."""
     from testbed.excitation.barrier_search import STEPS
 
     table = experiment.excitation
     searches = f"{table.starts} searches of at most {STEPS} steps"
     if table.seconds is None:
-        return (
-            f"{searches}; Ctrl-C goes on with the best so far, excitation.seconds or fewer "
-            "excitation.starts end sooner"
+        return lambda most: (
+            f"{searches}, at most {most:.0f} s; Ctrl-C goes on with the best so far, "
+            "excitation.seconds or fewer excitation.starts end sooner"
         )
-    return f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
+    ends = f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
+    return lambda _: ends
 
 
 class _Searching:
     """Says the budget, then the best so far and how long all steps of all searches would take."""
 
-    def __init__(self, progress: Progress, budget: str) -> None:
+    def __init__(self, progress: Progress, budget: Callable[[float], str]) -> None:
         self._progress, self._budget = progress, budget
-        self._steps, self._began = 0, time.monotonic()
+        self._steps, self._began = -1, 0.0
 
     def __call__(self, done: int, total: int, best: float) -> None:
         from testbed.excitation.barrier_search import STEPS
 
-        if not self._steps and not sys.stderr.isatty():  # a terminal has the bar
-            note([self._budget])
         self._steps += 1
-        most = (time.monotonic() - self._began) / self._steps * STEPS * total
+        now = time.monotonic()
+        if not self._steps:  # loading, compiling and the search's start are over
+            self._began = now
+            return
+        most = (now - self._began) / self._steps * STEPS * total
+        if self._steps == TIMED and not sys.stderr.isatty():  # a terminal has the bar
+            note([self._budget(most)])
         self._progress.say(
             done, total, f"searching, at most {most:.0f} s, best sigma so far {best:.3g}"
         )
