@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from testbed.experiment.experiment import Experiment
     from testbed.reporting.output import Progress
 
-TIMED = 3
-"""Steps by which the time that all would take is told."""
+TIMED, LONG = 3, 10.0
+"""Steps by which the time that all would take is known, and how long it is if it is told [s]."""
 
 
 @app.command()
@@ -107,7 +107,9 @@ def _budget(experiment: Experiment) -> Callable[[float], str]:
     searches = f"{table.starts} searches of at most {STEPS} steps"
     if table.seconds is None:
         return lambda most: (
-            f"{searches}, at most {most:.0f} s; Ctrl-C goes on with the best so far, "
+            searches
+            + (f", at most {most:.0f} s" if most > LONG else "")
+            + "; Ctrl-C goes on with the best so far, "
             "excitation.seconds or fewer excitation.starts end sooner"
         )
     ends = f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
