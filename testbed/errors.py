@@ -38,6 +38,11 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
     return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
 
 
+def plural(count: int, noun: str) -> str:
+    """A number with its noun: "1 sample", "2 samples"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def _spelled(character: str) -> str:
     return character.encode("unicode_escape").decode()
 

@@ -56,6 +56,9 @@ def excite(
             callback=ending(".html", ".htm"), help="Picture of motion, limits and sigma (HTML)."
         ),
     ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Print all parameters and limits.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Design the motion that makes the parameters most certain, and prove that it may be run.
@@ -78,7 +81,7 @@ def excite(
         check_ending(trajectory)
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
-        _check(file, settings or [], as_json=as_json)
+        _check(file, settings or [], everything=everything, as_json=as_json)
     check_writable(out, trajectory, page, read=(file, prior))
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
@@ -96,7 +99,7 @@ def excite(
         output.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
         note([*found.tree.warnings, *found.rules.notes, *found.warnings])
-        print_excitation(output.console(), found, out)
+        print_excitation(output.console(), found, out, everything=everything)
 
 
 def _budget(experiment: Experiment) -> Callable[[float], str]:
@@ -175,7 +178,7 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
         raise typer.BadParameter(f"--check designs nothing: leave out {', '.join(said)}")
 
 
-def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
+def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
     from testbed.experiment.motion_results import proof_as_json
     from testbed.experiment.motions import checked_motion
@@ -189,7 +192,7 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
         output.print_json(proof_as_json(proof))
     else:
         note([*found.rules.tree.warnings, *found.rules.notes])
-        print_proof(output.console(), proof)
+        print_proof(output.console(), proof, everything=everything)
     raise typer.Exit(0 if proof.holds else 1)
 
 
