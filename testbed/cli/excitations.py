@@ -107,7 +107,7 @@ def _budget(experiment: Experiment) -> Callable[[float], str]:
     from testbed.excitation.barrier_search import STEPS
 
     table = experiment.excitation
-    searches = f"{table.starts} searches of at most {STEPS} steps"
+    searches = f"{table.starts} search{'es' * (table.starts != 1)} of at most {STEPS} steps"
     if table.seconds is None:
         return lambda most: (
             searches

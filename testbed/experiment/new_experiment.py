@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
+from testbed.errors import plural
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -92,7 +93,7 @@ def new_experiment(
 def _head(model: Path, folder: Path, found: RobotFound) -> list[str]:
     tree = found.tree
     torques, plate = (minimal_set(tree, kind).count for kind in ("dynamic", "reaction"))
-    joints = "1 joint" if tree.n == 1 else f"{tree.n} joints"
+    joints = plural(tree.n, "joint")
     place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
     return [
         f"# {joints}: joint torques tell {torques} minimal parameters, the bedplate {plate}.",
