@@ -89,7 +89,8 @@ class DistanceMeter:
         if pairs is not None:
             doubtful &= pairs[self._pair_of]
         doubtful = np.flatnonzero(doubtful)
-        every[doubtful] = np.maximum(every[doubtful], self._boxes_apart(doubtful))
+        apart = self._boxes_apart(doubtful)  # zero says nothing of how deep shapes overlap
+        every[doubtful] = np.where(apart > 0, np.maximum(every[doubtful], apart), every[doubtful])
         least = np.full(0, self._far)
         if len(every):
             least = np.minimum.reduceat(every, self._start[:-1])
