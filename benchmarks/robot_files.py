@@ -1,11 +1,12 @@
 """Robots of packages on PyPI: what `new` writes runs, no file edited.
 
-Every URDF of example-robot-data, and the MJCF of robosuite where it is installed
-(`pip install --no-deps robosuite`): it is not imported.
+Every URDF of example-robot-data, and the MJCF of packages that are installed (`pip install
+--no-deps robosuite dm_control gymnasium gymnasium-robotics`): they are not imported.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -23,6 +24,19 @@ SECONDS = 600.0
 NO_ROBOTS = ("no joint that moves", "not a valid URDF")
 """Why nothing can run."""
 
+MODELS = {
+    "robosuite": ("models/assets/robots/*/robot.xml",),
+    "dm_control": (
+        "suite/*.xml",
+        "locomotion/walkers/assets/*.xml",
+        "locomotion/walkers/assets/*/*.xml",
+        "third_party/*/*.xml",
+    ),
+    "gymnasium": ("envs/mujoco/assets/*.xml",),
+    "gymnasium_robotics": ("envs/assets/*/*.xml", "envs/mujoco/assets/*.xml"),
+}
+"""Where packages have their robots; what is to be included in others has no `<worldbody>`."""
+
 
 def runs(only: str, seconds: float) -> Iterator[dict[str, Any]]:
     """A line a file, then all of them.
@@ -34,9 +48,9 @@ def runs(only: str, seconds: float) -> Iterator[dict[str, Any]]:
     found: dict[str, list[str]] = {}
     for name, path in sorted(_files()):
         if only in name:
-            came, why, spent = _run(path, seconds)
-            found.setdefault(came, []).append(name)
-            yield {"robot": name, "came": came, "why": why, "cpu_s": round(spent, 1)}
+            line = {"robot": name} | _run(path, seconds)
+            found.setdefault(line["came"], []).append(name)
+            yield line
     counts = {came: len(names) for came, names in found.items()}
     yield {"benchmark": "robots", "files": sum(counts.values())} | counts
 
@@ -45,20 +59,29 @@ def _files() -> Iterator[tuple[str, Path]]:
     """Names and places of model files."""
     for path in REAL.rglob("*.urdf"):
         yield str(path.relative_to(REAL)), path
-    package = find_spec("robosuite")
-    for place in () if package is None else package.submodule_search_locations or ():
-        for path in (Path(place) / "models/assets/robots").glob("*/robot.xml"):
-            yield f"robosuite/{path.parent.name}", path
+    for package, patterns in MODELS.items():
+        spec = find_spec(package)
+        for place in () if spec is None else spec.submodule_search_locations or ():
+            for path in (path for pattern in patterns for path in Path(place).glob(pattern)):
+                if b"<worldbody" in path.read_bytes():
+                    yield f"{package}/{path.relative_to(place)}", path
 
 
-def _run(path: Path, seconds: float) -> tuple[str, str, float]:
-    """What came of one file, why, and the CPU time that it took [s]."""
+def _run(path: Path, seconds: float) -> dict[str, Any]:
+    """What came of one file.
+
+    The largest error of the plate's estimate in its own sigmas, or why there is no estimate; CPU
+    time [s].
+    """
     short = (f"motion.duration={seconds:g}", "motion.candidates=1")
     settings = [word for each in short for word in ("--set", each)]
     before = os.times()
-    came, why = "runs", ""
+    found: dict[str, Any] = {"came": "runs"}
     with tempfile.TemporaryDirectory() as folder:
-        for words in (["new", str(path), "--out", "r.toml"], ["run", "r.toml", *settings]):
+        for words in (
+            ["new", str(path), "--out", "r.toml"],
+            ["run", "r.toml", "--json", *settings],
+        ):
             command = [sys.executable, "-m", "testbed", *words]
             try:
                 done = subprocess.run(
@@ -71,13 +94,16 @@ def _run(path: Path, seconds: float) -> tuple[str, str, float]:
                     timeout=SECONDS,
                 )
             except subprocess.TimeoutExpired:
-                came, why = f"{words[0]} takes too long", ""
+                found = {"came": f"{words[0]} takes too long"}
                 break
             if done.returncode > 1:
                 why = (done.stderr.splitlines() or [""])[-1]
                 none = any(reason in why for reason in NO_ROBOTS)
-                came = "no robot" if none else f"{words[0]} refused"
+                found = {"came": "no robot" if none else f"{words[0]} refused", "why": why}
                 break
+            if words[0] == "run":
+                found["max_z"] = json.loads(done.stdout)["metrics"].get("external_max_z")
     after = os.times()
     spent = after.children_user + after.children_system
-    return came, why, spent - before.children_user - before.children_system
+    spent -= before.children_user + before.children_system
+    return found | {"cpu_s": round(spent, 1)}

@@ -13,6 +13,8 @@ LONGEST_MESSAGE = 500
 """Characters of a message; more would drive everything else off the terminal."""
 LONGEST_NAME = 200
 """Names longer than this are not searched for likely typing errors: that takes too long."""
+ENOUGH = 3
+"""Values for each unknown that are enough of a motion that does not repeat."""
 LISTED, SEARCHED = 30, 2000
 """Names that a message lists, and that are searched for likely typing errors, of many."""
 
@@ -36,6 +38,11 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
     gap = gap if 2 * len(gap) < limit else "..."
     left = limit - len(gap)
     return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
+
+
+def plural(count: int, noun: str) -> str:
+    """A number with its noun: "1 sample", "2 samples"."""
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _spelled(character: str) -> str:
@@ -152,12 +159,15 @@ class UnseenParameters(TestbedError):
         self.rank = rank
         if 0 < samples < count:
             said = (
-                f"{samples} values, filtered and of all channels, for {count} unknowns: record at "
-                f"least {count / samples:.1f} times as long"
+                f"{plural(samples, 'value')}, filtered and of all channels, for {count} "
+                "unknowns: record at "
+                f"least {count / samples:.1f} times as long, better {ENOUGH * count / samples:.0f} "
+                "times, and let no motion repeat within that time"
             )
         else:
             said = (
-                f"{samples} samples determine only {rank} of {count} unknowns and cannot tell "
+                f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns "
+                "and cannot tell "
                 f"apart {', '.join(names)}: record a longer or richer motion of the joints "
                 "concerned"
             )

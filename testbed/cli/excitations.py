@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from testbed.experiment.experiment import Experiment
     from testbed.reporting.output import Progress
 
+TIMED, LONG = 3, 10.0
+"""Steps by which the time that all would take is known, and how long it is if it is told [s]."""
+
 
 @app.command()
 def excite(
@@ -53,6 +56,9 @@ def excite(
             callback=ending(".html", ".htm"), help="Picture of motion, limits and sigma (HTML)."
         ),
     ] = None,
+    everything: Annotated[
+        bool, typer.Option("--all", help="Print all parameters and limits.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Design the motion that makes the parameters most certain, and prove that it may be run.
@@ -75,7 +81,7 @@ def excite(
         check_ending(trajectory)
     if check:
         _require_nothing({"--trajectory": trajectory, "--page": page, "--prior": prior})
-        _check(file, settings or [], as_json=as_json)
+        _check(file, settings or [], everything=everything, as_json=as_json)
     check_writable(out, trajectory, page, read=(file, prior))
     experiment = _experiment(file, settings or [])
     known = None if prior is None else _covariance(prior, experiment)
@@ -93,37 +99,44 @@ def excite(
         output.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
         note([*found.tree.warnings, *found.rules.notes, *found.warnings])
-        print_excitation(output.console(), found, out)
+        print_excitation(output.console(), found, out, everything=everything)
 
 
-def _budget(experiment: Experiment) -> str:
-    """What the search may take."""
+def _budget(experiment: Experiment) -> Callable[[float], str]:
+    """What the search may take, in words, given how long all its steps would take [s]."""
     from testbed.excitation.barrier_search import STEPS
 
     table = experiment.excitation
-    searches = f"{table.starts} searches of at most {STEPS} steps"
+    searches = f"{table.starts} search{'es' * (table.starts != 1)} of at most {STEPS} steps"
     if table.seconds is None:
-        return (
-            f"{searches}; Ctrl-C goes on with the best so far, excitation.seconds or fewer "
-            "excitation.starts end sooner"
+        return lambda most: (
+            searches
+            + (f", at most {most:.0f} s" if most > LONG else "")
+            + "; Ctrl-C goes on with the best so far, "
+            "excitation.seconds or fewer excitation.starts end sooner"
         )
-    return f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
+    ends = f"{searches}, ended after {table.seconds:g} s: the result depends on this machine then"
+    return lambda _: ends
 
 
 class _Searching:
     """Says the budget, then the best so far and how long all steps of all searches would take."""
 
-    def __init__(self, progress: Progress, budget: str) -> None:
+    def __init__(self, progress: Progress, budget: Callable[[float], str]) -> None:
         self._progress, self._budget = progress, budget
-        self._steps, self._began = 0, time.monotonic()
+        self._steps, self._began = -1, 0.0
 
     def __call__(self, done: int, total: int, best: float) -> None:
         from testbed.excitation.barrier_search import STEPS
 
-        if not self._steps and not sys.stderr.isatty():  # a terminal has the bar
-            note([self._budget])
         self._steps += 1
-        most = (time.monotonic() - self._began) / self._steps * STEPS * total
+        now = time.monotonic()
+        if not self._steps:  # loading, compiling and the search's start are over
+            self._began = now
+            return
+        most = (now - self._began) / self._steps * STEPS * total
+        if self._steps == TIMED and not sys.stderr.isatty():  # a terminal has the bar
+            note([self._budget(most)])
         self._progress.say(
             done, total, f"searching, at most {most:.0f} s, best sigma so far {best:.3g}"
         )
@@ -165,7 +178,7 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
         raise typer.BadParameter(f"--check designs nothing: leave out {', '.join(said)}")
 
 
-def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
+def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
     from testbed.experiment.motion_results import proof_as_json
     from testbed.experiment.motions import checked_motion
@@ -179,7 +192,7 @@ def _check(file: Path, settings: list[str], *, as_json: bool) -> None:
         output.print_json(proof_as_json(proof))
     else:
         note([*found.rules.tree.warnings, *found.rules.notes])
-        print_proof(output.console(), proof)
+        print_proof(output.console(), proof, everything=everything)
     raise typer.Exit(0 if proof.holds else 1)
 
 

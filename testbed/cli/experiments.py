@@ -16,6 +16,7 @@ from testbed.cli.options import (
     ending,
     note,
 )
+from testbed.errors import plural
 
 if TYPE_CHECKING:
     from testbed.arrays import Array
@@ -139,7 +140,9 @@ def simulate(
     with output.Progress("simulating") as progress:
         recording = simulated(experiment, progress)
     recording.save(out)
-    output.console().print(f"{recording.samples} samples at {recording.rate:g} Hz in {out}")
+    output.console().print(
+        f"{plural(recording.samples, 'sample')} at {recording.rate:g} Hz in {out}"
+    )
 
 
 @app.command()

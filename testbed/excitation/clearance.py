@@ -64,7 +64,10 @@ class DistanceMeter:
         self._start = np.cumsum([0, *counts])
         radius, kind = collision.model.geom_rbound, collision.model.geom_type
         self._radii = radius[self._first] + radius[self._second]
-        self._planes = np.flatnonzero(kind[self._first] == int(mujoco.mjtGeom.mjGEOM_PLANE))
+        flat = kind[self._first] == int(mujoco.mjtGeom.mjGEOM_PLANE)
+        self._planes, self._solid = np.flatnonzero(flat), ~flat
+        self._pair_of = np.repeat(np.arange(len(counts)), counts)
+        self._middle, self._half = np.hsplit(collision.model.geom_aabb, 2)
 
     def measure(
         self, q: Array, pairs: NDArray[np.bool_] | None = None, *, slopes: bool = False
@@ -82,6 +85,12 @@ class DistanceMeter:
         if slopes:
             mujoco.mj_comPos(model, data)  # which Jacobians need
         every = self._least()
+        doubtful = self._solid & (every < self._far)
+        if pairs is not None:
+            doubtful &= pairs[self._pair_of]
+        doubtful = np.flatnonzero(doubtful)
+        apart = self._boxes_apart(doubtful)  # zero says nothing of how deep shapes overlap
+        every[doubtful] = np.where(apart > 0, np.maximum(every[doubtful], apart), every[doubtful])
         least = np.full(0, self._far)
         if len(every):
             least = np.minimum.reduceat(every, self._start[:-1])
@@ -133,6 +142,19 @@ class DistanceMeter:
         found[self._planes] = away[self._planes, 2] - self._radii[self._planes]
         return np.asarray(found)
 
+    def _boxes_apart(self, chosen: NDArray[np.int64]) -> Array:
+        """Better bounds for some pairs of shapes: by boxes around each, along its own axes."""
+        first, second = self._first[chosen], self._second[chosen]
+        turns = self._data.geom_xmat.reshape(-1, 3, 3)
+        centres = self._data.geom_xpos + np.einsum("kij,kj->ki", turns, self._middle)
+        away = (centres[second] - centres[first])[:, None]
+        one, two = turns[first], turns[second]
+        between = np.abs(one.transpose(0, 2, 1) @ two)
+        reach = self._half[first] + (between @ self._half[second][:, :, None])[:, :, 0]
+        back = self._half[second] + (self._half[first][:, None] @ between)[:, 0]
+        gaps = np.stack([np.abs(away @ one)[:, 0] - reach, np.abs(away @ two)[:, 0] - back])
+        return np.asarray(np.linalg.norm(np.maximum(gaps, 0), axis=2).max(axis=0))
+
 
 class ClearanceTerm:
     """Distances that pairs of bodies must keep.
@@ -154,6 +176,7 @@ class ClearanceTerm:
         self._meter = DistanceMeter(collision, self._far)
         self._levers = levers(collision, limits)
         self._seen: tuple[Array, Array] | None = None  # postures, and least distances there
+        self._found = np.zeros(0), np.zeros(0)  # values and derivatives there
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -162,25 +185,28 @@ class ClearanceTerm:
 
     def values(self, samples: Instants) -> Array:
         """Missing distances as shares, (k, G)."""
-        return self._both(samples.q, slopes=False)[0]
+        return self._both(samples.q)[0]
 
     def slopes(self, samples: Samples) -> Array:
         """Derivatives, (k, 3 n, G)."""
-        return self._both(samples.q, slopes=True)[1]
+        return self._both(samples.q)[1]
 
-    def _both(self, postures: Array, *, slopes: bool) -> tuple[Array, Array]:
+    def _both(self, postures: Array) -> tuple[Array, Array]:
+        """Values and derivatives; kept, as a search asks for the same postures several times."""
+        if self._seen is not None and np.array_equal(self._seen[0], postures):
+            return self._found
         instants, n = postures.shape
         least = self._least_here(postures)
         far = (self._least - self._far) / _UNIT
         values = np.tile(far[:, None], instants)
         by_motion = np.zeros((least.shape[1], 3 * n, instants))
         for g in np.flatnonzero((least < self._far).any(axis=1)):
-            found = self._meter.measure(postures[g], least[g] < self._far, slopes=slopes)
+            found = self._meter.measure(postures[g], least[g] < self._far, slopes=True)
             least[g] = np.maximum(least[g], found.least)
             values[:, g] = (self._least - found.values) / _UNIT
             by_motion[:, :n, g] = -found.slopes / _UNIT
-        self._seen = postures, least
-        return values, by_motion
+        self._seen, self._found = (postures, least), (values, by_motion)
+        return self._found
 
     def _least_here(self, postures: Array) -> Array:
         """What distances are at least, from where they were last, (G, pairs) [m]."""

@@ -43,6 +43,8 @@ FINER = (2, 4)
 """Times as many samples, and as much room, in a search that goes on where a proof failed."""
 ROOM, LEAST_ROOM = 0.25, 2e-4
 """What a search keeps beyond the clearance that is to be proven: a share of it, at least [m]."""
+FAIR, BEHIND = 30, 2 * np.log(1.25)
+"""A search ends that after so many steps or more is so much behind the best one at that step."""
 INSTANTS, DENSITY = 80, 16
 """Samples of a period in a search: at least so many, and so many a harmonic."""
 
@@ -105,7 +107,7 @@ class Design:
         value: Its criterion for one sample: exp(value / 2) is a relative sigma.
         proof: What it leaves of every limit.
         searches: All that were made.
-        complete: Whether all searches that were wished for were made to their end.
+        complete: Whether all searches that were wished for were made, none cut short by time.
     """
 
     motion: Fourier
@@ -161,6 +163,8 @@ class _Clock:
         self._end, self._starts, self._watch = time.monotonic() + wish.seconds, wish.starts, watch
         self._interrupted = interrupted
         self._best, self._done = np.inf, 0
+        self._steps: list[float] = []  # of the search that is made, then of the best so far
+        self._best_steps: list[float] = []
         self.late = False
 
     @property
@@ -170,13 +174,22 @@ class _Clock:
 
     def step(self, level: float, value: float) -> bool:
         """Whether a search that has reached a value, above a level, must stop."""
+        self._steps.append(level + value)
         self._watch(self._done, self._starts, min(self._best, level + value))
         self.late = self.over
-        return self.late
+        return self.late or self._behind
+
+    @property
+    def _behind(self) -> bool:
+        """Whether the search will hardly become the best."""
+        same = self._best_steps[: len(self._steps)]
+        return len(self._steps) >= FAIR and bool(same) and self._steps[-1] > same[-1] + BEHIND
 
     def finish(self, value: float) -> None:
         """A search has ended with a value."""
-        self._best, self._done = min(self._best, value), self._done + 1
+        if value < self._best:
+            self._best, self._best_steps = value, self._steps
+        self._steps, self._done = [], self._done + 1
         self._watch(self._done, self._starts, self._best)
 
 

@@ -26,8 +26,8 @@ from testbed.robot.tree import Tree
 MARGIN = 0.95
 """Share of every limit that a motion may use: the rest is for the controller."""
 
-_CHECK = 500  # samples of a period on which limits are checked
-_SCORE = 100  # samples of a period on which a motion is scored
+_CHECK = 500, 20  # samples of a period, and of a harmonic, on which limits are checked
+_SCORE = 100, 12  # the same on which a motion is scored
 
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.15, 0.08, 0.04)
 """Of the swing of random motions, tried one after the other until one can be proven."""
@@ -50,7 +50,7 @@ class Draw:
     def sized(self, share: float) -> Fourier:
         """The motion with a share of its swing, as near to its wish as the limits allow."""
         middle, half = self.limits.middle, self.limits.half
-        times = np.linspace(0, self.motion.period, _CHECK, endpoint=False)
+        times = _times(self.motion, *_CHECK)
         swing = np.abs(self.motion.derivative(times, 0)).max(axis=0)
         room = MARGIN * half - share * swing  # how far the offset may stray from the middle
         offset = np.clip(self.wish, middle - room, middle + room)
@@ -70,8 +70,8 @@ def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Gen
     n, decay = len(limits.low), 1 / np.arange(1, harmonics + 1)
     sine, cosine = (rng.normal(size=(n, harmonics)) * decay for _ in range(2))
     wish = limits.middle + rng.uniform(-0.5, 0.5, n) * limits.half
-    times = np.linspace(0, 1 / fundamental, _CHECK, endpoint=False)
     shape = Fourier(fundamental, np.zeros(n), sine, cosine)
+    times = _times(shape, *_CHECK)
     largest = (limits.half, limits.velocity, limits.acceleration)
     room = [
         limit / np.abs(shape.derivative(times, order)).max(axis=0)
@@ -131,7 +131,7 @@ def random_motion(
 def _within_efforts(tree: Tree, draw: Draw) -> tuple[Fourier | None, Array]:
     """The largest share of a motion that the motors can do, and shares of efforts that it takes."""
     motion = draw.motion
-    times = np.linspace(0, motion.period, _CHECK, endpoint=False)
+    times = _times(motion, *_CHECK)
     for share in 0.9 ** np.arange(30):
         motion = draw.sized(float(share))
         effort = usage(tree, motion.at(times), draw.limits)["effort"]
@@ -197,15 +197,21 @@ def best_motion(
 
 
 def relative_sigma(tree: Tree, motion: Fourier, minimal: MinimalSet, noise: Array) -> float:
-    """Predicted rms of sigma_i / |delta_i| for one sample per 1/100 of a period.
+    """Predicted rms of sigma_i / |delta_i| for a hundred samples a period.
 
     Infinite if the motion leaves a parameter unseen.
     """
-    times = np.linspace(0, motion.period, _SCORE, endpoint=False)
+    times = _times(motion, *_SCORE)
     phi = regressor(tree, motion.at(times), minimal) / noise[:, None]
     scale = relative_scale(minimal, minimal.values(barycentric(tree)))
     scaled = phi.reshape(-1, minimal.count) * scale
     spread = np.linalg.svd(scaled, compute_uv=False)
     if spread[-1] <= 1e-12 * spread[0]:
         return float("inf")
-    return float(np.sqrt(np.mean(1 / spread**2)))
+    return float(np.sqrt(np.mean(1 / spread**2) * len(times) / _SCORE[0]))
+
+
+def _times(motion: Fourier, least: int, a_harmonic: int) -> Array:
+    """Instants of a period: so many, and so many a harmonic [s]."""
+    count = max(least, a_harmonic * motion.harmonics)
+    return np.linspace(0, motion.period, count, endpoint=False)

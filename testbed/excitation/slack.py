@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.excitation.clearance import DistanceMeter
+from testbed.excitation.clearance import FAR, DistanceMeter
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.proof import Rules
 from testbed.excitation.samples import Computed
@@ -29,7 +29,7 @@ class Slack:
 
 
 def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
-    """What is left of every kind of limit.
+    """What is left of every kind of limit; of clearances, where anything comes nearer than FAR.
 
     Args:
         motion: The motion.
@@ -49,6 +49,7 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
         meter = DistanceMeter(rules.collision)
         wanted = rules.clearance.max()
         whole = rules.clearance == wanted  # others are built nearer, and would hide all else
-        nearest = [meter.measure(q).values[whole].min() - wanted for q in here.q]
-        found.append(Slack("clearances", "mm", 1000 * np.array(nearest)))
+        nearest = np.array([meter.measure(q).values[whole].min() for q in here.q])
+        if (nearest < FAR).any():  # else nothing ever comes near
+            found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
     return found

@@ -56,6 +56,9 @@ METRICS = (
 )
 """What `[expect]` can bound (docs/experiments.md)."""
 
+MOST_HARMONICS = 100
+"""Of a motion."""
+
 
 class Table(BaseModel):
     """A table whose keys are all known."""
@@ -173,7 +176,7 @@ class MotionTable(Table):
     Both are recorded; the whole periods between, nearest to `duration`, are for the estimate."""
     fundamental: Positive = 0.1
     """Frequency at which the motion repeats [Hz]."""
-    harmonics: Annotated[int, Field(ge=1, le=100)] = 5
+    harmonics: Annotated[int, Field(ge=1, le=MOST_HARMONICS)] = 5
     """Number of harmonics."""
     candidates: Annotated[int, Field(ge=1, le=10_000)] = 40
     """Random motions drawn; the one that promises the smallest sigma is run."""

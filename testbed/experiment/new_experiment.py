@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
+from testbed.errors import plural
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -19,7 +20,7 @@ from testbed.experiment.assumptions import (
     assumptions,
 )
 from testbed.experiment.experiment import run_name
-from testbed.experiment.experiment_tables import BodyTable
+from testbed.experiment.experiment_tables import MOST_HARMONICS, BodyTable
 from testbed.experiment.robot_found import RobotFound, find_robot
 from testbed.experiment.trial import Needs, tried_text
 from testbed.parameters.minimal_set import minimal_set
@@ -31,6 +32,16 @@ COLUMN = 56
 """Where comments begin."""
 MANY = 12
 """Joints above which runs are kept short."""
+FEWEST_HARMONICS = 5
+"""Of any motion."""
+UNKNOWNS_A_HARMONIC = 8
+"""Unknowns that a harmonic is there for: what the plate says of a periodic motion are its harmonics
+in six channels and no more, however long it goes on. Rows reach about twice as high as the motion,
+so that three values come on each unknown."""
+FASTEST = 1.5
+"""Most that a harmonic may have: rows of faster ones are beyond the filter's cutoff [Hz]."""
+PERIOD = 10.0
+"""A motion's period is this or a multiple [s]."""
 
 
 def new_experiment(
@@ -82,7 +93,7 @@ def new_experiment(
 def _head(model: Path, folder: Path, found: RobotFound) -> list[str]:
     tree = found.tree
     torques, plate = (minimal_set(tree, kind).count for kind in ("dynamic", "reaction"))
-    joints = "1 joint" if tree.n == 1 else f"{tree.n} joints"
+    joints = plural(tree.n, "joint")
     place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
     return [
         f"# {joints}: joint torques tell {torques} minimal parameters, the bedplate {plate}.",
@@ -169,11 +180,17 @@ def _flaws(repair: Repair) -> Iterator[str]:
 def _motion(tree: Tree, needs: Needs) -> list[str]:
     limits = limits_of(tree)
     many = tree.n > MANY
+    unknowns = minimal_set(tree, "reaction").count
+    harmonics = max(FEWEST_HARMONICS, min(MOST_HARMONICS, -(-unknowns // UNKNOWNS_A_HARMONIC)))
+    period = PERIOD * np.ceil(harmonics / (PERIOD * FASTEST))
+    usual = harmonics == FEWEST_HARMONICS
+    enough = f"enough of them for {unknowns} parameters"
     lines = [
         "",
         "[motion]  # random Fourier series, proven to keep all limits; or a file of testbed excite",
-        _said("duration", 20.0 if many else 60.0, "s"),
-        _said("fundamental", 0.1, "Hz; it repeats after its inverse"),
+        _said("duration", max(20.0 if many else 60.0, period), "s"),
+        _said("fundamental", _float(1 / period), "Hz; it repeats after its inverse"),
+        *([] if usual else [_said("harmonics", harmonics, enough)]),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
     return lines + _limits(tree, limits, needs.pace)

@@ -29,8 +29,8 @@ from testbed.simulation.sampled_loop import Sampling
 MOST_SAMPLES = 2e6
 """Most samples of one run: they are held in memory."""
 
-LEAST_PERIODS = 0.02
-"""Least part of a period that is a motion."""
+LEAST_PERIODS = 0.1
+"""Least part of the fastest harmonic's period that is a motion."""
 
 Plants: TypeAlias = dict[str, Plant]
 """By all that is said of them."""
@@ -216,9 +216,9 @@ def _check_rates(experiment: Experiment) -> None:
             f"a motion of up to {motion.fundamental * motion.harmonics:g} Hz (motion.fundamental "
             f"times motion.harmonics) is too fast for measurement.rate = {rate:g} Hz"
         )
-    periods = motion.fundamental * motion.duration
+    periods = motion.fundamental * motion.harmonics * motion.duration
     if not motion.file and periods < LEAST_PERIODS:
         raise ExperimentError(
-            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of "
-            "motion.fundamental: the robot would hardly move"
+            f"motion.duration = {motion.duration:g} s is {periods:.2g} of a period of the fastest "
+            "harmonic (motion.fundamental times motion.harmonics): the robot would hardly move"
         )

@@ -10,6 +10,7 @@ import numpy as np
 
 from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
 from testbed.experiment.assumptions import calm_speeds, size
+from testbed.identification.settings import Settings
 from testbed.robot.friction import VISCOUS
 from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import Travel
@@ -20,6 +21,8 @@ from testbed.robot.tree import Tree
 HOLDING = 1e3
 """Times the robot's weight, at a usual speed, is more than viscous friction takes of a joint that
 moves."""
+SWING = 0.5
+"""Fastest that a usual motion is, of half a joint's range [1/s]."""
 
 
 @dataclass(frozen=True)
@@ -80,9 +83,15 @@ def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
 
 
 def _stuck(tree: Tree) -> dict[str, float]:
-    """Joints whose range is one position, and that; none if no joint moves."""
+    """Joints without room, and where they rest; none if no other moves.
+
+    Their range is one position, or so short that a motion is never faster than what counts as
+    rest: no torque of theirs would tell anything, and none of the robot's without them.
+    """
     found = {
-        j.name: _short(j.position_range[0]) for j in tree.joints if not np.ptp(j.position_range)
+        joint.name: _short(Travel(*joint.position_range).rest)
+        for joint in tree.joints
+        if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity) < Settings().deadband
     }
     return found if len(found) < tree.n else {}
 

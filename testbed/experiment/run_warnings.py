@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from testbed.errors import plural
 from testbed.experiment.score import Errors
 from testbed.identification.cross_check import findings_of
 from testbed.identification.estimate import Estimate, Method
@@ -105,7 +106,7 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Finding]:
     far = np.where(off, np.abs(errors.z), 0.0)
     worst = int(far.argmax())
     others = int(off.sum()) - 1
-    more = f" and of {others} more parameter{'s' * (others > 1)}" if others else ""
+    more = f" and of {plural(others, 'more parameter')}" if others else ""
     yield Finding(
         f"the {estimate.method} estimate of {estimate.names[worst]}{more}",
         f"is off by more than {FAR:g} sigma (up to {far[worst]:.0f}): its errors are systematic, "

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.errors import plural
 from testbed.experiment.accuracy import share_of_signal
 from testbed.identification.estimate import Method
 
@@ -176,7 +177,7 @@ def _cautions(run: Run) -> list[str]:
     count = len(run.warnings)
     if not count:
         return []
-    return ["There is one warning." if count == 1 else f"There are {count} warnings."]
+    return [f"There {'is' if count == 1 else 'are'} {plural(count, 'warning')}."]
 
 
 def obtained(run: Run, metric: str) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.errors import TestbedError
+from testbed.errors import TestbedError, plural
 from testbed.identification.estimate_text import Words
 from testbed.identification.finding import Finding, folded
 from testbed.identification.held_out import TermChoice
@@ -279,7 +279,7 @@ class Estimate:
         numbers = zip(
             self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
         )
-        head = f"{len(self.names)} parameters from {source}{doubt}"
+        head = f"{plural(len(self.names), 'parameter')} from {source}{doubt}"
         return Words(head, tuple(numbers), self.warnings)
 
     def __repr__(self) -> str:

@@ -17,7 +17,7 @@ from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import RecordingError, SettingsError, UnknownName
+from testbed.errors import RecordingError, SettingsError, UnknownName, plural
 from testbed.identification.coloured import Refined, under_coloured_noise
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.diagnosis import findings, quality_warnings
@@ -182,7 +182,9 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
         RecordingError: It is not.
     """
     if source.samples < 2:
-        raise RecordingError(f"the recording: {source.samples} samples are no recording")
+        raise RecordingError(
+            f"the recording: {plural(source.samples, 'sample')}, which is no recording"
+        )
     if not source.rate > 0:
         raise RecordingError(
             "the recording: time does not increase from its first sample to its last"

@@ -14,7 +14,7 @@ import numpy as np
 
 from testbed.blas import one_blas_thread
 from testbed.dynamics.drive_set import drive_set
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, plural
 from testbed.identification.estimate import Estimate, channel_units
 from testbed.identification.held_out import HeldOut, Parts, TermChoice, grown, stretches
 from testbed.identification.normal_equations import NormalEquations, gather
@@ -195,7 +195,8 @@ class _Look:
         plan = make_plan(source, rows, np.zeros(6), settings)
         if plan.rows < FEWEST * PARTS:
             raise RecordingError(
-                f"the recording gives {plan.rows} rows, too few to foretell {PARTS} parts of it "
+                f"the recording gives {plural(plan.rows, 'row')}, too few to foretell "
+                f"{PARTS} parts of it "
                 "from the others; record longer"
             )
         self.passes = Passes(plan, threads, progress, 4)

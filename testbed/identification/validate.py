@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
-from testbed.errors import RecordingError, SettingsError
+from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (
     Estimate,
     Method,
@@ -161,7 +161,8 @@ def validate(
     channels = channels_of(tree, said.method)
     if len(said.residual) != len(channels):
         raise SettingsError(
-            f"the {said.method} estimate has residuals of {len(said.residual)} channels, the "
+            f"the {said.method} estimate has residuals of "
+            f"{plural(len(said.residual), 'channel')}, the "
             f"robot has {len(channels)}"
         )
     shown = as_estimated(source, tree, said)

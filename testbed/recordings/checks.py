@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, plural
 
 LARGEST = 1e12
 """What no instrument measures, in any SI unit."""
@@ -36,7 +36,7 @@ def check_columns(columns: Mapping[str, Array], source: str) -> None:
     """
     time = columns["time"]
     if len(time) < 2:
-        raise RecordingError(f"{source}: {len(time)} samples are no recording")
+        raise RecordingError(f"{source}: {plural(len(time), 'sample')}, which is no recording")
     check_values(columns, source)
     check_times(time, source, float(np.median(np.diff(time))))
 

@@ -55,7 +55,7 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] 
     return {
         "id": "marginals",
         "title": "Errors over each factor",
-        "says": "The mean over all runs of a level, whatever the other factors.",
+        "says": "The mean over the runs of a level that have a result, whatever the other factors.",
         "legend": LEGEND,
         "panels": panels,
         "caption": "Rms over the parameters that joint torques can tell.",

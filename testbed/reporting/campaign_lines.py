@@ -15,7 +15,7 @@ from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
 from testbed.campaign.conduct import Standing
 from testbed.campaign.estimated_cost import bytes_of, seconds_of
 from testbed.campaign.summary_files import Change
-from testbed.errors import printable
+from testbed.errors import plural, printable
 from testbed.identification.estimate import METHODS
 from testbed.reporting.output import Progress
 
@@ -41,7 +41,8 @@ def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[st
     """
     cells, failed = len(summary.cells), len(summary.failures)
     varied = " over " + ", ".join(summary.factors) if summary.factors else ""
-    yield f"{summary.runs} runs in {cells} cells{varied}; {failed or 'none'} without a result."
+    made = plural(summary.runs, "run")
+    yield f"{made} in {plural(cells, 'cell')}{varied}; {failed or 'none'} without a result."
     for method in METHODS:
         own = [each for each in every if each.method == method]
         if own:
@@ -59,7 +60,10 @@ class Throughput(Progress):
     def of(self, standing: Standing) -> None:
         """Show how far it is."""
         failed = f", {standing.failed} failed" if standing.failed else ""
-        words = f"{standing.done} of {standing.total} runs{failed}, {standing.rate:.3g} a second"
+        words = (
+            f"{standing.done} of {plural(standing.total, 'run')}{failed}, "
+            f"{standing.rate:.3g} a second"
+        )
         left = (standing.total - standing.done) / max(standing.rate, 1e-9)
         self.say(standing.done, standing.total, f"{words}, {duration(left)} left")
 
@@ -86,7 +90,10 @@ def print_plan(out: Console, campaign: Campaign, folder: Path, limit: int | None
     seconds = sum(seconds_of(campaign.experiment(cell, 0)) for cell in range(cells)) / cells
     megabytes = runs * bytes_of(first, keeps=keeps) / 1e6
     at_most = "at most " if campaign.tables.stop is not None else ""
-    out.print(f"{cells} cells, {replicates} replicates each: {at_most}{runs} runs")
+    out.print(
+        f"{plural(cells, 'cell')}, {plural(replicates, 'replicate')} each: "
+        f"{at_most}{plural(runs, 'run')}"
+    )
     out.print(f"about {duration(runs * seconds)} of one processor, {megabytes:.3g} MB in {folder}")
     out.print(f"the first one: {campaign.command(0, 0)}", soft_wrap=True)
 
@@ -108,7 +115,7 @@ def print_conducted(out: Console, folder: CampaignFolder) -> int:
     if len(failures) > LISTED:
         out.print(f"... {len(failures) - LISTED} more, in the table")
     there = len(folder.status) - len(failures)
-    out.print(f"{there} runs with a result, {len(failures)} without", soft_wrap=True)
+    out.print(f"{plural(there, 'run')} with a result, {len(failures)} without", soft_wrap=True)
     out.print(f"table: {folder.path / RESULTS}", soft_wrap=True)
     return len(failures)
 

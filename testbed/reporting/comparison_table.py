@@ -8,7 +8,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from testbed.errors import printable
+from testbed.errors import plural, printable
 from testbed.experiment.comparison import Compared, Comparison
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, verdict
@@ -38,7 +38,7 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
         out.print(f"claim: {printable(comparison.claim)}")
     held = sum(row.as_expected for row in rows)
     verdict = "the claim holds" if held == len(rows) else "THE CLAIM FAILS"
-    out.print(f"verdict: {verdict} ({held} of {len(rows)} lines are as expected)")
+    out.print(f"verdict: {verdict} ({held} of {plural(len(rows), 'line')} as expected)")
 
 
 def comparison_tables(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from testbed.errors import plural
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
@@ -171,6 +172,6 @@ def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
         for name, codes in zip(shown, seen.standard[first:], strict=True):
             cells = [{"glyph": GLYPHS[k], "kind": KINDS[k], "says": SAYS[k]} for k in codes]
             rows.append((name, cells))
-        title = f"{seen.instrument}: {seen.count} combination{'s' * (seen.count != 1)}"
+        title = f"{seen.instrument}: {plural(seen.count, 'combination')}"
         tables.append({"title": title, "names": STANDARD, "rows": rows})
     return tables

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from testbed.errors import plural
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.run import Run
@@ -22,7 +23,7 @@ def asked(run: Run) -> Facts:
         run: The run.
     """
     names = run.tree.names[FREE:] if run.tree.floating else run.tree.names
-    joints = f"{len(names)} joint{'s' if len(names) > 1 else ''}: {', '.join(names)}"
+    joints = f"{plural(len(names), 'joint')}: {', '.join(names)}"
     base = ", on a base that moves and whose pose is measured" if run.tree.floating else ""
     gx, gy, gz = run.tree.gravity
     facts = [

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.dynamics.witnesses import Agreement, DriveAgreement
+from testbed.errors import plural
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.formulas import Lengths
 from testbed.parameters.joint_terms import DriveSet
@@ -265,9 +266,13 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 def _summary(found: Findings) -> str:
     bedplate = f"{'tared ' if found.reaction.tared else ''}bedplate {found.reaction.count}"
     count = found.dynamic.count
-    told = f"joint torques tell {count} combination{'s' * (count != 1)} and the {bedplate}"
+    told = f"joint torques tell {plural(count, 'combination')} and the {bedplate}"
     drives = found.drives
-    terms = f"; with terms of the joints, {drives.count} unknowns" if drives is not None else ""
+    terms = (
+        f"; with terms of the joints, {plural(drives.count, 'unknown')}"
+        if drives is not None
+        else ""
+    )
     return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {told}{terms}"
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import plural
+from testbed.excitation.clearance import FAR
 from testbed.excitation.slack import slack
 from testbed.experiment.excite import Excitation
 from testbed.files import replacing
@@ -40,12 +42,13 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
     return {
         "title": f"Motion of {found.tree.name}",
         "summary": [
-            f"{motion.harmonics} harmonics of {motion.fundamental:g} Hz; predicted rms of the "
+            f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
+            "predicted rms of the "
             f"relative sigmas {found.predicted.rms:.2g}, {found.beside_random}.",
             *(f"Warning: {line}." for line in found.warnings),
         ],
         "holds": proof.holds,
-        "verdict": f"all {len(proof.margins)} limits proven at every moment"
+        "verdict": f"all {plural(len(proof.margins), 'limit')} proven at every moment"
         if proof.holds
         else f"not proven: {proof.worst.words}",
         "figures": [_sigma_figure(found), _motion_figure(found), _limit_figure(found)],
@@ -149,7 +152,7 @@ def _allowed(found: Excitation) -> str:
         least = 1000 * float(rules.clearance.max())
         said += (
             f" Distances are of shapes that no joint joins. {least:g} mm are to be kept; what is "
-            "left of a clearance is beyond these."
+            f"left of a clearance is beyond these, and {1000 * FAR:g} mm or more are drawn as that."
         )
         if rules.clearance.min() < rules.clearance.max():
             said += " Pairs that keep less are not drawn; the table has them."

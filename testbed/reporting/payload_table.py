@@ -8,7 +8,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from testbed.errors import printable
+from testbed.errors import plural, printable
 from testbed.identification.estimate_text import number_with_sigma
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
     lines = [
         "All ten are told."
         if whole
-        else f"{sum(found.told)} are told alone, and {found.rank} combinations in all."
+        else f"{sum(found.told)} are told alone, and {plural(found.rank, 'combination')} in all."
     ]
     centre = found.centre
     if centre is not None:

@@ -11,7 +11,7 @@ from rich.box import HEAVY_HEAD, SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from testbed.errors import printable
+from testbed.errors import plural, printable
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.influence import by_influence
 from testbed.reporting.widths import first_that_fits
@@ -113,7 +113,8 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     for e in estimates:
         fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
         lines.append(
-            f"{e.method}: {len(e.names)} unknowns, condition {e.condition:.1f}, {_noise(e)}"
+            f"{e.method}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
+            f"{_noise(e)}"
             f"residual rms {fits}"
         )
         lines += [f"{e.method}: {part}" for part in _instrument(e)]

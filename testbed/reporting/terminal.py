@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from testbed.errors import printable
+from testbed.errors import plural, printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
 from testbed.identification.cross_check import findings_of
 from testbed.identification.estimate_text import OPEN_ZERO
@@ -72,7 +72,7 @@ def _print_cautions(out: Console, warnings: Sequence[str], *, everything: bool) 
     print_warnings(out, warnings if everything else warnings[:1])
     if not everything and len(warnings) > 1:
         count = len(warnings) - 1
-        out.print(f"({count} more warning{'s' * (count > 1)}: --all)", soft_wrap=True)
+        out.print(f"({plural(count, 'more warning')}: --all)", soft_wrap=True)
 
 
 def _print_parameters(

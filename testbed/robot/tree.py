@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
-from testbed.errors import ModelError, UnknownName
+from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.shafts import Shaft
 
@@ -188,7 +188,7 @@ class Tree:
 
     def __repr__(self) -> str:
         joints = ", ".join(f"{each.name} ({each.kind})" for each in self.joints)
-        return f"<Tree {self.name!r}, {self.n} joints: {joints}>"
+        return f"<Tree {self.name!r}, {plural(self.n, 'joint')}: {joints}>"
 
     @property
     def n(self) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
+from testbed.errors import plural
 from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.proof import Proof, Rules
@@ -90,7 +91,7 @@ def _notes(name: str, rules: Rules, proof: Proof) -> str:
     said = (
         "Proven at every moment." if proof.holds else f"**Not proven:** {plain(proof.worst.words)}"
     )
-    lines = [f"# {plain(name)}", f"{len(proof.margins)} limits. {said}"]
+    lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
     nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
     lines.append("\n".join(f"- {plain(margin.words)}" for margin in nearest[:20]))
     if rules.notes:

@@ -13,6 +13,7 @@ from testbed.errors import (
     MimicError,
     UnknownName,
     UnseenParameters,
+    plural,
     printable,
 )
 
@@ -130,3 +131,8 @@ def test_the_limit_holds_and_spelled_characters_stay_whole(limit: int) -> None:
         assert whole.endswith(end.rpartition(" ")[2].lstrip("."))
         assert not start.rstrip(" ").endswith(("\\", "\\x", "\\x1"))
     assert ("characters in all" in printable("x" * 1000, limit)) == (limit > 70)
+
+
+@pytest.mark.parametrize(("count", "said"), [(0, "0 samples"), (1, "1 sample"), (2, "2 samples")])
+def test_one_of_a_kind_is_no_plural(count: int, said: str) -> None:
+    assert plural(count, "sample") == said

@@ -89,7 +89,7 @@ def test_ctrl_c_ends_cleanly_and_the_same_command_goes_on(tmp_path: Path) -> Non
     assert not list(new.iterdir())
     done = command_line("campaign", "--summary", "r", cwd=tmp_path)
     assert done.returncode == 0
-    assert " runs in 1 cells; none without a result." in done.stdout
+    assert " runs in 1 cell; none without a result." in done.stdout
 
 
 def test_no_scheduler_no_dask_and_half_a_set_of_tls_files_are_said(

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
 import testbed as tb
 from testbed.excitation.approach import levers
-from testbed.excitation.clearance import ClearanceTerm, DistanceMeter, watched
+from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
 from testbed.excitation.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model
 from testbed.excitation.limits import limits_of
 from testbed.excitation.samples import Samples
@@ -15,6 +16,7 @@ from testbed.robot.rotations import about
 from testbed.robot.visuals.shapes import Shape
 from tests.helpers.robots import random_robot
 
+NONE = np.zeros((0, 3))
 GREY = np.array([0.5, 0.5, 0.5, 1.0])
 
 
@@ -59,6 +61,40 @@ def test_distances_of_balls_are_those_of_their_centres(seed: int) -> None:
         for (a, b), found in zip(collision.pairs, meter.measure(q).values, strict=True):
             apart = np.linalg.norm(centre[a + 1] - centre[b + 1])
             assert found == pytest.approx(apart - shapes[a + 1].size[0] - shapes[b + 1].size[0])
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_shapes_that_are_passed_over_are_not_the_nearest(seed: int) -> None:
+    """Several shapes a body, of every kind: the least distance of all pairs, each measured."""
+    rng = np.random.default_rng(seed)
+    tree = random_robot(rng, 4).tree()
+    sizes = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
+    shapes = [
+        Shape(
+            body,
+            kind,  # type: ignore[arg-type]
+            rng.uniform(0.01, 0.1, count),
+            0.2 * rng.normal(size=3),
+            about(np.array([0.6, 0.0, 0.8]), rng.uniform(-3, 3)),
+            GREY,
+            vertices=rng.normal(size=(20, 3)) * rng.uniform(0.02, 0.1, 3) if not count else NONE,
+        )
+        for body in range(-1, tree.n)
+        for kind, count in sizes.items()
+    ]
+    collision = collision_model(tree, shapes, floor=-0.3)
+    data = mujoco.MjData(collision.model)
+    for q in rng.normal(size=(5, tree.n)):
+        data.qpos[collision.order] = q
+        mujoco.mj_kinematics(collision.model, data)
+        wanted = [
+            min(
+                mujoco.mj_geomDistance(collision.model, data, int(a), int(b), FAR, np.zeros(6))
+                for a, b in geoms.T
+            )
+            for geoms in collision.geoms
+        ]
+        np.testing.assert_allclose(DistanceMeter(collision).measure(q).values, wanted, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -245,6 +245,24 @@ def test_a_search_that_is_told_to_stop_has_a_motion_that_may_be_run() -> None:
     assert design(replace(asked, seconds=0.0)).proof.holds
 
 
+def test_searches_that_end_far_behind_would_not_have_won(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slow and fast motions of one robot: the fast ones tell far less, and end early."""
+    asked = replace(wish("puma", starts=4), frequencies=((0.1, 5), (0.8, 2)))
+    steps: list[int] = []
+
+    def watch(done: int, total: int, best: float) -> None:
+        steps.append(done)
+
+    found = design(asked, watch)
+    taken = len(steps)
+    monkeypatch.setattr("testbed.excitation.design.BEHIND", np.inf)
+    steps.clear()
+    whole = design(asked, watch)
+    assert taken < len(steps)
+    assert found.complete
+    np.testing.assert_array_equal(found.motion.coefficients, whole.motion.coefficients)
+
+
 @pytest.mark.slow
 def test_bodies_keep_clear_in_a_design() -> None:
     """Sticks of a robot without a file; the same limits without clearance bring them nearer."""

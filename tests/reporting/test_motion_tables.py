@@ -22,7 +22,14 @@ def numbers(count: int) -> Array:
     return 10 ** np.random.default_rng(0).uniform(-6, 2, (3, count))
 
 
-def told(names: list[str], margins: list[Margin], columns: int, **changed: Any) -> str:
+def told(
+    names: list[str],
+    margins: list[Margin],
+    columns: int,
+    *,
+    everything: bool = True,
+    **changed: Any,
+) -> str:
     """What is said of a design that promises random numbers."""
     sigma, relative, other = numbers(len(names))
     design = {
@@ -39,7 +46,10 @@ def told(names: list[str], margins: list[Margin], columns: int, **changed: Any) 
         beside_random="2.00 times smaller than that of the best of 40 random motions (2)",
         design=SimpleNamespace(**design | changed),
     )
-    return printed(columns, print_excitation, found, Path("motion.toml"))
+    return printed(
+        columns,
+        lambda out: print_excitation(out, found, Path("motion.toml"), everything=everything),
+    )
 
 
 @pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
@@ -75,7 +85,7 @@ def test_searches_that_were_stopped_are_said() -> None:
 
 
 def test_a_motion_is_proven_or_it_is_said_what_is_not() -> None:
-    assert "proven at every moment: 1 limits" in told(["I1"], [ROOM], 100)
+    assert "proven at every moment: 1 limit" in told(["I1"], [ROOM], 100)
     said = told(["I1"], [ROOM, NONE], 100)
     assert "proven at every moment" not in said
     assert f"NOT proven: 1 of 2 limits; {NONE.words}" in " ".join(said.split())
@@ -84,9 +94,21 @@ def test_a_motion_is_proven_or_it_is_said_what_is_not() -> None:
     assert table[1][-2:] == ["25.00%", "1.500"]
 
 
-def test_limits_beyond_the_dozen_are_counted() -> None:
+def test_what_is_known_least_and_left_least_is_shown_first_and_the_rest_counted() -> None:
     margins = [Margin(f"effort of '{k}'", 0.1 * k, 0.0) for k in range(1, 16)]
-    said = told(["I1"], margins, 100)
-    assert "and 3 more limits with more left" in said
+    names = [f"I{k}" for k in range(40)]
+    said = told(names, margins, 100, everything=False)
+    shown = [
+        line.split()[0]
+        for line in said.splitlines()
+        if line.split()[:1] and line.split()[0] in names
+    ]
+    relative = dict(zip(names, numbers(len(names))[1], strict=True))
+    assert shown == sorted(names, key=lambda name: -relative[name])[:10]
+    assert "(30 more" in said
+    assert "(3 more limits" in said
     assert "effort of '12'" in said
     assert "effort of '13'" not in said
+    every = told(names, margins, 100)
+    assert "more" not in every
+    assert "effort of '15'" in every

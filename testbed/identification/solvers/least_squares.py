@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from testbed.arrays import Array
 from testbed.errors import UnseenParameters
@@ -52,7 +52,7 @@ class Solver(Protocol):
         """
 
 
-def refuse(names: tuple[str, ...], directions: Array, rows: int) -> None:
+def refuse(names: tuple[str, ...], directions: Array, rows: int) -> NoReturn:
     """Raise with the names of the unknowns that have a part in directions, (k, p), unseen."""
     parts = abs(directions).max(axis=0)
     unseen = [name for name, part in zip(names, parts, strict=True) if part > _PART]

@@ -36,10 +36,13 @@ def by_normal_equations(equations: NormalEquations, weights: Array, rows: Rows) 
     unit = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
     spread, directions = np.linalg.eigh(unit)
     lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
+    names, used = tuple(np.array(equations.unknowns)[seen]), int(equations.used.sum())
     if lost.any():
-        names = tuple(np.array(equations.unknowns)[seen])
-        refuse(names, directions[:, lost].T, int(equations.used.sum()))
-    factor = linalg.cho_factor(unit)
+        refuse(names, directions[:, lost].T, used)
+    try:
+        factor = linalg.cho_factor(unit)
+    except linalg.LinAlgError:  # as near to lost as rounding tells
+        refuse(names, directions[:, :1].T, used)
     scaled = linalg.cho_solve(factor, np.eye(len(unit))) / np.outer(scale[seen], scale[seen])
     inverse[np.ix_(seen, seen)] = scaled
     values[seen] = linalg.cho_solve(factor, vector[seen] / scale[seen]) / scale[seen]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
 from testbed.recordings.importing.foreign_table import MOST_NUMBERS, ForeignTable
@@ -216,7 +216,9 @@ def _times(mapping: Mapping, name: str, table: ForeignTable) -> Times:
         time = sample_times(name, source, stamps, len(stamps), table.unit(source.time))
     since = time.since
     if len(since) < 4:
-        raise RecordingError(f"sources.{name}: {len(since)} samples are no recording")
+        raise RecordingError(
+            f"sources.{name}: {plural(len(since), 'sample')}, which is no recording"
+        )
     if since.min() == since.max():
         raise RecordingError(
             f"sources.{name}: '{source.time}' is the same at all samples; say another column, or "

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from testbed.errors import plural
 from testbed.recordings.importing.source_clock import ClockReport
 
 JITTER = 0.1
@@ -72,7 +73,8 @@ class ImportReport:
     def lines(self) -> list[str]:
         """All of it for a person, a line each."""
         return [
-            f"{self.samples} samples at {self.rate:g} Hz ({(self.samples - 1) / self.rate:.4g} s)",
+            f"{plural(self.samples, 'sample')} at {self.rate:g} Hz "
+            f"({(self.samples - 1) / self.rate:.4g} s)",
             *(_clock(name, clock) for name, clock in self.clocks.items()),
             *(_signal(name, signal) for name, signal in self.signals.items()),
         ]
@@ -91,7 +93,8 @@ class ImportReport:
                 )
             if clock.gaps:
                 yield (
-                    f"source '{name}' has {clock.gaps} gaps, the longest {clock.longest_gap:.3g} "
+                    f"source '{name}' has {plural(clock.gaps, 'gap')}, the longest "
+                    f"{clock.longest_gap:.3g} "
                     "s, bridged by splines"
                 )
 
@@ -107,9 +110,13 @@ class ImportReport:
 
 
 def _clock(name: str, clock: ClockReport) -> str:
-    gaps = f"{clock.gaps} gaps, the longest {clock.longest_gap:.3g} s" if clock.gaps else "no gaps"
+    gaps = (
+        f"{plural(clock.gaps, 'gap')}, the longest {clock.longest_gap:.3g} s"
+        if clock.gaps
+        else "no gaps"
+    )
     return (
-        f"source '{name}': {clock.samples} samples at {clock.rate:.6g} Hz, jitter "
+        f"source '{name}': {plural(clock.samples, 'sample')} at {clock.rate:.6g} Hz, jitter "
         f"{clock.jitter:.2%}, {gaps}, {clock.repeated} repeated"
     )
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import plural
 from testbed.recordings.importing.mapping import SourceTable
 from testbed.recordings.importing.source_clock import longest_bridged
 
@@ -45,7 +46,7 @@ def cut(
     if not lines or not long:
         return [window], []
     short = len(windows) - len(long)
-    said = f"{short} piece{'s' * (short > 1)} shorter than {SHORTEST:g} s left out"
+    said = f"{plural(short, 'piece')} shorter than {SHORTEST:g} s left out"
     return long, [*lines, *([said] if short else [])]
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.arrays import Array
-from testbed.errors import ExperimentError
+from testbed.errors import ExperimentError, plural
 from testbed.recordings.importing.foreign_units import KINDS, Kind, check_unit, slides
 from testbed.toml_text import KNOWN_KEYS, Finite, NotNegative, Positive, checked, read_toml
 
@@ -312,7 +312,9 @@ def _check_signal(kind: Kind, table: SignalTable, joints: int, geared: bool) -> 
     if table.matrix is not None and any(len(row) != columns for row in table.matrix):
         raise ValueError(f"{kind}.matrix: a row has as many numbers as there are columns")
     if table.matrix is None and columns != joints:
-        raise ValueError(f"{kind}.columns: {columns} columns, {joints} joints, and no matrix")
+        raise ValueError(
+            f"{kind}.columns: {plural(columns, 'column')}, {plural(joints, 'joint')}, and no matrix"
+        )
     if geared != (table.side is not None):
         said = "say `side`: joint or motor" if geared else "`side` needs a table [gear]"
         raise ValueError(f"{kind}.side: {said}")
@@ -328,7 +330,9 @@ def _check_wrench(table: WrenchTable) -> None:
     check_unit("moment", table.units[1])
     columns = len(table.columns)
     if table.matrix is None and columns != 6:
-        raise ValueError(f"wrench.columns: {columns} columns, 6 wanted, or a matrix of six rows")
+        raise ValueError(
+            f"wrench.columns: {plural(columns, 'column')}, 6 wanted, or a matrix of six rows"
+        )
     if table.matrix is not None and (
         len(table.matrix) != 6 or any(len(row) != columns for row in table.matrix)
     ):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, plural
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.mapping import SourceTable
 
@@ -202,7 +202,9 @@ def clock_report(
         RecordingError: There is no clock in it, or a gap is too long.
     """
     if len(time) < 4:
-        raise RecordingError(f"sources.{name}: {len(time)} samples are no recording")
+        raise RecordingError(
+            f"sources.{name}: {plural(len(time), 'sample')}, which is no recording"
+        )
     steps, used = np.diff(stamps), np.diff(time)
     typical = float(np.median(used))
     if not SHORTEST < typical < LONGEST:
