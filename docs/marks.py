@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 END = "<!-- end of what is written -->\n"
@@ -43,7 +43,7 @@ def write(document: Path, module: str, words: Callable[[str], str]) -> None:
     document.write_text(written(document.read_text(), module, words))
 
 
-def table(head: str, rows: list[tuple[str, ...]]) -> list[str]:
+def table(head: str, rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table.
 
     Args:

@@ -108,25 +108,22 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
     if any(re.search("[A-Za-z]", column.name) for column in source.columns):
         return source
     names = [column.name for column in source.columns]
-    parts = [names[k : k + joints] for k in range(0, len(names) - joints + 1, joints)]
     read = source.table.read(names)
-    values = [np.stack([read[name] for name in part], axis=1) for part in parts]
+    starts = range(0, min(3 * joints, len(names) - joints + 1), joints)
+    blocks = [np.stack([read[n] for n in names[k : k + joints]], axis=1) for k in starts]
     time = source.clock.time(source.table, len(read[names[0]])) if names else np.zeros(0)
-    rates = [
-        float(np.diagonal(slopes(*pair, time).fit).min()) > SURE for pair in pairwise(values[:3])
-    ]
-    moved = 1 + next((k for k, follows in enumerate(rates) if not follows), len(rates))
-    kinds: list[tuple[str, tuple[int, int] | None]] = []
-    for kind in (*KINDS[:moved], "torque"):
-        kinds += [(kind, None)] * joints
-    kinds += [("wrench", divmod(k, 3)) for k in range(6)]
-    if len(names) < len(kinds):  # there are no torques, or there is no plate
-        kinds = kinds[: joints * moved] + kinds[-6:] if len(names) < len(kinds) - 6 else kinds[:-6]
-    if len(kinds) != len(names):
-        return source
-    pairs = zip(source.columns, kinds, strict=True)
-    told = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
-    return replace(source, columns=tuple(told))
+    follows = [np.diagonal(slopes(*pair, time).fit).min() > SURE for pair in pairwise(blocks)]
+    moved = KINDS[: 1 + (follows.index(False) if False in follows else len(follows))]
+    for rest in (("torque", "wrench"), ("torque",), ("wrench",)):
+        roles: list[tuple[str, tuple[int, int] | None]] = [
+            (kind, None) for kind in (*moved, *rest) if kind != "wrench" for _ in range(joints)
+        ]
+        roles += [("wrench", divmod(k, 3)) for k in range(6) if "wrench" in rest]
+        if len(roles) == len(names):
+            pairs = zip(source.columns, roles, strict=True)
+            told = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
+            return replace(source, columns=tuple(told))
+    return source
 
 
 def _tables(path: Path, name: str) -> Iterator[LikelySource]:
