@@ -202,7 +202,7 @@ def test_a_file_without_samples_is_no_recording(
     tree: tb.Tree, recording: Recording, tmp_path: Path
 ) -> None:
     write_parts([recording.part(0, 0)], tmp_path / "empty.parquet")
-    with pytest.raises(RecordingError, match="0 samples are no recording"):
+    with pytest.raises(RecordingError, match="0 samples, which is no recording"):
         tb.identify(tree, tmp_path / "empty.parquet")
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from testbed.arrays import Array
-from testbed.errors import RecordingError
+from testbed.errors import RecordingError, plural
 from testbed.recordings.checks import check_columns, check_times, check_values, checked_metadata
 
 TIME = np.arange(20) / 10
@@ -35,7 +35,9 @@ def test_the_largest_measurement_is_one() -> None:
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_one_sample_is_no_recording(count: int) -> None:
-    with pytest.raises(RecordingError, match=f"^r: {count} samples are no recording$"):
+    with pytest.raises(
+        RecordingError, match=f"^r: {plural(count, 'sample')}, which is no recording$"
+    ):
         check_columns({"time": TIME[:count], "position/a": np.ones(count)}, "r")
 
 

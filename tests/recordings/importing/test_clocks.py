@@ -133,7 +133,7 @@ def test_gaps_are_reported_and_long_ones_refused(tmp_path: Path) -> None:
     made(tmp_path, time, np.delete(time, slice(800, 820)))
     found = tb.Recording.from_mapping(tmp_path / "map.toml")
     assert found.facts["import"]["clocks"]["plate"]["gaps"] == 1
-    assert "1 gaps, the longest 0.042 s" in found.facts["warnings"][0]
+    assert "1 gap, the longest 0.042 s" in found.facts["warnings"][0]
     made(tmp_path, time, np.delete(time, slice(800, 1000)))
     with pytest.raises(RecordingError, match=r"nothing was recorded for 0.402 s after 1.598 s"):
         tb.Recording.from_mapping(tmp_path / "map.toml")

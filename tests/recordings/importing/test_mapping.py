@@ -63,7 +63,7 @@ def test_units_sense_and_clocks_have_no_defaults(
         ('unit = "rad"', 'unit = "rad"\nside = "motor"', "`side` needs a table .gear."),
         ('unit = "rad"', 'unit = "rad"\nsign = [1]', "position.sign: 1 given, 2 wanted"),
         ('unit = "rad"', 'unit = "rad"\nsign = [1, 2]', "position.sign"),
-        ('["q[0]", "q[1]"]', '["q[0]"]', "1 columns, 2 joints, and no matrix"),
+        ('["q[0]", "q[1]"]', '["q[0]"]', "1 column, 2 joints, and no matrix"),
         ('["q[0]", "q[1]"]', '["q[0]", "q[7]"]', "unknown column of .* 'q.7.'"),
         ('["j1", "j2"]', '["j1", "j1"]', "a name is there twice"),
         ('source = "log"', 'source = "lag"', "there is no source 'lag'"),

@@ -75,7 +75,7 @@ def test_a_handful_of_samples_is_no_recording(count: int, enough: bool) -> None:
     if enough:
         clock_report("log", source(), time, time, 0)
     else:
-        with pytest.raises(RecordingError, match="3 samples are no recording"):
+        with pytest.raises(RecordingError, match="3 samples, which is no recording"):
             clock_report("log", source(), time, time, 0)
 
 

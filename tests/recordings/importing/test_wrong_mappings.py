@@ -143,7 +143,7 @@ def test_times_that_are_no_numbers_are_found(tmp_path: Path) -> None:
 
 def test_four_samples_are_needed(tmp_path: Path) -> None:
     (tmp_path / "map.toml").write_text(csv(tmp_path, some_log(3)))
-    with pytest.raises(RecordingError, match="sources.log: 3 samples are no recording"):
+    with pytest.raises(RecordingError, match="sources.log: 3 samples, which is no recording"):
         tb.Recording.from_mapping(tmp_path / "map.toml")
 
 
