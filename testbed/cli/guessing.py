@@ -15,8 +15,9 @@ if TYPE_CHECKING:
 
 
 def write_mapping(
-    files: Sequence[Path], out: Path | None, model: Path | None, tree: Tree | None
-) -> bool:
+    files: Sequence[Path], out: Path | None, model: Path | None, tree: Tree | None,
+    page: Path | None = None,
+) -> bool:  # fmt: skip
     """Write a mapping where it is wanted, or on standard output; say what to do with it.
 
     Args:
@@ -24,6 +25,7 @@ def write_mapping(
         out: Mapping file to write.
         model: The robot's file, if it is known.
         tree: The robot.
+        page: HTML file to write of what was solved.
 
     Returns:
         Whether it is complete.
@@ -44,13 +46,18 @@ def write_mapping(
         draft = guessed(files, folder, () if tree is None else tree.names)
     if tree is not None:
         with output.Progress("solving for what names do not tell") as bar:
-            draft, warnings = solved(draft, out or folder / "mapping.toml", tree, bar)
-        output.print_lines((), warnings)
+            found = solved(draft, out or folder / "mapping.toml", tree, bar)
+        draft = found.draft
+        output.print_lines((), found.warnings)
     if out is None:
         typer.echo(draft.text, nl=False)
         return False
     if tree is not None:
         _show(draft)
+        if page is not None:
+            from testbed.reporting.mapping_page import write_mapping_page
+
+            write_mapping_page(page, found)
     with replacing(out) as fresh:
         fresh.write_text(draft.text, encoding="utf-8")
     empty = missing(draft)

@@ -44,6 +44,13 @@ def import_(
     align: Annotated[
         bool, typer.Option("--align", help="Take delays of torques or plate back (--model).")
     ] = False,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            callback=ending(".html"),
+            help="With --guess and --model: a page of what was solved.",
+        ),
+    ] = None,
     unchecked: Unchecked = False,
     settings: RecordingSet = None,
     weld_root: Weld = False,
@@ -65,10 +72,13 @@ def import_(
     from testbed.sanity.accept import accepted_import
 
     _check_out(out, [*files, model], guess=guess)
+    _check_out(page, [*files, model], guess=True)
+    if page is not None and not (guess and model and out):
+        raise typer.BadParameter("--page is of a mapping: --guess, --model and --out go with it")
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
-        write_mapping(files, out, model, tree)
+        write_mapping(files, out, model, tree, page)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")

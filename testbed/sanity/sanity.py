@@ -21,6 +21,7 @@ from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
+from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.channel_findings import spike_findings, still_findings, unmoved_finding
 from testbed.sanity.cure_words import (
@@ -76,7 +77,8 @@ class Sanity:
         runner_up: Kinds of mistakes of the next best explanation.
         times: So many times more is left by that.
         equals: What explains the same, in words.
-        best: What explains the recording best; None where nothing can be told.
+        given: The recording as it is; None where nothing can be told.
+        explanations: What explains it, the best first; none where nothing can be told.
         certain: What is certainly wrong.
         likely: What may be.
     """
@@ -86,9 +88,15 @@ class Sanity:
     runner_up: tuple[str, ...] = ()
     times: float = 1.0
     equals: tuple[str, ...] = ()
-    best: Explanation | None = None
+    given: Explanation | None = None
+    explanations: tuple[Explanation, ...] = ()
     certain: tuple[Finding, ...] = ()
     likely: tuple[Finding, ...] = ()
+
+    @property
+    def best(self) -> Explanation | None:
+        """What explains the recording best."""
+        return self.explanations[0] if self.explanations else None
 
     def require(self, *, align: bool = False) -> None:
         """Stop where something is certainly wrong.
@@ -158,7 +166,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
         certain, likely = [*certain, *sure], [*likely, *maybe]
     certain = [*(position_finding(tree, position, OUTSIDE) if not wrong else ()), *certain]
     likely += [unmoved] if unmoved is not None else []
-    return Sanity(best.sizes, cures, *others, best, tuple(certain), tuple(likely))
+    return Sanity(best.sizes, cures, *others, given, tuple(found), tuple(certain), tuple(likely))
 
 
 def _by_channels(tree: Tree, part: Recording, taken: Instants | None) -> Sanity | None:
@@ -235,14 +243,20 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
 
 
 def _alike(one: Explanation, other: Explanation) -> bool:
-    """Whether two explanations are the same, zeros to a few degrees."""
-    pairs = [*zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))]
-    return all(
-        a == b
-        or (a.kind == b.kind == "zero" and a.joints == b.joints
-            and np.allclose(a.values, b.values, atol=SAME))
-        for a, b in pairs
-    )  # fmt: skip
+    """Whether two explanations are the same, zeros and turns to a few degrees."""
+    pairs = zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))
+    return all(a == b or _near(a, b) for a, b in pairs)
+
+
+def _near(one: Mistake, other: Mistake) -> bool:
+    """Whether two mistakes are one, but for what noise makes of it."""
+    if (one.kind, one.joints) != (other.kind, other.joints):
+        return False
+    if one.kind == "turn":
+        cosine = (np.trace(from_rpy(one.values) @ from_rpy(other.values).T) - 1) / 2
+        return bool(cosine > np.cos(SAME))
+    zeros = one.kind == "zero" and np.allclose(one.values, other.values, atol=SAME)
+    return one.kind in ("shift", "tare") or zeros
 
 
 def _within(sizes: Array, least: float, most: float) -> bool:

@@ -7,7 +7,7 @@ frame refined (`plate_fit`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,8 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
-from testbed.sanity.cure_words import CLEARLY, share
+from testbed.sanity.cure_words import CLEARLY, named, share
+from testbed.sanity.explained_wrench import ExplainedWrench, explained_wrench
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.plate_findings import WEIGHT, zero_mistake
 from testbed.sanity.plate_fit import PlateFit, plate_fit
@@ -62,10 +63,28 @@ NEAR = 14.2
 three normal numbers is beyond in .3 % of all cases."""
 
 
-def solved(
-    draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
-) -> tuple[Draft, tuple[str, ...]]:
-    """A mapping without empty keys, as far as names and data tell, and what may be wrong with it.
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A mapping that was solved.
+
+    Attributes:
+        draft: The mapping, with keys still empty where no columns or no clock was found.
+        warnings: What may be wrong with it.
+        before: The plate by the columns' names alone, if there is one.
+        after: The same by the mapping.
+        shares: Explanations in words, the mapping's first, and the part of the plate's channels
+            that each leaves, on average.
+    """
+
+    draft: Draft
+    warnings: tuple[str, ...] = ()
+    before: ExplainedWrench | None = None
+    after: ExplainedWrench | None = None
+    shares: tuple[tuple[str, float], ...] = ()
+
+
+def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None) -> Solved:
+    """A mapping without empty keys, as far as names and data tell.
 
     Args:
         draft: By the columns' names.
@@ -73,33 +92,44 @@ def solved(
         tree: The robot, its masses right within a factor of a few.
         progress: Told how much of a search is done.
 
-    Returns:
-        The mapping, with keys still empty where no columns or no clock was found; warnings.
-
     Raises:
         RecordingError: The data are not of this robot, or not in these columns.
     """
     open_keys = _open(draft)
     draft = _assumed(draft, tree)
     if missing(draft):
-        return draft, ()
+        return Solved(draft)
     draft = _with_starts(draft, out)
+    first = found = check_sanity(tree, _recording(draft, out), progress)
     for _ in range(ROUNDS):
-        found = check_sanity(tree, _recording(draft, out), progress)
         better = _better(draft, found, tree)
         if better is draft:
             break
-        draft = better
+        draft, found = better, check_sanity(tree, _recording(better, out), progress)
     found.require()
     if found.best is None:
-        return draft, tuple(each.text for each in found.likely)
+        return Solved(draft, tuple(each.text for each in found.likely))
     draft = _by_the_data(draft, found, open_keys)
     late = _with_clocks(draft, _recording(draft, out), tree)
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
     draft, warnings = _with_plate(draft, found), [each.text for each in found.likely]
-    said = _too_short(found)
-    return (_doubted(draft), (*warnings, said)) if said else (draft, tuple(warnings))
+    if said := _too_short(found):
+        draft, warnings = _doubted(draft), [*warnings, said]
+    before, after = (
+        None if each is None else explained_wrench(each) for each in (first.given, found.given)
+    )
+    return Solved(draft, tuple(warnings), before, after, _shares(tree, first))
+
+
+def _shares(tree: Tree, found: Sanity) -> tuple[tuple[str, float], ...]:
+    """What explanations of a plate leave of its channels."""
+    said: dict[str, float] = {}
+    for each in found.explanations:
+        if each.map is not None:
+            words = " and ".join(named(tree, mistake) for mistake in each.mistakes)
+            said.setdefault(words or "as assumed", float(each.left[-6:].mean()))
+    return tuple(said.items())
 
 
 def _too_short(found: Sanity) -> str:

@@ -25,14 +25,18 @@ def test_what_was_planted_is_solved(robot: str, layout: str, turn: str, tmp_path
     made, told = planted(robot, turn, layout, 11)
     files = LAYOUTS[layout](tmp_path, made, raw_signals(made, told), 11)
     path = tmp_path / "mapping.toml"
-    draft, warnings = solved(guessed(files.paths, tmp_path, made.tree.names), path, made.tree)
+    answer = solved(guessed(files.paths, tmp_path, made.tree.names), path, made.tree)
+    draft = answer.draft
     assert not missing(draft)
     path.write_text(draft.text)
     assert read_mapping(path)
     found = judged(robot, draft.text, files, made, told)
     assert not found.wrong, (told.what, draft.text)
     assert max(found.sigmas.values()) < 4
-    assert not warnings
+    assert not answer.warnings
+    assert answer.shares[0][1] < 1e-2
+    assert answer.after is not None
+    assert answer.after.left.max() < 1e-2
 
 
 def test_currents_get_torque_constants_by_the_plate(tmp_path: Path) -> None:
@@ -46,7 +50,7 @@ def test_currents_get_torque_constants_by_the_plate(tmp_path: Path) -> None:
     columns |= dict(zip(names, made.wrench.T, strict=True))
     np.savez(tmp_path / "log.npz", **columns)  # type: ignore[arg-type]
     draft = guessed([tmp_path / "log.npz"], tmp_path, made.tree.names)
-    draft, _ = solved(draft, tmp_path / "mapping.toml", made.tree)
+    draft = solved(draft, tmp_path / "mapping.toml", made.tree).draft
     np.testing.assert_allclose(draft.tables["torque"]["gain"], constants, rtol=0.1)
 
 
@@ -57,9 +61,9 @@ def test_a_robot_at_rest_leaves_everything_assumed_and_says_so(tmp_path: Path) -
     columns |= {f"tau{k + 1}": tau for k, tau in enumerate(made.torque.T)}
     np.savez(tmp_path / "log.npz", **columns)  # type: ignore[arg-type]
     draft = guessed([tmp_path / "log.npz"], tmp_path, made.tree.names)
-    draft, warnings = solved(draft, tmp_path / "mapping.toml", made.tree)
-    assert warnings
-    assert draft.notes["position", "unit"].startswith(ASSUMED)
+    found = solved(draft, tmp_path / "mapping.toml", made.tree)
+    assert found.warnings
+    assert found.draft.notes["position", "unit"].startswith(ASSUMED)
 
 
 def test_another_robots_recording_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,103 @@
+"""A mapping that was solved as a page: the plate before and after, and what else was tried."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from testbed.files import replacing
+from testbed.recordings.columns import AXES
+from testbed.reporting.figures import Panel
+from testbed.reporting.html import rendered
+from testbed.reporting.named_panels import named_panels
+from testbed.sanity.explained_wrench import ExplainedWrench
+from testbed.sanity.solved_mapping import Solved, table_of
+
+UNITS = ("N",) * 3 + ("N m",) * 3
+
+LEAST = 1e-4
+"""Where bars begin [%]."""
+
+
+def write_mapping_page(path: Path, solved: Solved) -> None:
+    """Write the page of a mapping.
+
+    Args:
+        path: The HTML file; what stands there is replaced.
+        solved: The mapping, and what was found on the way.
+    """
+    text = rendered("mapping.html", mapping_contents(path.stem, solved))
+    with replacing(path) as fresh:
+        fresh.write_text(text, encoding="utf-8")
+
+
+def mapping_contents(title: str, solved: Solved) -> dict[str, Any]:
+    """All that the page shows.
+
+    Args:
+        title: Of the page.
+        solved: The mapping, and what was found on the way.
+    """
+    figures = []
+    pairs = ((solved.before, "before", "by the columns' names alone"),
+             (solved.after, "after", "by this mapping"))  # fmt: skip
+    for read, place, how in pairs:
+        if read is not None:
+            figures.append(_channels(read, place, how))
+    if solved.shares:
+        figures.append(_runner_ups(solved))
+    return {
+        "title": f"Mapping {title}",
+        "summary": [
+            "What the columns' names do not say was solved from the data.",
+            *(f"Warning: {line}." for line in solved.warnings),
+        ],
+        "rows": [list(row) for row in table_of(solved.draft)],
+        "figures": figures,
+    }
+
+
+def _channels(read: ExplainedWrench, place: str, how: str) -> dict[str, Any]:
+    panels = [
+        Panel(
+            f"{axis} [{unit}]",
+            {"measured": (read.time, read.wrench[:, k]), "external": (read.time, read.fit[:, k])},
+            "time [s]",
+        )
+        for k, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True))
+    ]
+    return {
+        "id": place,
+        "title": f"The plate {how}",
+        "says": "The six channels, and the nearest that any parameters of the robot can make of "
+        "them. Where the mapping is right they are one.",
+        "legend": {"measured": "measured", "external": "explained"},
+        "panels": panels,
+        "caption": "Through a low-pass of 8 Hz, in the bedplate's frame.",
+        "heads": ["channel", "unexplained"],
+        "rows": [[axis, f"{left:.3%}"] for axis, left in zip(AXES, read.left, strict=True)],
+    }
+
+
+def _runner_ups(solved: Solved) -> dict[str, Any]:
+    words = [each for each, _ in solved.shares]
+    shares = 100 * np.array([share for _, share in solved.shares])
+    numbers = [str(k) for k in range(1, len(words) + 1)]
+    bars = {"external": (np.full(len(shares), LEAST), shares)}
+    return {
+        "id": "runner-ups",
+        "title": "What else was tried",
+        "says": "The unexplained part of the plate's channels, on average, by the explanations "
+        "that come nearest: of what was assumed, what must be said instead. The first is the "
+        "mapping's.",
+        "legend": {"external": "unexplained"},
+        "panels": named_panels(
+            "unexplained", numbers, {"external": shares}, "unexplained [%]", bars=bars, log=True
+        ),
+        "caption": "; ".join(f"{k}: {each}" for k, each in zip(numbers, words, strict=True))
+        + ". Logarithmic.",
+        "heads": ["explanation", "unexplained"],
+        "rows": [[each, f"{share:.3g} %"] for each, share in zip(words, shares, strict=True)],
+    }
