@@ -49,15 +49,15 @@ def write_mapping(
             found = solved(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
         output.print_lines((), found.warnings)
+        if page is not None:
+            from testbed.reporting.mapping_page import write_mapping_page
+
+            write_mapping_page(page, found)
     if out is None:
         typer.echo(draft.text, nl=False)
         return False
     if tree is not None:
         _show(draft)
-        if page is not None:
-            from testbed.reporting.mapping_page import write_mapping_page
-
-            write_mapping_page(page, found)
     with replacing(out) as fresh:
         fresh.write_text(draft.text, encoding="utf-8")
     empty = missing(draft)
@@ -70,16 +70,9 @@ def write_mapping(
 
 def _show(draft: Draft) -> None:
     """What was solved; on a terminal a person says yes to it."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-    from rich.text import Text
-
     from testbed.reporting import output
-    from testbed.sanity.solved_mapping import table_of
+    from testbed.reporting.mapping_page import solved_table
 
-    table = Table("key", "value", "known by", box=SIMPLE_HEAD)
-    for key, value, note in table_of(draft):
-        table.add_row(*map(Text, (key, value, note)))
-    output.console().print(table)
+    output.console().print(solved_table(draft))
     if sys.stdin.isatty() and sys.stdout.isatty():
         typer.confirm("Write it so?", default=True, abort=True)

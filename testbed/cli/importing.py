@@ -72,9 +72,7 @@ def import_(
     from testbed.sanity.accept import accepted_import
 
     _check_out(out, [*files, model], guess=guess)
-    _check_out(page, [*files, model], guess=True)
-    if page is not None and not (guess and model and out):
-        raise typer.BadParameter("--page is of a mapping: --guess, --model and --out go with it")
+    _check_page(page, [*files, model, out], said=bool(guess and model))
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
@@ -123,6 +121,15 @@ def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> Non
     mapping = read[0]
     named = sources(mapping) if not guess and out is not None and mapping is not None else ()
     check_writable(out, read=(*read, *named))
+
+
+def _check_page(page: Path | None, others: list[Path | None], *, said: bool) -> None:
+    """Whether the page may be written, and all is said that it is of."""
+    from testbed.files import check_writable
+
+    if page is not None and not said:
+        raise typer.BadParameter("--page is of a mapping: --guess and --model go with it")
+    check_writable(page, read=tuple(others))
 
 
 def _paths(out: Path, count: int) -> list[Path]:

@@ -6,9 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from rich.text import Text
 
 from testbed.files import replacing
 from testbed.recordings.columns import AXES
+from testbed.recordings.importing.draft import Draft
 from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
 from testbed.reporting.named_panels import named_panels
@@ -31,6 +35,18 @@ def write_mapping_page(path: Path, solved: Solved) -> None:
     text = rendered("mapping.html", mapping_contents(path.stem, solved))
     with replacing(path) as fresh:
         fresh.write_text(text, encoding="utf-8")
+
+
+def solved_table(draft: Draft) -> Table:
+    """What was solved, for a terminal.
+
+    Args:
+        draft: The mapping.
+    """
+    table = Table("key", "value", "known by", box=SIMPLE_HEAD)
+    for row in table_of(draft):
+        table.add_row(*map(Text, row))
+    return table
 
 
 def mapping_contents(title: str, solved: Solved) -> dict[str, Any]:

@@ -225,12 +225,11 @@ class Reading:
         if self.plate is None:
             return [self._explained((), np.zeros(0), 0.0, None, 0.0)]
         frame = self.prior.frame
-        found = self.of_plate(
-            [*plain_hypotheses(frame), *frame_hypotheses(self.plate, frame, AS_READ)]
-        )
+        found = self.of_plate([*frame_hypotheses(self.plate, frame, AS_READ)])
         if not any(each.explained(EXPLAINED) for each in found):
             others = (frame_hypotheses(self.plate, frame, order) for order in PLATE_ORDERS)
-            found += self.of_plate(list(chain.from_iterable(others)))
+            found += self.of_plate([*chain.from_iterable(others)])
+        found += self.of_plate(plain_hypotheses(frame))
         return found
 
     def of_plate(self, hypotheses: Sequence[Hypothesis]) -> list[Explanation]:

@@ -32,6 +32,7 @@ WRITERS: dict[tuple[str, str], tuple[str, ...]] = {
     ("campaign", "--rrd"): ("there", "--summary"),
     ("equations", "--out"): ("puma562.xml", "--what", "gravity-forces"),
     ("import", "--out"): ("mapping.toml",),
+    ("import", "--page"): ("log.npz", "--guess", "--model", "puma562.xml"),
     ("new", "--out"): ("puma562.xml",),
 }
 """Every option that names what is to be written, and what the command reads."""

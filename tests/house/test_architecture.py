@@ -39,7 +39,7 @@ PLAN = {
     "simulation": BASE | KINDS | {"robot", "dynamics", "excitation", "recordings"},
     "identification": BASE | {"robot", "parameters", "dynamics", "kernel", "recordings"},
     "sanity": BASE
-    | {"robot", "parameters", "dynamics", "recordings", "identification"},
+    | {"toml_text", "robot", "parameters", "dynamics", "recordings", "identification"},
     "experiment": BASE
     | KINDS
     | {
@@ -50,7 +50,7 @@ PLAN = {
     | {"toml_text", "robot", "recordings", "identification", "experiment"},
     "reporting": BASE
     | {
-        "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
+        "robot", "parameters", "dynamics", "excitation", "recordings", "identification", "sanity",
         "experiment", "campaign",
     },
     "viewer": BASE
