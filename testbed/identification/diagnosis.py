@@ -12,6 +12,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.errors import ENOUGH, plural
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.finding import Finding, components, few
 from testbed.identification.noise_warnings import noise_warnings
@@ -65,6 +66,9 @@ UNLIKELY = 4.0
 UNTIMELY = ("friction that is not among the terms", "a sampling rate that is not the stated one")
 """What looks like torques that are late."""
 
+FEW = 2
+"""Values for each unknown below which standard deviations do not hold."""
+
 OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
     "external": (
         "exchanged channels or encoders",
@@ -92,7 +96,7 @@ def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tup
         survey: Some of the raw samples.
         tare: What was taken off the wrench, (6,) [N, N m].
     """
-    found = signal_findings(estimate, tree, survey)
+    found = [*_few(estimate), *signal_findings(estimate, tree, survey)]
     negative: list[Finding] = []
     if estimate.method == "external":
         found += _tare(tree, tare)
@@ -129,6 +133,23 @@ def quality_warnings(estimate: Estimate) -> list[str]:
     if loose:
         warnings.append(f"the {estimate.method} estimate leaves poorly determined: {few(loose)}")
     return warnings
+
+
+def _few(estimate: Estimate) -> Iterator[Finding]:
+    """Little more values than unknowns."""
+    unknowns, values = len(estimate.values) + len(estimate.nuisances), sum(estimate.samples)
+    if values < FEW * unknowns:
+        yield Finding(
+            f"the {estimate.method} estimate",
+            f"is of {plural(values, 'value')} for {plural(unknowns, 'unknown')}: standard "
+            "deviations do not hold",
+            values / unknowns,
+            ("a recording that is too short",),
+            f"record {ENOUGH * unknowns / values:.2g} times as long, and let no motion repeat "
+            "within that time",
+            code="few-values",
+            method=estimate.method,
+        )
 
 
 def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:

@@ -47,6 +47,15 @@ def recording(puma: tb.Tree) -> Recording:
     return measured(puma)
 
 
+@pytest.mark.parametrize(("duration", "told"), [(1.85, True), (6.0, False)])
+def test_too_few_values_for_the_unknowns_are_told(duration: float, told: bool) -> None:
+    """Their errors are many sigmas, whatever the noise: residuals of so few say nothing of it."""
+    tree = tb.load_tree(ROBOTS["ur5"])
+    estimate = tb.identify(tree, measured(tree, duration=duration), "external")
+    codes = {each.code for each in estimate.findings}
+    assert ("few-values" in codes) is told
+
+
 # Right data.
 
 
