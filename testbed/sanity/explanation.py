@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""
 
+SIGMAS = 3.0
+"""Standard deviations by which parameters that the plate tells little of may be off."""
+
 APART, ROUGHLY_APART, ANY_APART = 5.0, 12.0, 8.0
 """Explanations within this of the best are not told apart, and the one with the fewest mistakes is
 taken; the same without a plate, where masses are rough and models of friction are; the same of
@@ -100,7 +103,7 @@ class Explanation:
         With a plate only: without one, masses that are rough leave more.
         """
         count = len(self.unchanged)
-        left = self.left[:count] < BRAKED + 3 * self.noise[:count] + self.spread
+        left = self.left[:count] < BRAKED + 3 * self.noise[:count] + SIGMAS**2 * self.spread
         return bool(left.all())
 
     @property

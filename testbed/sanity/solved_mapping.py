@@ -46,7 +46,7 @@ ROUNDS = 4
 SHORT = 10
 """Values at instants for each parameter below which data may fit another mapping as well."""
 
-COMMON = 0.5
+COMMON = 0.9
 """Part of the shorter of two files that they must have in common by their clocks."""
 
 STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
