@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from testbed.arrays import Array
 from testbed.sanity.mistakes import Mistake, own_joints
 
@@ -96,25 +98,27 @@ class Explanation:
         odd = sum(len(each.joints) for each in self.mistakes if each.kind == "torque_size")
         return 2 * odd >= len(self.unchanged) > 0
 
-    @property
-    def torques_fit(self) -> bool:
-        """Whether nothing of the torques is odd, once they are in their order and sense.
+    def odd_torques(self, sigmas: float = 1.0) -> set[int]:
+        """Joints whose torques are odd, once they are in their order and sense.
 
         With a plate only: without one, masses that are rough leave more.
+
+        Args:
+            sigmas: By which parameters that the plate tells little of may be off.
         """
         count = len(self.unchanged)
-        left = self.left[:count] < BRAKED + 3 * self.noise[:count] + SIGMAS**2 * self.spread
-        return bool(left.all())
+        most = BRAKED + 3 * self.noise[:count] + sigmas**2 * self.spread
+        return set(np.flatnonzero(self.left[:count] >= most).tolist())
 
     @property
     def unclear(self) -> set[int]:
-        """Joints whose torque's sense or order is another one, but of which the plate tells little.
+        """Joints whose position may be wrong as well: the plate tells little of their torque.
 
-        It may be their position's as well.
+        It is odd, or its sense or order is another one.
         """
         kinds = ("torque_order", "torque_sign")
         changed = {k for each in self.mistakes if each.kind in kinds for k in each.joints}
-        return {joint for joint in changed if self.spread[joint] > BRAKED}
+        return self.odd_torques() | {each for each in changed if self.spread[each] > BRAKED}
 
     @property
     def tolerance(self) -> float:

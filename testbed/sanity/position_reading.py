@@ -304,5 +304,5 @@ class Reading:
             return False
         share = ENOUGH if self.plate is None else EXPLAINED
         told = read.told()
-        fits = self.plate is None or told.torques_fit
+        fits = self.plate is None or not told.odd_torques()
         return read.explained(share) and not told.mistakes and fits

@@ -16,7 +16,7 @@ from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
-from testbed.sanity.explanation import Explanation, ranked
+from testbed.sanity.explanation import SIGMAS, Explanation, ranked
 from testbed.sanity.instants import LATE, Instants, instants
 from testbed.sanity.mistakes import (
     Frame,
@@ -152,7 +152,7 @@ class Search:
             if each.kind == "position_sign"
             for joint in each.joints
         }
-        return likeliest.torques_fit and likeliest.unclear <= looked
+        return not likeliest.odd_torques(SIGMAS) and likeliest.unclear <= looked
 
     def _stages(self, given: Reading, several: list[Explanation]) -> Iterator[list[Explanation]]:
         """Explanations from the simple to the rare.
