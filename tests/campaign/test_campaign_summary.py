@@ -164,7 +164,7 @@ def test_the_command_carries_out_a_campaign_and_says_what_failed(tmp_path: Path)
     file = str(campaign_file(tmp_path, 1, factor))
     plan = command_line("campaign", file, "--dry-run", cwd=tmp_path)
     assert plan.returncode == 0
-    assert "2 cells, 1 replicates each: 2 runs" in plan.stdout
+    assert "2 cells, 1 replicate each: 2 runs" in plan.stdout
     assert not (tmp_path / "runs").exists()
     done = command_line("campaign", file, "--workers", "0", "--out", "r", cwd=tmp_path)
     assert done.returncode == 1

@@ -207,7 +207,7 @@ def test_why_a_variant_is_not_as_expected_is_printed(
     assert z in verdict(wrong.run)
     assert f"late: what is said first is '{late.said[0]}', claimed 'crosstalk'" in said
     assert "claim: a late plate is said" in said
-    assert "verdict: THE CLAIM FAILS (1 of 2 lines are as expected)" in said
+    assert "verdict: THE CLAIM FAILS (1 of 2 lines as expected)" in said
     told = printed(200, print_comparison, comparison, [plain, late])
-    assert "verdict: the claim holds (2 of 2 lines are as expected)" in told
+    assert "verdict: the claim holds (2 of 2 lines as expected)" in told
     assert "late:" not in told
