@@ -168,7 +168,7 @@ def test_the_command_carries_out_a_campaign_and_says_what_failed(tmp_path: Path)
     assert not (tmp_path / "runs").exists()
     done = command_line("campaign", file, "--workers", "0", "--out", "r", cwd=tmp_path)
     assert done.returncode == 1
-    assert "1 runs with a result, 1 without" in done.stdout
+    assert "1 run with a result, 1 without" in done.stdout
     assert "nobody" in done.stdout
     command = next(line for line in done.stdout.splitlines() if "testbed run" in line)
     assert "--set robot.lock.nobody=0.0" in command
