@@ -100,17 +100,19 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     if missing(draft):
         return Solved(draft)
     draft = _with_starts(draft, out)
-    first = found = check_sanity(tree, _recording(draft, out), progress)
+    source = _recording(draft, out)
+    first = found = check_sanity(tree, source, progress)
     for _ in range(ROUNDS):
         better = _better(draft, found, tree)
         if better is draft:
             break
-        draft, found = better, check_sanity(tree, _recording(better, out), progress)
+        draft, source = better, _recording(better, out)
+        found = check_sanity(tree, source, progress)
     found.require()
     if found.best is None:
         return Solved(draft, tuple(each.text for each in found.likely))
     draft = _by_the_data(draft, found, open_keys)
-    late = _with_clocks(draft, _recording(draft, out), tree)
+    late = _with_clocks(draft, source, tree)
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
     draft, warnings = _with_plate(draft, found), [each.text for each in found.likely]
