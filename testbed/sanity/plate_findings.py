@@ -68,7 +68,7 @@ def map_findings(best: Explanation) -> tuple[list[Finding], list[Finding]]:
         "look at the columns of [position] and [wrench], and at the model",
         FOREIGN,
     )
-    return ([foreign], []) if sure else ([], [])
+    return ([foreign], []) if sure else ([], [foreign])
 
 
 def zero_of_plate(best: Explanation) -> tuple[Array, Array]:

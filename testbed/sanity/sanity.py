@@ -185,10 +185,10 @@ def _about_plate(best: Explanation, tare: Array | None
     if best.map is None:
         return False, [], [], []
     sure, maybe = map_findings(best)
-    if sure or maybe:
-        return bool(sure), sure, maybe, []
+    if sure:
+        return True, sure, [], []
     zero = zero_mistake(best, tare)
-    return False, list(weight_finding(best, tare)), [], [zero] if zero is not None else []
+    return False, list(weight_finding(best, tare)), maybe, [zero] if zero is not None else []
 
 
 def gain_findings(
