@@ -27,8 +27,12 @@ from testbed.experiment.run import Run
 from testbed.reporting import output
 from tests.helpers.paths import GOLDEN, ROOT
 
-hypothesis.settings.register_profile("patient", deadline=None)  # machines are noisy
-hypothesis.settings.load_profile("patient")
+# machines are noisy: no deadline; the same examples each time, but in the nightly run
+hypothesis.settings.register_profile(
+    "suite", deadline=None, derandomize=True, max_examples=20, database=None
+)
+hypothesis.settings.register_profile("nightly", deadline=None, max_examples=500)
+hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 
 @pytest.fixture(autouse=True)

@@ -1,0 +1,252 @@
+"""Fourteen runs from end to end, each made once in a process and shared by all tests.
+
+`figures` gives what must not move while the house is rebuilt, as arrays of full precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
+
+import testbed as tb
+from benchmarks.foreign_recordings import LAYOUTS, planted, raw_signals
+from testbed.arrays import Array
+from testbed.campaign.campaign import Campaign
+from testbed.campaign.conduct import InThisProcess, conduct
+from testbed.experiment.consistent_run import with_consistent
+from testbed.experiment.excite import Excitation, excite
+from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.run import Run, assemble_run
+from testbed.identification.calibration import Calibration, calibrate
+from testbed.identification.estimate import METHODS, Estimate
+from testbed.identification.payload import PayloadEstimate, payload
+from testbed.identification.settings import Settings
+from testbed.identification.wishes import Wishes
+from testbed.recordings.importing.guess import guessed
+from testbed.recordings.importing.pieces import pieces
+from testbed.recordings.joined import Joined
+from testbed.sanity.solved_mapping import solved
+from tests.helpers.campaigns import NOISES, campaign_file
+from tests.helpers.faulty import clean
+from tests.helpers.humanoid import humanoid
+from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
+from tests.helpers.paths import GOLDEN, REAL, ROOT
+from tests.helpers.robots import random_robot
+from tests.helpers.runs import experiment, noisy, robot, run_of
+
+Figures = dict[str, Array]
+"""Arrays by name."""
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """One run from end to end.
+
+    Attributes:
+        make: Its result, made once.
+        figures: What must not move.
+    """
+
+    make: Callable[[], Any]
+    figures: Callable[[Any], Iterator[tuple[str, ArrayLike]]]
+
+
+def figures_of_estimate(name: str, found: Estimate) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of an estimate."""
+    yield f"{name} values", found.values
+    yield f"{name} sigma", found.sigma
+    yield f"{name} covariance norm", np.linalg.norm(found.covariance)
+    yield f"{name} residual", found.residual
+    yield f"{name} samples", found.samples
+    yield f"{name} calibration", [[each.value, each.sigma] for each in found.nuisances]
+    yield f"{name} chances", [each.chance for each in found.trace_tests]
+    if found.noise is not None:
+        yield f"{name} noise", [found.noise.factor, *np.atleast_1d(found.noise.memory)]
+
+
+def figures_of_run(run: Run) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of a run: its signals, estimates, metrics and whatever else it has."""
+    signals = (run.recording.position, run.recording.torque, run.recording.wrench)
+    for signal, values in zip(("position", "torque", "wrench"), signals, strict=True):
+        if values is not None:
+            yield f"{signal} rms", np.sqrt((values**2).mean(axis=0))
+    for method, found in run.estimates.items():
+        yield from figures_of_estimate(method, found)
+    for name, value in sorted(run.metrics.items()):
+        yield f"metric {name}", value
+    for method, validation in run.validation.items():
+        yield f"{method} validation", validation.residual
+    if run.drives is not None:
+        yield "drives", [[each.constant, each.sigma] for each in run.drives.estimates]
+    if run.consistent is not None:
+        yield "bodies", run.consistent.standard
+
+
+def figures_of_payload(found: PayloadEstimate) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of a payload."""
+    yield "values", found.values[list(found.told)]
+    yield "sigma", found.sigma[list(found.told)]
+    yield "chance", found.chance
+
+
+def figures_of_plate(found: Calibration) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of a plate that was calibrated."""
+    yield "matrix", found.matrix
+    if found.estimate is not None:
+        yield from figures_of_estimate("external", found.estimate)
+
+
+def figures_of_motion(found: Excitation) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of a designed motion."""
+    yield "coefficients", found.design.motion.coefficients
+    yield "sigma", found.predicted.sigma
+    yield "gain", np.array(found.gain, dtype=float)
+
+
+def figures_of_table(rows: list[dict[str, Any]]) -> Iterator[tuple[str, ArrayLike]]:
+    """Numbers of a campaign's runs."""
+    for name in sorted(rows[0]):
+        values = [row[name] for row in rows]
+        if all(isinstance(value, float) for value in values) and "second" not in name:
+            yield name, values
+
+
+def _puma() -> Run:
+    settings = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
+    return tb.carry_out(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
+
+
+def _ur5() -> Run:
+    settings = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
+    return tb.carry_out(tb.Experiment.of_model(GOLDEN / "robots/ur5.urdf", settings))
+
+
+def _panda() -> Run:
+    tree = tb.load_tree(
+        REAL / "panda_description/urdf/panda.urdf", lock={"panda_finger_joint1": None}
+    )
+    return run(tree, measured(tree, 4, duration=10.0))
+
+
+def _gantry() -> Run:
+    return run(robot("gantry"), measured(robot("gantry"), 5, duration=10.0, memory=0.9))
+
+
+def _tree_of_30() -> Run:
+    tree = random_robot(np.random.default_rng(30), 30).tree()
+    return run(tree, measured(tree, 6, duration=10.0, rate=100.0))
+
+
+def _free_base() -> Run:
+    tree, recording = humanoid(10.0, 100.0, 7, 1.0)
+    return run(tree, recording)
+
+
+def _drives() -> Run:
+    terms = ("coulomb", "viscous", "offset", "rotor")
+    recording = clean(robot("puma"), 3, duration=12.0)
+    return run(robot("puma"), recording, Settings(drives="chosen", terms=terms))
+
+
+def _payload() -> PayloadEstimate:
+    tree = robot("ur5")
+    load = tb.Inertia.about_centre(1.2, [0.03, -0.05, 0.2], np.diag([2e-3, 3e-3, 4e-3]))
+    heavy = replace(tree, inertias=(*tree.inertias[:-1], tree.inertias[-1] + load))
+    one, other = (
+        tb.identify(each, measured(each, seed, duration=10.0))
+        for seed, each in ((8, tree), (9, heavy))
+    )
+    return payload(tree, one, other)
+
+
+def _plate() -> Calibration:
+    tree, rng = robot("puma"), np.random.default_rng(10)
+    mixing = np.eye(6) + 0.01 * rng.uniform(-1, 1, (6, 6))
+    right = measured(tree, 10, duration=10.0)
+    mass = sum(inertia.mass for inertia in tree.inertias)
+    known = {"mass": mass, "gain/Fz": float(mixing[2, 2])}
+    return calibrate(tree, replace(right, wrench=right.measured("wrench") @ mixing.T), known)
+
+
+def _imported() -> Run:
+    made, told = planted("ur5", "any", "two_csv", 11)
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        files = LAYOUTS["two_csv"](folder, made, raw_signals(made, told), 11)
+        draft = guessed(files.paths, folder, made.tree.names)
+        mapping = folder / "mapping.toml"
+        mapping.write_text(solved(draft, mapping, made.tree).draft.text)
+        (recording,), _ = pieces(mapping)
+    return run(made.tree, recording)
+
+
+def _several() -> Run:
+    tree = robot("puma")
+    joined = Joined(tuple(measured(tree, seed, duration=5.0) for seed in (12, 13)))
+    found = {method: tb.identify(tree, joined, method) for method in METHODS}
+    return replace(run(tree, measured(tree, 12, duration=5.0)), estimates=found)
+
+
+def _campaign() -> list[dict[str, Any]]:
+    with TemporaryDirectory() as folder:
+        campaign = Campaign.load(campaign_file(Path(folder), 2, NOISES))
+        conduct(campaign, Path(folder) / "r", InThisProcess())
+        rows: list[dict[str, Any]] = pq.read_table(Path(folder) / "r/results.parquet").to_pylist()
+    return rows
+
+
+def _motion() -> Excitation:
+    quick = ["excitation.starts=1", "excitation.harmonics=4", "motion.duration=10"]
+    return excite(tb.Experiment.of_model(ROOT / "models/puma562.xml", quick))
+
+
+def _bodies() -> Run:
+    asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
+    asked = asked.model_copy(update={"consistent": Wishes()})
+    return with_consistent(run_of(robot("puma"), noisy(ideal(robot("puma"))), asked))
+
+
+def run(tree: tb.Tree, recording: tb.Recording, settings: Settings | None = None) -> Run:
+    """What both methods say."""
+    return assemble_run(tree, recording, name="scenario", settings=settings)
+
+
+SCENARIOS = {
+    "puma": Scenario(_puma, figures_of_run),
+    "ur5": Scenario(_ur5, figures_of_run),
+    "panda": Scenario(_panda, figures_of_run),
+    "gantry": Scenario(_gantry, figures_of_run),
+    "tree_of_30": Scenario(_tree_of_30, figures_of_run),
+    "free_base": Scenario(_free_base, figures_of_run),
+    "drives": Scenario(_drives, figures_of_run),
+    "payload": Scenario(_payload, figures_of_payload),
+    "plate": Scenario(_plate, figures_of_plate),
+    "import": Scenario(_imported, figures_of_run),
+    "several": Scenario(_several, figures_of_run),
+    "campaign": Scenario(_campaign, figures_of_table),
+    "motion": Scenario(_motion, figures_of_motion),
+    "bodies": Scenario(_bodies, figures_of_run),
+}
+
+
+@cache
+def result(name: str) -> Any:
+    """What a scenario gives; made once."""
+    return SCENARIOS[name].make()
+
+
+def figures(name: str) -> Figures:
+    """What must not move of a scenario."""
+    given = SCENARIOS[name].figures(result(name))
+    return {key: np.asarray(value, dtype=float) for key, value in given}
