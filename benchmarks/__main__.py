@@ -143,22 +143,33 @@ def equations(rounds: Annotated[int, typer.Option(help="Turns that each rival ha
 
 @app.command()
 def mutation(
-    mutants: Annotated[int, typer.Option(help="How many to draw.")] = 200,
+    mutants: Annotated[int, typer.Option(help="How many to draw.")] = 100,
     seed: Annotated[int, typer.Option(help="Of the draw.")] = 0,
-    room: Annotated[str | None, typer.Option(help="Only this room's.")] = None,
-    own: Annotated[bool, typer.Option(help="Meet the tests of their own room only.")] = False,
-    jobs: Annotated[int, typer.Option(help="Copies of the project that work at once.")] = 2,
-    minutes: Annotated[float | None, typer.Option(help="Stop then; the next call goes on.")] = None,
-    most: Annotated[float | None, typer.Option(help="Seconds of tests that each meets.")] = None,
-    show: Annotated[bool, typer.Option("--list", help="Draw them and show them.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
+    only: Annotated[str, typer.Option(help="Only mutants whose names match.")] = "testbed.*",
+    jobs: Annotated[int, typer.Option(help="Processes at a time.")] = 1,
 ) -> None:
     """How many small wrong changes of the project the tests see; exit code 1 below the goal."""
-    from benchmarks.mutation.campaign import Plan
-    from benchmarks.mutation.table import run
+    from benchmarks.mutation import GOAL
+    from benchmarks.mutation import mutation as tried
 
-    plan = Plan(mutants, seed, room, own, jobs, minutes, most)
-    raise typer.Exit(run(plan, show=show, as_json=as_json))
+    *_, found = _printed(tried(mutants, seed, only, jobs))
+    raise typer.Exit(int(found["killed [%]"] < GOAL))
+
+
+@app.command()
+def nightly(
+    only: Annotated[str, typer.Option(help="Only checks whose names hold this.")] = "",
+    jobs: Annotated[int, typer.Option(help="Checks at a time.")] = 2,
+) -> None:
+    """All that is too slow for the suite, as one table; exit code 1 if a check fails."""
+    from benchmarks.nightly import nightly as outcomes
+
+    failed = False
+    for each in outcomes(only, jobs):
+        word = "passed" if each.passed else "FAILED"
+        print(f"{each.name:<26} {word} {each.seconds:6.0f} s  {each.last[:160]}", flush=True)
+        failed = failed or not each.passed
+    raise typer.Exit(int(failed))
 
 
 @app.command()

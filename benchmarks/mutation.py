@@ -1,0 +1,69 @@
+"""Small wrong changes of the project, drawn from all that mutmut makes, and whether a test fails.
+
+mutmut learns which tests execute which function, and runs those, the quickest first. Its folder
+`mutants` keeps what it found until a source or a test changes.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import json
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tests.helpers.paths import ROOT
+
+FOLDER = ROOT / "mutants"
+
+UNSEEN = {0: "survived", 33: "no test executes it", None: "not tried", 34: "skipped"}
+"""What mutmut's exit codes mean where no test has failed."""
+
+ANY = "testbed.errors.*"
+"""Mutants that are tried first: with them all are made, and the tests' functions learnt."""
+
+GOAL = 85.0
+"""Of a hundred; the suite from which this draw began saw as many."""
+
+
+def mutation(count: int, seed: int, only: str, jobs: int) -> Iterator[dict[str, Any]]:
+    """Survivors, then a line of all.
+
+    Args:
+        count: Mutants to draw.
+        seed: Of the draw.
+        only: Pattern of their names, such as `testbed.robot.*`.
+        jobs: Processes at a time.
+    """
+    _mutmut(jobs, ANY)
+    names = sorted(name for name in _exit_codes() if fnmatch.fnmatch(name, only))
+    drawn = np.random.default_rng(seed).permutation(names)[:count].tolist()
+    _mutmut(jobs, *drawn)
+    codes = _exit_codes()
+    fates = {name: UNSEEN.get(codes[name], "killed") for name in drawn}
+    for name, fate in fates.items():
+        if fate != "killed":
+            yield {"mutant": name, "fate": fate}
+    counts = Counter(fates.values())
+    killed = 100 * counts["killed"] / max(len(drawn), 1)
+    yield {"mutants": len(drawn), **counts, "killed [%]": round(killed, 1), "goal": GOAL}
+
+
+def _mutmut(jobs: int, *names: str) -> None:
+    """Run mutmut on some mutants; programs that tests start are changed, too."""
+    command = (sys.executable, "-m", "mutmut", "run", "--max-children", str(jobs), *names)
+    environment = {**os.environ, "PYTHONPATH": str(FOLDER)}
+    subprocess.run(command, cwd=ROOT, env=environment, check=True, stdout=sys.stderr)
+
+
+def _exit_codes() -> dict[str, int | None]:
+    """Of every mutant by name; None where it was not tried."""
+    found: dict[str, int | None] = {}
+    for path in FOLDER.rglob("*.meta"):
+        found |= json.loads(path.read_text())["exit_code_by_key"]
+    return found
