@@ -24,10 +24,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "odd mappings": (*BENCHMARKS, "mappings", "--odd"),
     "robots": (*BENCHMARKS, "robots"),
     "minimal sets": (*BENCHMARKS, "minimal", "--trees", "200", "--robots"),
-    "hostile inputs": (
-        *(*BENCHMARKS, "hostile", "--models", "300", "--recordings", "200", "--foreign", "200"),
-        *("--experiments", "150", "--listings", "150", "--kills", "20"),
-    ),
+    "hostile inputs": (*BENCHMARKS, "hostile", "--inputs", "200", "--kills", "20"),
     "mutants": (*BENCHMARKS, "mutation", "--mutants", "100"),
 }
 """What is run, by name."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import struct
 from collections.abc import Callable
 from itertools import pairwise
@@ -183,11 +182,3 @@ BOMBS: dict[str, Bomb] = {
     "nothing": lambda: {"model.xml": b""},
     "zeros": lambda: {"model.xml": b"\0" * 10_000_000},
 }
-
-
-def bomb(rng: random.Random, number: int) -> tuple[str, str, dict[str, bytes]]:
-    """What it is, which file is the model, and all files; one after the other, then at random."""
-    names = list(BOMBS)
-    how = names[number] if number < len(names) else rng.choice(names)
-    files = BOMBS[how]()
-    return how, next(iter(files)), files
