@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -19,6 +20,8 @@ BORDER = 24
 """Free on every side [pixels]."""
 LETTER = 11
 """Width of a letter, more than less [pixels]."""
+HEIGHT = 24
+"""Of a line of text [pixels]."""
 EYE = np.array([0.9, -1.6, 0.65])
 """Where the picture is taken from; parallel rays."""
 LIGHT = np.array([0.5, -0.2, 0.85])
@@ -66,15 +69,24 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
             f'<polyline points="{line}" fill="none" stroke="var(--truth)" stroke-width="1.5" '
             'opacity=".6"/>'
         )
-    for axis, letter in zip(frame, "xyz", strict=True):
-        parts.append(_arrow(drawn(np.stack([0 * axis, axis])), "var(--ink)", 1.5, letter))
-    left, right = 0.0, float(width)
-    for ends, colour, label in arrows:
+    marks = [
+        (np.stack([0 * axis, axis]), "var(--ink)", 1.5, letter)
+        for axis, letter in zip(frame, "xyz", strict=True)
+    ] + [(ends, colour, 4.0, label) for ends, colour, label in arrows]
+    labels: list[Label] = []
+    for ends, colour, thickness, label in marks:
         pixels = drawn(ends)
-        parts.append(_arrow(pixels, colour, 4.0, label))
-        left = min(left, pixels[1, 0] - LETTER * len(label))
-        right = max(right, pixels[1, 0] + LETTER * len(label))
-    box = f"{left - BORDER:.0f} {-BORDER} {right - left + 2 * BORDER:.0f} {height + 2 * BORDER}"
+        parts.append(_arrow(pixels, colour, thickness))
+        labels.append(_label(pixels, label, labels))
+    parts += [each.svg() for each in labels]  # no arrow over any
+    left, top = np.min([[0.0, 0.0], *([each.left, each.top] for each in labels)], axis=0)
+    right, bottom = np.max(
+        [[width, height], *([each.left + each.width, each.top + HEIGHT] for each in labels)], axis=0
+    )
+    box = (
+        f"{left - BORDER:.0f} {top - BORDER:.0f} "
+        f"{right - left + 2 * BORDER:.0f} {bottom - top + 2 * BORDER:.0f}"
+    )
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{box}" role="img" '
         f'aria-label="{escape(name)}" font-family="sans-serif" font-size="20">'
@@ -126,29 +138,70 @@ def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
     return found
 
 
-def _arrow(ends: Array, colour: str, thickness: float, label: str) -> str:
-    """A line with a head and a label at its end; (2, 3) pixels."""
+def _arrow(ends: Array, colour: str, thickness: float) -> str:
+    """A line with a head; (2, 3) pixels."""
     (x0, y0, _), (x1, y1, _) = ends.tolist()
-    dx, dy = x1 - x0, y1 - y0
-    length = max(float(np.hypot(dx, dy)), 1e-9)
-    along = np.array([dx, dy]) / length
+    along = _direction(ends)
     across = np.array([-along[1], along[0]])
     tip, size = np.array([x1, y1]), 3.0 * thickness + 2.0
-    base = tip - along * min(size * 1.6, length)
+    base = tip - along * min(size * 1.6, float(np.hypot(x1 - x0, y1 - y0)))
     head = " ".join(
         f"{x:.1f},{y:.1f}" for x, y in (tip, base + across * size / 2, base - across * size / 2)
     )
-    place = tip + along * 6 + np.array([0.0, 7.0])
-    anchor = "end" if along[0] < -0.3 else "start" if along[0] > 0.3 else "middle"
-    if anchor == "middle":
-        place = tip + np.array([0.0, -8.0 if along[1] < 0 else 22.0])
     line = f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{base[0]:.1f}" y2="{base[1]:.1f}" '
     return (
         f'{line}stroke="var(--paper)" stroke-width="{thickness + 2 * EDGE}"/>'
         f'{line}stroke="{colour}" stroke-width="{thickness}"/>'
         f'<polygon points="{head}" fill="{colour}" stroke="var(--paper)" stroke-width="{EDGE}" '
         'paint-order="stroke"/>'
-        f'<text x="{place[0]:.1f}" y="{place[1]:.1f}" fill="var(--ink)" text-anchor="{anchor}" '
-        'stroke="var(--paper)" stroke-width="5" stroke-linejoin="round" paint-order="stroke">'
-        f"{escape(label)}</text>"
     )
+
+
+def _direction(ends: Array) -> Array:
+    """From the first to the second of two pixels, (2,), of length 1; 0 for the same."""
+    along: Array = (ends[1] - ends[0])[:2]
+    return along / max(float(np.linalg.norm(along)), 1e-9)
+
+
+@dataclass(frozen=True)
+class Label:
+    """A line of text and the corner of its box [pixels]."""
+
+    text: str
+    left: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        """More than less [pixels]."""
+        return float(LETTER * len(self.text))
+
+    def covers(self, other: Label) -> bool:
+        """Whether the two boxes overlap."""
+        return (
+            self.left < other.left + other.width
+            and other.left < self.left + self.width
+            and abs(self.top - other.top) < HEIGHT
+        )
+
+    def svg(self) -> str:
+        """Edged in the page's colour, for a robot may have the ink's."""
+        return (
+            f'<text x="{self.left + self.width / 2:.1f}" y="{self.top + 0.75 * HEIGHT:.1f}" '
+            'fill="var(--ink)" text-anchor="middle" stroke="var(--paper)" stroke-width="5" '
+            f'stroke-linejoin="round" paint-order="stroke">{escape(self.text)}</text>'
+        )
+
+
+def _label(ends: Array, text: str, others: list[Label]) -> Label:
+    """Beyond an arrow's tip, (2, 3) pixels, as far out as it takes to be clear of the others."""
+    along, middle = _direction(ends), ends[1, :2]
+    size = np.array([LETTER * len(text), HEIGHT])
+    out = along if np.any(along) else np.array([0.0, -1.0])
+    gap = 6.0 + float(np.abs(out) @ size) / 2
+    while True:
+        left, top = (middle + gap * out - size / 2).tolist()
+        placed = Label(text, left, top)
+        if not any(placed.covers(each) for each in others):
+            return placed
+        gap += 4.0

@@ -222,12 +222,13 @@ def _within(most: float) -> rrb.ScalarAxis:
 
 
 def _friction(scene: Scene, at: str) -> list[rrb.Spatial2DView]:
+    """Torque that rigid bodies do not explain over velocity, and the friction found, by joint."""
     bounds = rrb.VisualBounds2D(x_range=[-1.25, 1.25], y_range=[-1.2, 1.2])
     return [
         rrb.Spatial2DView(
             origin=f"{at}/friction/{safe(joint.name)}",
-            name=f"{joint.name}: unexplained torque [{'N m' if joint.revolute else 'N'}] over "
-            f"velocity [{'rad/s' if joint.revolute else 'm/s'}]; line: friction found",
+            name=f"{joint.name} [{'N m' if joint.revolute else 'N'}], "
+            f"[{'rad/s' if joint.revolute else 'm/s'}]",  # short: narrow columns cut it
             visual_bounds=bounds,
         )
         for joint in scene.run.tree.joints

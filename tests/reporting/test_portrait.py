@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.reporting.portrait import _arrow, portrait
+from testbed.reporting.portrait import HEIGHT, _arrow, _label, portrait
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 from tests.helpers.paths import GOLDEN, ROOT
@@ -117,8 +117,8 @@ def test_an_arrow_has_a_head_as_wide_as_it_is_thick_and_its_label_ahead(angle: f
     along = np.array([np.cos(angle), np.sin(angle)])
     ends = np.zeros((2, 3))
     ends[0, :2], ends[1, :2] = (200.0, 150.0), np.array([200.0, 150.0]) + 90 * along
-    root = parsed(f"<svg>{_arrow(ends, 'red', 4.0, '3 < 4 N')}</svg>")
-    edge, line, head, label = root
+    edge, line, head = parsed(f"<svg>{_arrow(ends, 'red', 4.0)}</svg>")
+    label = parsed(_label(ends, "3 < 4 N", []).svg())
     assert {k: edge.attrib[k] for k in ("x1", "y1", "x2", "y2")} == {
         k: line.attrib[k] for k in ("x1", "y1", "x2", "y2")
     }
@@ -136,6 +136,18 @@ def test_an_arrow_has_a_head_as_wide_as_it_is_thick_and_its_label_ahead(angle: f
     np.testing.assert_allclose([float(line.attrib[k]) for k in ("x2", "y2")], base, atol=0.2)
     place = np.array([float(label.attrib[k]) for k in "xy"])
     assert label.text == "3 < 4 N"
-    sides = {-1: "end", 0: "middle", 1: "start"}
-    assert label.attrib["text-anchor"] == sides[int(np.sign(round(along[0], 3)))]
-    assert (place - ends[1, :2]) @ along > -8.0
+    assert (place - ends[1, :2]) @ along > 0.0
+
+
+@pytest.mark.parametrize("turn", range(8))
+def test_no_label_lies_over_another(turn: int, puma: tb.Tree) -> None:
+    """Force along an axis of the frame, or between two."""
+    angle = turn * np.pi / 4
+    force = 300 * np.array([np.cos(angle), 0.0, np.sin(angle)])
+    svg = portrait(load_appearance(puma), np.zeros((1, 3)), np.tile(force, 2), "puma")
+    labels = parsed(svg).findall("{http://www.w3.org/2000/svg}text")
+    boxes = [(float(t.attrib["x"]), float(t.attrib["y"]), 11 * len(t.text or "")) for t in labels]
+    for i, (x, y, width) in enumerate(boxes):
+        for other_x, other_y, other_width in boxes[:i]:
+            beside = abs(x - other_x) >= (width + other_width) / 2 - 0.2
+            assert beside or abs(y - other_y) >= HEIGHT - 0.2
