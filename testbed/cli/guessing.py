@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def write_mapping(
     files: Sequence[Path], out: Path | None, model: Path | None, tree: Tree | None,
-    page: Path | None = None,
+    page: Path | None = None, options: Sequence[str] = (),
 ) -> bool:  # fmt: skip
     """Write a mapping where it is wanted, or on standard output; say what to do with it.
 
@@ -26,6 +27,7 @@ def write_mapping(
         model: The robot's file, if it is known.
         tree: The robot.
         page: HTML file to write of what was solved.
+        options: Words of the command by which the model is read.
 
     Returns:
         Whether it is complete.
@@ -62,9 +64,8 @@ def write_mapping(
         fresh.write_text(draft.text, encoding="utf-8")
     empty = missing(draft)
     fill = f"fill in what is empty ({', '.join(empty)}), then " if empty else ""
-    made = out.with_suffix(".parquet")
-    against = "ROBOT" if model is None else str(model)
-    typer.echo(f"{out}: {fill}testbed import {out} --out {made} --model {against}")
+    words = ["import", out, "--out", out.with_suffix(".parquet"), "--model", model or "ROBOT"]
+    typer.echo(f"{out}: {fill}testbed {shlex.join(map(str, [*words, *options]))}")
     return not empty
 
 

@@ -76,7 +76,7 @@ def import_(
     reading = Reading(settings, False, weld_root, lock, lock_mimic)
     tree = None if model is None else reading.tree(model)
     if guess:
-        write_mapping(files, out, model, tree, page)
+        write_mapping(files, out, model, tree, page, reading.model_words)
         return
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")

@@ -41,6 +41,14 @@ class Reading:
     plate: Path | None = None
     terms: str | None = None
 
+    @property
+    def model_words(self) -> list[str]:
+        """Words of the command by which the model is read."""
+        said = [*(("--set", each) for each in self.settings or ())]
+        said += [("--lock", each) for each in self.lock or ()]
+        flags = {"--weld-root": self.weld_root, "--lock-mimic": self.lock_mimic}
+        return [*(word for pair in said for word in pair), *(w for w, on in flags.items() if on)]
+
     def tables(self) -> RecordingTables:
         """Settings of robot and identification.
 

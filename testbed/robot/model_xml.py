@@ -25,6 +25,8 @@ _NAMES = {
     "childclass", "type", "prefix", "file", "filename", "mesh", "material",
 }  # fmt: skip
 """Attributes that name something: they come back in columns, files and messages."""
+_BEGINNING = 1024
+"""Bytes by which a page of the web is told."""
 _UNSEEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
 """Unicode's control, format (bidirectional ones too), surrogate and separator characters."""
 
@@ -44,6 +46,10 @@ def read_xml(path: Path) -> ET.Element:
     try:
         return ET.parse(path, ET.XMLParser(target=builder)).getroot()
     except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
+        with path.open("rb") as file:
+            page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
+        if page.startswith((b"<!doctype html", b"<html")):
+            raise ModelError(f"{path}: a web page, no model; download the raw file") from None
         raise ModelError(f"{path}: not well-formed XML ({error})") from None
 
 

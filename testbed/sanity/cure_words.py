@@ -16,6 +16,9 @@ from testbed.sanity.mistakes import Mistake, own_joints
 SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
 """Units a thousand times smaller."""
 
+SIZE = "torque.size"
+"""Code of the finding of torques of another size."""
+
 CLEARLY = 1.2
 """Times as much as the best leaves from which another explanation leaves more."""
 
@@ -135,6 +138,7 @@ def gain_finding(
         float(sizes[odd[0]]),
         causes,
         f"in the mapping: {cure}",
+        SIZE,
     )
 
 

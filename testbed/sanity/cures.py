@@ -228,7 +228,7 @@ def _order_line(tree: Tree, mistake: Mistake, mapping: Mapping[str, Any]) -> Lin
 
 
 def cures_of(tree: Tree, mistakes: Sequence[Mistake], before: Array, after: Array,
-             mapping: Mapping[str, Any]) -> tuple[Cure, ...]:  # fmt: skip
+             mapping: Mapping[str, Any], torques: int) -> tuple[Cure, ...]:  # fmt: skip
     """What to change where mistakes were found.
 
     Args:
@@ -237,8 +237,8 @@ def cures_of(tree: Tree, mistakes: Sequence[Mistake], before: Array, after: Arra
         before: Part of each channel's variance that is unexplained as recorded, (C,).
         after: The same without the mistakes.
         mapping: What the recording's mapping file says; empty if it has none.
+        torques: How many of the channels, the first, are torques.
     """
-    torques = len(before) - 6 * (len(before) >= 6 and len(before) != tree.n)
     names = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
     found = []
     for mistake, lines in lines_of(tree, mistakes, mapping).items():

@@ -152,7 +152,7 @@ def check_sanity(tree: Tree, source: Source, progress: Progress | None = None) -
     others = _others(tree, found)
     if wrong or more:
         before = np.concatenate([best.unchanged, given.left[len(best.unchanged) :]])
-        cures = cures_of(tree, [*wrong, *more], before, best.left, mapping)
+        cures = cures_of(tree, [*wrong, *more], before, best.left, mapping, len(best.unchanged))
     if wrong:
         said = cure_finding(tree, cures, *others, gain)
         if clear:

@@ -25,10 +25,10 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned
 from testbed.sanity.clock_offset import clock_offsets
-from testbed.sanity.cure_words import CLEARLY, named, share
+from testbed.sanity.cure_words import CLEARLY, SIZE, named, share
 from testbed.sanity.explained_wrench import ExplainedWrench, explained_wrench
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate_findings import WEIGHT, zero_mistake
+from testbed.sanity.plate_findings import FOREIGN, WEIGHT, zero_mistake
 from testbed.sanity.plate_fit import PlateFit, plate_fit
 from testbed.sanity.sanity import Sanity, check_sanity
 from testbed.sanity.search import Progress
@@ -116,8 +116,9 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     if late is not draft:
         draft, found = late, check_sanity(tree, _recording(late, out), progress)
     draft, warnings = _with_plate(draft, found), [each.text for each in found.likely]
-    if said := _too_short(found):
-        draft, warnings = _doubted(draft), [*warnings, said]
+    short = _too_short(found)
+    if short or any(each.code == FOREIGN for each in found.likely):
+        draft, warnings = _doubted(draft), [*warnings, *([short] if short else [])]
     before, after = (
         None if each is None else explained_wrench(each) for each in (first.given, found.given)
     )
@@ -179,13 +180,17 @@ def _better(draft: Draft, found: Sanity, tree: Tree) -> Draft:
         return _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
     if found.cures:
         return _cured(draft, found)
+    plate = found.best is not None and found.best.map is not None
+    if SIZE in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
+        note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
+        return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
     told = np.isfinite(found.sizes)
     if draft.tables.get("torque", {}).get("gain") == 1.0 and told.any():
         sizes = np.where(told, found.sizes, np.median(found.sizes[told]))
         joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
         gains = [float(f"{1 / sizes[k]:.4g}") for k in joints]
         known = f"{ASSUMED}: by the model file's masses"
-        if found.best is not None and found.best.map is not None:
+        if plate:
             known = "solved: by the plate"
         note = f"{known}; torque of one unit, joint by joint [N m]"
         return draft.saying("torque", "gain", gains, note)
@@ -330,7 +335,7 @@ def _delayed(draft: Draft, signal: str, late: float, sigma: float) -> Draft:
     table, key, value = signal, "delay", round(delay, 7)
     if source != draft.tables["position"]["source"]:
         table, key = f"sources.{source}", "offset"
-        value = draft.tables[table].get("offset", 0.0) - delay
+        value = round(draft.tables[table].get("offset", 0.0) - delay, 7)
         draft = draft.saying(signal, "delay", None)
     return draft.saying(table, key, value, f"solved: {1e3 * value:.3f} +- {1e3 * sigma:.3f} ms")
 

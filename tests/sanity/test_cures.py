@@ -47,7 +47,7 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
 ) -> None:
     raw = np.random.default_rng(0).normal(size=(4, 3))
     mapping = {"joints": list(JOINTS), "position": table}
-    (cure,) = cures_of(robot("puma"), [mistake], LEFT, 0 * LEFT, mapping)
+    (cure,) = cures_of(robot("puma"), [mistake], LEFT, 0 * LEFT, mapping, 3)
     changed = dict(table)
     for line in re.findall(r"\[position\] ([^;]*)", remedy([cure])):
         changed |= tomllib.loads(line)
@@ -60,7 +60,7 @@ def test_a_mapping_with_its_cure_makes_the_data_right(
 @pytest.mark.parametrize(("joints", "said"), [((0, 1, 2), "deg"), ((0,), ["rad", "deg", "rad"])])
 def test_a_unit_of_all_joints_is_said_once(joints: tuple[int, ...], said: Any) -> None:
     mapping = {"joints": list(JOINTS), "position": {}}
-    (cure,) = cures_of(robot("puma"), [Mistake("degrees", joints)], LEFT, 0 * LEFT, mapping)
+    (cure,) = cures_of(robot("puma"), [Mistake("degrees", joints)], LEFT, 0 * LEFT, mapping, 3)
     assert cure.lines == (("position", "unit", said),)
 
 
@@ -70,7 +70,7 @@ def test_lines_of_several_mistakes_build_on_each_other() -> None:
     made = [Mistake("position_sign", (0,)), Mistake("zero", (0,), (1.0,))]
     lines = [
         line
-        for cure in cures_of(robot("puma"), made, LEFT, 0 * LEFT, mapping)
+        for cure in cures_of(robot("puma"), made, LEFT, 0 * LEFT, mapping, 3)
         for line in cure.lines
     ]
     assert with_lines(mapping, lines)["position"] == {"sign": [1, -1, 1], "offset": [0.0, 0.5, 0.0]}
@@ -78,11 +78,21 @@ def test_lines_of_several_mistakes_build_on_each_other() -> None:
 
 def test_programs_can_compare_cures() -> None:
     made = [Mistake("turn", (), (0.0, 0.0, 1.5)), Mistake("sense")]
-    one, other = (cures_of(robot("puma"), made, np.ones(9), np.full(9, 0.1), {}) for _ in range(2))
+    one, other = (
+        cures_of(robot("puma"), made, np.ones(9), np.full(9, 0.1), {}, 3) for _ in range(2)
+    )
     assert one == other
     assert [cure.kind for cure in one] == ["turn", "sense"]
     assert {(cure.before, cure.after) for cure in one} == {(1.0, 0.1)}
     assert len({hash(str(cure.lines)) for cure in one}) == 2
+
+
+@pytest.mark.parametrize("torques", [0, 6])
+def test_a_cure_of_a_plate_names_a_channel_of_the_plate(torques: int) -> None:
+    before, after = np.ones(torques + 6), np.ones(torques + 6)
+    after[torques + 1] = 0.1
+    cures = cures_of(robot("ur5"), [Mistake("sense")], before, after, {}, torques)
+    assert [(each.channel, each.after) for each in cures] == [("Fy", 0.1)]
 
 
 NAN = float("nan")

@@ -82,9 +82,13 @@ def grouped(columns: Sequence[ColumnName], joints: Sequence[str] = ()) -> Iterat
         if group := _group(pairs):
             ordered = [name for _, name in sorted(zip(group.numbers, group.names, strict=False))]
             yield group.like(ordered)
-        numbered = [pair for pair in pairs if re.fullmatch(r"\D*\d+", pair[1])]
-        if 1 < len(numbered) < len(pairs) and (group := _group(numbered)) and group.numbers:
-            yield group
+        numbered: dict[str, list[tuple[ColumnName, str]]] = {}  # 1, 2 apart from Sm1, Sm2
+        for pair in pairs:
+            if found := re.fullmatch(r"(\D*)\d+", pair[1]):
+                numbered.setdefault(found[1], []).append(pair)
+        for alike in numbered.values():
+            if 1 < len(alike) < len(pairs) and (group := _group(alike)):
+                yield group
 
 
 def _group(pairs: Sequence[tuple[ColumnName, str]], *, matched: bool = False) -> Group | None:

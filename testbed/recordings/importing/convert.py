@@ -6,6 +6,7 @@ sampled, and then mapped to joints and bedplate, all in memory.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from collections.abc import Mapping as Table
 from dataclasses import dataclass, replace
@@ -194,7 +195,10 @@ def _used(mapping: Mapping) -> dict[str, list[str]]:
 def _open(folder: Path, mapping: Mapping, name: str) -> ForeignTable:
     """A source's file, and whether its columns are of one length."""
     source = mapping.sources[name]
-    table = open_foreign(folder / source.file, source.topic)
+    path = folder / source.file
+    if not folder.is_dir():  # of a mapping that is not written yet
+        path = Path(os.path.normpath(path))
+    table = open_foreign(path, source.topic)
     lengths = table.lengths
     wanted = [*_used(mapping)[name], *([source.time] if source.time else [])]
     counts = {column: lengths[column] for column in wanted if column in lengths}

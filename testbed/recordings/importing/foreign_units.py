@@ -46,6 +46,7 @@ KNOWN = {name for units in UNITS.values() for name in units} | RAW.keys() | TIME
 
 WORDS = {
     "Nm": "N m", "Nmm": "N mm", "Ncm": "N cm", "kNm": "kN m", "degree": "deg", "degrees": "deg",
+    "Grad": "deg",
     "radian": "rad", "radians": "rad", "rev": "turn", "revs": "turn", "turns": "turn",
     "lb": "lbf", "lbs": "lbf", "kp": "kgf", "inch": "in", "inches": "in", "foot": "ft",
     "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "nsec": "ns",

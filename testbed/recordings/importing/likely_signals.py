@@ -19,7 +19,11 @@ from testbed.recordings.importing.column_groups import (
     grouped,
     plate_columns,
 )
-from testbed.recordings.importing.column_names import ColumnName, read_name
+from testbed.recordings.importing.column_names import (
+    ColumnName,
+    read_name,
+    says_signal,
+)
 from testbed.recordings.importing.derivative import SURE, slopes, unit_of
 from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import KINDS, UNITS, Kind
@@ -93,7 +97,24 @@ def likely_sources(paths: Sequence[Path], joints: int = 0) -> list[LikelySource]
         name = f"{stem}_{len(stems)}" if stem in stems else stem
         stems.append(stem)
         found += _tables(path, name if len(paths) > 1 else "")
-    return [in_order(each, joints) for each in found] if joints else found
+    return [by_file(in_order(each, joints) if joints else each) for each in found]
+
+
+def by_file(source: LikelySource) -> LikelySource:
+    """A source whose columns say the joint only, with the signal that its file's name says.
+
+    Args:
+        source: As its columns' names tell it.
+    """
+    kind = read_name(source.file.name.partition(".")[0]).kind
+    told = any(says_signal(word) for column in source.columns for word in column.words)
+    if kind not in KINDS or told:
+        return source
+    columns = (
+        replace(each, kind=kind) if each.unit is None and each.role is None else each
+        for each in source.columns
+    )
+    return replace(source, columns=tuple(columns))
 
 
 def in_order(source: LikelySource, joints: int) -> LikelySource:

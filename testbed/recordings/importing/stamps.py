@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.recordings.importing.column_names import without_unit
 from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import TIMES, plain
 from testbed.recordings.importing.source_clock import GAP, Times
@@ -109,7 +110,7 @@ def like_time(column: str) -> int:
     for k, word in enumerate(TIME_WORDS):
         if word in last if len(word) > 1 else re.split(r"[^a-z0-9]", last)[0] == word:
             return k
-    return len(TIME_WORDS)
+    return len(TIME_WORDS) - (without_unit(column)[1] in TIMES)
 
 
 def rate_of(stamps: Array | NDArray[np.int64]) -> float:
