@@ -172,6 +172,7 @@ REFUSED = {
     ),
     "broken.xml": ("<mujoco><worldbody>", "not well-formed"),
     "broken.urdf": ("<robot><link>", "not well-formed"),
+    "page.urdf": ("\n<!DOCTYPE html><html><br></html>", "web page"),
     "other.xml": ("<sdf/>", "<sdf>"),
     "still.urdf": ('<robot name="r"><link name="b"/></robot>', "no joint that moves"),
 }

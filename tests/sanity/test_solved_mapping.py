@@ -39,18 +39,20 @@ def test_what_was_planted_is_solved(robot: str, layout: str, turn: str, tmp_path
     assert answer.after.left.max() < 1e-2
 
 
-def test_currents_get_torque_constants_by_the_plate(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["current{} (A)", "curr_{}"])
+def test_currents_get_torque_constants_by_the_plate(name: str, tmp_path: Path) -> None:
     made = truth("ur5", 12)
     constants = np.array([5.0, 6.0, 4.0, 3.0, 3.5, 2.5])
     columns = {"t": np.arange(len(made.position)) / 500}
     columns |= {f"q{k + 1} (rad)": q for k, q in enumerate(made.position.T)}
-    columns |= {f"current{k + 1} (A)": i for k, i in enumerate((made.torque / constants).T)}
+    columns |= {name.format(k + 1): i for k, i in enumerate((made.torque / constants).T)}
     assert made.wrench is not None
     names = ("Fx (N)", "Fy (N)", "Fz (N)", "Mx (Nm)", "My (Nm)", "Mz (Nm)")
     columns |= dict(zip(names, made.wrench.T, strict=True))
     np.savez(tmp_path / "log.npz", **columns)  # type: ignore[arg-type]
-    draft = guessed([tmp_path / "log.npz"], tmp_path, made.tree.names)
-    draft = solved(draft, tmp_path / "mapping.toml", made.tree).draft
+    folder = tmp_path / "not/yet"
+    draft = guessed([tmp_path / "log.npz"], folder, made.tree.names)
+    draft = solved(draft, folder / "mapping.toml", made.tree).draft
     np.testing.assert_allclose(draft.tables["torque"]["gain"], constants, rtol=0.1)
 
 

@@ -218,3 +218,22 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
         stamps = np.round(samples / rate * scale).astype(np.int64) + since * scale
     stamps = np.delete(stamps, slice(len(stamps) // 3, len(stamps) // 3 + 40))  # a gap
     assert rate_of(stamps) / TIMES[unit] == pytest.approx(rate, rel=1e-12)
+
+
+def test_a_files_name_says_what_columns_of_joints_alone_do_not(tmp_path: Path) -> None:
+    for name in ("pos_read_data", "curr_data"):
+        rows = "\n".join("1,2" for _ in range(5))
+        (tmp_path / f"{name}.csv").write_text(f"Joint_1,Joint_2\n{rows}\n")
+    paths = [tmp_path / "curr_data.csv", tmp_path / "pos_read_data.csv"]
+    tables = guessed(paths, tmp_path, ("joint_1", "joint_2")).tables
+    found = {kind: tables[kind]["source"] for kind in ("position", "torque")}
+    assert found == {"position": "pos_read_data", "torque": "curr_data"}
+
+
+def test_columns_with_another_word_before_the_number_are_another_signal(tmp_path: Path) -> None:
+    names = [f"{word}{k}" for word in ("Position", "Torque", "TorqueSm", "Cur") for k in (1, 2)]
+    table = {"Takt [ms]": np.arange(50.0)} | dict.fromkeys(names, np.arange(50.0))
+    np.savez(tmp_path / "log.npz", **table)  # type: ignore[arg-type]
+    tables = guessed([tmp_path / "log.npz"], tmp_path, ("joint_1", "joint_2")).tables
+    assert tables["torque"]["columns"] == ["Torque1", "Torque2"]
+    assert (tables["sources.log"]["time"], tables[""]["rate"]) == ("Takt [ms]", 1000)
