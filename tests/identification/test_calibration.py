@@ -115,53 +115,48 @@ def test_files_that_are_no_plates_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_payload_or_a_centre_of_mass_tells_the_scale() -> None:
-    """In place of a mass and a gain; the zero of the plate may move between the recordings."""
+def test_a_centre_of_mass_does_for_the_mass() -> None:
+    """With a gain; and the zero of Fz, which no mass of the robot's would be told beside, too."""
     tree, matrix = robot("ur5"), mixing(1)
-    right, heavy = (
-        measured(each, seed, noise=1e-3, duration=10.0)
-        for each, seed in ((tree, 1), (loaded(tree), 101))
-    )
-    without, other = on_plate(right, matrix), on_plate(heavy, matrix)
-    zero = np.array([0.3, 0.2, -1.5, 0.05, 0.1, 0.02])
-    moved = replace(other, wrench=other.measured("wrench") + zero)
-    found = calibrate_by_payload(tree, without, moved, MASS, settings=MATRIX)
-    np.testing.assert_allclose(np.diag(found.matrix), np.diag(matrix), atol=5e-5)
-    assert found.estimate is not None
-    assert not [w for w in found.estimate.warnings if "payload" in w]
+    recording = on_plate(measured(tree, 1, noise=1e-3, duration=10.0), matrix)
     q = np.zeros((1, tree.n))
     rest = tb.base_wrench(tree, tb.Motion(np.zeros(1), q, q, q))[0]
-    centre = rest[3] / rest[2]  # y Fz = Mx
-    known = {"gain/Fz": float(matrix[2, 2]), "centre/y": float(centre)}
-    by_centre = calibrate(tree, without, known, settings=MATRIX)
-    assert by_centre.estimate is not None
-    mass = by_centre.estimate.values[by_centre.estimate.names.index("mbar1")]
+    known = {"gain/Fz": float(matrix[2, 2]), "centre/y": float(rest[3] / rest[2])}  # y Fz = Mx
+    found = calibrate(tree, recording, known, settings=MATRIX)
+    assert found.estimate is not None
+    mass = found.estimate.values[found.estimate.names.index("mbar1")]
     assert mass == pytest.approx(mass_of(tree), rel=5e-4)
-    numbers = {each.name: each.value for each in by_centre.numbers}
+    numbers = {each.name: each.value for each in found.numbers}
     assert numbers["bias/Fz"] == pytest.approx(BIAS[2], abs=0.1)
 
 
 @pytest.mark.slow
-def test_doubt_about_the_payload_comes_back_and_another_is_noticed() -> None:
-    """A payload that weighs so much more makes the gains so much smaller: seen by moving it."""
+def test_a_payload_tells_the_scale_and_its_doubt_comes_back() -> None:
+    """One that weighs so much more makes the gains so much smaller: seen by moving it.
+
+    The zero of the plate may move between the recordings.
+    """
     tree, matrix = robot("puma"), mixing(2)
     without, other = (
         on_plate(measured(each, seed, noise=0.01, duration=10.0), matrix)
         for each, seed in ((tree, 2), (loaded(tree), 102))
     )
-    given = ({"payload/mass": m} for m in (LOAD.mass, 1.002 * LOAD.mass, (LOAD.mass, 2.4e-3)))
-    exact, moved, doubted = (
-        calibrate_by_payload(tree, without, other, each, settings=MATRIX) for each in given
+    zero = np.array([0.3, 0.2, -1.5, 0.05, 0.1, 0.02])
+    other = replace(other, wrench=other.measured("wrench") + zero)
+    place = {"payload/x": 0.3, "payload/y": 0.0, "payload/z": 0.0}
+    known = [{"payload/mass": m} for m in (LOAD.mass, 1.002 * LOAD.mass, (LOAD.mass, 2.4e-3))]
+    exact, moved, doubted, wrong = (
+        calibrate_by_payload(tree, without, other, each, settings=MATRIX)  # type: ignore[arg-type]
+        for each in (*known, {**MASS, **place})
     )
+    np.testing.assert_allclose(np.diag(exact.matrix), np.diag(matrix), atol=5e-4)
     step = np.diag(moved.matrix - exact.matrix)
     np.testing.assert_allclose(step, -0.002, rtol=0.05)
     wanted = np.hypot(np.diag(exact.matrix_sigma), step)
     np.testing.assert_allclose(np.diag(doubted.matrix_sigma), wanted, rtol=0.05)
-    place = {"payload/x": 0.3, "payload/y": 0.0, "payload/z": 0.0}
-    found = calibrate_by_payload(tree, without, other, {**MASS, **place}, settings=MATRIX)
-    assert found.estimate is not None
     assert exact.estimate is not None
-    assert len(found.estimate.warnings) > len(exact.estimate.warnings)
+    assert wrong.estimate is not None
+    assert len(wrong.estimate.warnings) > len(exact.estimate.warnings)
 
 
 def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:

@@ -44,10 +44,12 @@ def reported(tree: tb.Tree, recording: Recording) -> Recording:
     return replace(recording, torque=recording.measured("torque") * constants(tree))
 
 
-def findings(tree: tb.Tree, recording: Recording, how: tb.Settings, **more: bool) -> DriveFindings:
+def findings(
+    tree: tb.Tree, recording: Recording, how: tb.Settings, choose: bool = False
+) -> DriveFindings:
     """Beside the plate's estimate from the same recording."""
     bodies = tb.identify(tree, recording, settings=how)
-    return identify_drives(tree, recording, bodies, settings=how, **more)
+    return identify_drives(tree, recording, bodies, settings=how, choose=choose)
 
 
 def errors(tree: tb.Tree, found: DriveFindings) -> tuple[Array, Array]:

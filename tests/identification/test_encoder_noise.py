@@ -180,5 +180,5 @@ def test_made_noise_has_the_spectrum_of_filtered_white_noise(rate: float) -> Non
     np.testing.assert_allclose(found / scale, kernels @ kernels.T / scale, atol=0.05)
     later = kernels[:, : -plan.step] @ kernels[:, plan.step :].T
     next_row = np.tensordot(made[:, 1:], made[:, :-1], ([1, 2], [1, 2])) / 40_000
-    both = (np.diagonal(each) / size**2 for each in (next_row, later))
-    np.testing.assert_allclose(*both, atol=0.05)
+    one, other = (np.diagonal(each) / size**2 for each in (next_row, later))
+    np.testing.assert_allclose(one, other, atol=0.05)

@@ -15,6 +15,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import ModelError, RecordingError
 from testbed.excitation.fourier import Fourier
+from testbed.identification.estimate import Method
 from testbed.identification.predict import motion_in, predictions
 from testbed.recordings.measured_base import with_base_joints
 from testbed.recordings.recording import Recording
@@ -54,7 +55,7 @@ def test_the_grounds_wrench_is_pinocchios() -> None:
     tree, recording = humanoid(3.0, 100.0, 1, 0.0)
     free = on_free_base(tree)
     path = squatting(tree, 1).at(recording.time)
-    np.testing.assert_allclose(tb.base_wrench(free, path), recording.wrench, atol=2e-5)
+    np.testing.assert_allclose(tb.base_wrench(free, path), recording.measured("wrench"), atol=2e-5)
     np.testing.assert_allclose(with_base_joints(recording).position, path.q, atol=1e-12)
     model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
     assert tb.minimal_set(free, "reaction").count == rank_by_pinocchio(model, 60) == 213
@@ -90,7 +91,7 @@ def test_predictions_are_the_grounds_wrench(robot: Robot) -> None:
         for p in paths
     )
     motion, inner = motion_in(other)
-    estimates = {"external": tb.identify(free, seen)}
+    estimates: dict[Method, tb.Estimate] = {"external": tb.identify(free, seen)}
     found = predictions(free, other, motion, estimates)[0]["external"]
     wanted: Array = other.measured("wrench")[inner]
     np.testing.assert_allclose(found, wanted, atol=1e-3)
