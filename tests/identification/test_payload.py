@@ -85,18 +85,18 @@ def test_what_a_load_adds_is_what_the_minimal_set_holds(
 def test_what_is_no_payload_is_noticed() -> None:
     """Two loads on two links are no load on one; a load that was taken off is none either."""
     tree = robot("ur5")
-    pair = [tb.identify(t, measured(t, k)) for k, t in enumerate((tree, loaded(loaded(tree), 1)))]
-    found, swapped = payload(tree, *pair), payload(tree, *pair[::-1])
+    heavy = loaded(loaded(tree), 1)
+    one, other = (tb.identify(t, measured(t, k)) for k, t in enumerate((tree, heavy)))
+    found, swapped = payload(tree, one, other), payload(tree, other, one)
     assert found.chance < 1e-6
     assert len(swapped.warnings) > len(found.warnings) > 0
 
 
 def test_what_does_not_belong_together_is_refused() -> None:
     tree = robot("puma")
-    one, symmetric, inner = (
-        tb.identify(tree, ideal(tree), method, settings=replace(EXACT, zeros=zeros))
-        for method, zeros in (("external", False), ("external", True), ("internal", False))
-    )
+    plain, symmetries = EXACT, replace(EXACT, zeros=True)
+    one, symmetric = (tb.identify(tree, ideal(tree), settings=each) for each in (plain, symmetries))
+    inner = tb.identify(tree, ideal(tree), "internal", settings=plain)
     for pair in ((one, symmetric), (symmetric, symmetric), (inner, inner)):
         with refuses(SettingsError):
             payload(tree, *pair)

@@ -76,7 +76,7 @@ def test_perfect_recordings_give_the_truth_by_any_engine(method: Method) -> None
     recording = ideal(tree, duration=12.0)
     how = tb.Settings(position_cutoff="off", cutoff=5.0, terms=())
     one, other, early, part = (
-        tb.identify(tree, each, method, settings=replace(how, **more))  # type: ignore[arg-type]
+        tb.identify(tree, each, method, settings=replace(how, **more))
         for each, more in (
             (recording, {"engine": "compiled"}),
             (recording, {"engine": "numpy"}),
