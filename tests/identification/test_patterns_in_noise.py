@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
 from testbed.arrays import Array
 from testbed.identification.diagnosis import UNLIKELY
@@ -45,6 +46,12 @@ def test_chances_of_repetition_are_no_smaller_than_they_say() -> None:
             share = np.mean(chances < level)
             assert share < level + 4 * np.sqrt(level * (1 - level) / len(chances))
         assert np.mean(chances < 0.5) > 0.2
+    alone = Autoregression(np.zeros((1, 0)), np.ones(1))
+    for seed in range(9):  # of one channel: by the normal law, for two looks
+        one = repetition(alone, made(alone, 200, seed))
+        assert one is not None
+        wanted = min(1.0, 2 * stats.norm.sf(one.share[0] * np.sqrt(100)))
+        assert one.chance == pytest.approx(wanted)
 
 
 @pytest.mark.parametrize(("noise", "periods"), [(WHITE, 2), (COLOURED, 5)])
