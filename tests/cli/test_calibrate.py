@@ -13,8 +13,8 @@ import testbed as tb
 from testbed.arrays import Array
 from tests.helpers.command import command_line
 from tests.helpers.measured import measured
+from tests.helpers.plates import mass_of, mixing, on_plate
 from tests.helpers.runs import MODELS, robot, without
-from tests.identification.test_calibration import mass_of, mixing, on_plate
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ import pytest
 
 from tests.helpers.campaigns import campaign_file
 from tests.helpers.command import command_line
+from tests.helpers.plates import loaded, resting
 from tests.helpers.runs import MODELS, robot
-from tests.identification.test_payload import loaded, resting
 
 PUMA = MODELS["puma"].name
 

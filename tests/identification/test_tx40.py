@@ -13,6 +13,8 @@ from scipy import signal
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.identification.term_choice import held_out
+from testbed.recordings.coupled_gear import with_gear
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
@@ -127,30 +129,17 @@ def test_the_published_parameters_are_reproduced() -> None:
     assert np.sqrt(np.mean((y - x @ weighted) ** 2)) == pytest.approx(1.118, abs=5e-4)
 
 
-def left(*words: str, cwd: Path) -> dict[str, float]:
-    """Rms of unseen sixths of the recording [N m], by one command."""
-    call = ("identify", str(TX40 / "tx40.toml"), *MODEL, *words, "--json")
-    done = command_line(*call, cwd=cwd)
+@pytest.mark.slow
+def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist(tmp_path: Path) -> None:
+    """By one command, that chooses the other terms by data it has not seen."""
+    call = ("identify", str(TX40 / "tx40.toml"), *MODEL, "--terms", "auto", "--json")
+    done = command_line(*call, "--set", "identification.cutoff=10", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     choice = json.loads(done.stdout)["internal"]["choice"]
     assert choice["parts"] == 6
-    return {which: found["rms"] for which, found in choice["held_out"].items()}
-
-
-@pytest.mark.slow
-def test_one_command_foretells_unseen_sixths(tmp_path: Path) -> None:
-    """The coupled wrist is the mapping's; held-out data choose the other terms."""
-    found = left("--terms", "auto", cwd=tmp_path)
-    assert found["after"] <= found["before"] <= 1.36
-    assert found["after"] <= 1.35
-    faster = left("--terms", "auto", "--set", "identification.cutoff=10", cwd=tmp_path)
-    assert faster["after"] <= 1.1
-
-
-def test_without_the_coupling_the_wrist_is_not_explained() -> None:
-    from testbed.identification.term_choice import held_out
-    from testbed.recordings.coupled_gear import with_gear
-
+    rms = {which: found["rms"] for which, found in choice["held_out"].items()}
+    assert rms["after"] <= rms["before"]
+    assert rms["after"] <= 1.1
     tree = tb.load_tree(TX40 / "tx40.urdf")
     recording = tb.Recording.from_mapping(TX40 / "tx40.toml")
     alone = held_out(tree, recording, tb.Settings())

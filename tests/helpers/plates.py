@@ -1,0 +1,52 @@
+"""Plates that mix their channels, and payloads that they weigh."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.recordings.recording import Recording
+from testbed.robot.inertia import Inertia
+
+BIAS = np.array([2.0, -1.0, 1.0, 0.3, 0.2, -0.1])
+SCALE = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
+LOAD = Inertia.about_centre(1.2, [0.03, -0.05, 0.2], np.diag([2e-3, 3e-3, 4e-3]))
+
+
+def mixing(seed: int) -> Array:
+    """1 % of full scale from channel to channel, gains off by 0.5 %."""
+    rng = np.random.default_rng(seed)
+    own = np.diag(1 + rng.uniform(-0.005, 0.005, 6))
+    others = rng.uniform(-0.01, 0.01, (6, 6)) * (1 - np.eye(6))
+    return np.asarray(own + others * SCALE[:, None] / SCALE)
+
+
+def on_plate(recording: Recording, matrix: Array) -> Recording:
+    """As a plate with a matrix and a zero shows it."""
+    return replace(recording, wrench=recording.measured("wrench") @ matrix.T + BIAS)
+
+
+def mass_of(tree: tb.Tree) -> float:
+    """Of all moving bodies [kg]."""
+    return sum(inertia.mass for inertia in tree.inertias)
+
+
+def loaded(tree: tb.Tree, link: int = -1) -> tb.Tree:
+    """With LOAD on a link."""
+    bodies = list(tree.inertias)
+    bodies[link] = bodies[link] + LOAD
+    return replace(tree, inertias=tuple(bodies))
+
+
+def resting(tree: tb.Tree, seed: int, poses: int = 8, noise: float = 0.1) -> Recording:
+    """Two seconds in each of a few poses, with a plate's noise, at 100 Hz."""
+    rng = np.random.default_rng(seed)
+    q = rng.uniform(-0.8, 0.8, (poses, tree.n)).repeat(200, axis=0)
+    time, still = np.arange(len(q)) / 100.0, np.zeros_like(q)
+    wrench = tb.base_wrench(tree, tb.Motion(time, q, still, still)) + tb.pedestal_wrench(tree)
+    noisy = wrench + noise * rng.normal(size=wrench.shape)
+    seen = q + 1e-5 * rng.normal(size=q.shape)
+    return Recording(tree.names, time, seen, wrench=noisy, tare=tb.pedestal_wrench(tree))

@@ -1,0 +1,184 @@
+"""Noise and whole counts of the encoders are made again as they are, and sigma counts them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.lib.stride_tricks import sliding_window_view
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.dynamics.drive_set import drive_set
+from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.identification.noise.counts import Counts
+from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
+from testbed.identification.passes import Passes
+from testbed.identification.survey import Surveyor
+from testbed.identification.windows import Plan, make_plan
+from testbed.kernel.layout import layout
+from testbed.parameters.rules import Model
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import open_source
+from tests.helpers.measured import measured
+from tests.helpers.runs import robot
+
+COUNT = 1e-3
+
+
+def rounded(recording: Recording, count: float = COUNT) -> Recording:
+    """As coarse encoders show it."""
+    return replace(recording, position=count * np.round(recording.position / count))
+
+
+def planned(tree: tb.Tree, recording: Recording, model: Model = "reaction") -> Plan:
+    """How the recording is gone through."""
+    minimal = tb.minimal_set(tree, model)
+    terms = drive_set(tree, minimal, ("viscous", "rotor")).terms if model == "dynamic" else ()
+    rows, settings = layout(tree.without_inertias(), minimal, terms), tb.Settings(deadband=0.0)
+    return make_plan(open_source(recording), rows, pedestal_wrench(tree), settings)
+
+
+def counts_of(tree: tb.Tree, recording: Recording) -> Array:
+    """Encoders' counts that are seen, (n,)."""
+    plan = planned(tree, recording)
+    surveyor = Surveyor(plan.source.samples)
+    for window in plan.windows():
+        signals = plan.signals(plan.source.part(window.first, window.last), window)
+        surveyor.look(signals, window.first, plan.own(window))
+    return np.asarray(surveyor.survey().encoder_count)
+
+
+def kernels_of(plan: Plan) -> Array:
+    """What a row sees of samples: positions, velocities, accelerations."""
+    return np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_whole_counts_are_told_from_noise(name: str) -> None:
+    """With a tenth of a count of noise, beside a joint that rests; not with a whole one."""
+    tree = robot(name)
+    for seed, speed in enumerate((0.1, 1.0)):
+        fine = measured(tree, seed, speed=speed)
+        for count in (COUNT, 2 * np.pi / 4096):
+            moves = np.arange(tree.n) != 2
+            resting = replace(fine, position=fine.position * moves)
+            found = counts_of(tree, rounded(resting, count))
+            np.testing.assert_allclose(np.delete(found, 2), count, rtol=1e-6)
+            assert found[2] == 0
+        for other in (rounded(fine, 1e-4), measured(tree, seed, speed=speed, noise=0.0)):
+            assert not counts_of(tree, other).any()
+
+
+def errors(plan: Plan, tree: tb.Tree) -> Iterator[Array]:
+    """Made ones of ten kinds of zeros, (3, rows, n); those of the last change."""
+    counts = Counts(plan, np.full(tree.n, COUNT))
+    (window,) = plan.windows()
+    signals = plan.signals(plan.source.part(window.first, window.last), window)
+    for replica in range(9):
+        yield counts.lasting(signals, replica)
+    yield counts.changing(signals, window.row)
+
+
+def test_made_errors_of_counts_are_like_real_ones() -> None:
+    """As large, joint by joint, but of other numbers; of lasting zeros, they repeat."""
+    tree = robot("puma")
+    exact = measured(tree, 3, duration=60.0, speed=0.2, noise=0.0)
+    plan = planned(tree, rounded(exact))
+    zeros = np.random.default_rng(0).uniform(size=(10, 1, tree.n))
+    shown = exact.position / COUNT + zeros
+    off, kernels = COUNT * (np.round(shown) - shown), kernels_of(plan)
+    around = sliding_window_view(off, kernels.shape[1], axis=1)
+    real = np.moveaxis(around[:, :: plan.step] @ kernels.T, 3, 1)[:, :, : plan.rows]
+    made = np.array(list(errors(plan, tree)))
+    ratio = np.sqrt((made**2).mean(axis=(0, 2)) / (real**2).mean(axis=(0, 2)))
+    np.testing.assert_allclose(ratio, 1, atol=0.5)
+    np.testing.assert_allclose(ratio.mean(axis=1), 1, atol=0.2)
+    alike = (real * made).sum() / np.sqrt((real**2).sum() * (made**2).sum())
+    assert abs(alike) < 0.15
+    period = round(10.0 * plan.rate)
+    for each, repeats in ((made[0], True), (made[-1], False)):
+        apart = each[:, period:] - each[:, :-period]
+        part = (apart**2).sum() / (2 * (each**2).sum())
+        assert part < 0.2 if repeats else part > 0.6
+
+
+@pytest.mark.slow
+def test_sigma_counts_what_coarse_encoders_do() -> None:
+    """Of slow motions that repeat, under slow noise; nothing is said of finer encoders."""
+    tree = robot("puma")
+    slow = measured(tree, 1, duration=60.0, rate=250.0, speed=0.2, memory=0.993)
+    coarse, fine = (tb.identify(tree, each, zeros=True) for each in (rounded(slow), slow))
+    truth = coarse.minimal.values(tb.barycentric(tree))
+    assert np.sqrt(np.mean(((coarse.values - truth) / coarse.sigma) ** 2)) < 1.5
+    for found, seen in ((coarse, True), (fine, False)):
+        assert found.noise is not None
+        assert found.noise.steps_matter == seen
+        np.testing.assert_allclose(found.noise.least_counts, [COUNT] * 3 * seen, rtol=1e-6)
+        (line,) = [w for w in found.warnings if all(n in w for n in tree.names)] or [""]
+        assert (f"{COUNT:g}" in line) == seen
+    assert (coarse.sigma > fine.sigma).mean() > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "model", "least"), [("gantry", "reaction", 1e-4), ("puma", "dynamic", 1e-3)]
+)
+def test_columns_change_as_with_real_noise(name: str, model: Model, least: float) -> None:
+    """As large, column by column, and as much alike from row to row.
+
+    What moves noise into the filter's band, a coefficient that changes within it, is left out:
+    it rules columns that change very little.
+    """
+    tree, size = robot(name), 2e-4
+    recording = measured(tree, 4, duration=120.0, speed=0.3, noise=0.0)
+    noise = size * np.random.default_rng(0).normal(size=recording.position.shape)
+    plan = planned(tree, recording, model)
+    noisy = planned(tree, replace(recording, position=recording.position + noise), model)
+    combined = np.eye(len(plan.layout.basis))
+    rows = [
+        np.concatenate([c for c, _ in Passes(p, 1, lambda a, b: None, 1).rows(combined)], axis=1)
+        for p in (plan, noisy)
+    ]
+    real = rows[1] - rows[0]
+    maker = NoisyColumns(
+        noisy, PositionNoise(np.full(tree.n, size), np.zeros(tree.n)), np.eye(len(combined))
+    )
+    made = np.concatenate(
+        [maker(noisy.signals(noisy.source.part(w.first, w.last), w), w.row)
+         for w in noisy.windows()], axis=1
+    )  # fmt: skip
+    squares = (real**2).sum(axis=1)
+    some = squares > least * squares.max()
+    for lag in (0, 1, 2):
+        now, then = slice(lag, None), slice(None, made.shape[1] - lag)
+        one, other = ((d[:, now] * d[:, then]).sum(axis=1)[some] for d in (real, made))
+        np.testing.assert_allclose(other / squares[some], one / squares[some], atol=0.3)
+
+
+@pytest.mark.parametrize("rate", [130.0, 200.0, 1000.0])
+def test_made_noise_has_the_spectrum_of_filtered_white_noise(rate: float) -> None:
+    """Variances at a row, and from row to row, at any rate; the same for any cut into blocks."""
+    tree = robot("puma")
+    plan = planned(tree, measured(tree, 4, duration=8.0, rate=rate, speed=0.3, noise=0.0))
+    combined = np.eye(len(plan.layout.basis))
+    white = PositionNoise(np.array([1.0, 1.0, 0.0]), np.array([0.0, COUNT, 0.0]))
+    assert white.least_counts == (0.0, COUNT, 0.0)
+    assert replace(white, count=np.zeros(3)).least_counts == ()
+    maker = NoisyColumns(plan, replace(white, count=np.zeros(3)), combined)
+    made = maker.coordinates(0, 20_000)
+    parts = [maker.coordinates(first, 70) for first in range(0, 700, 70)]
+    np.testing.assert_array_equal(made[:, :700], np.concatenate(parts, axis=1))
+    assert not made[..., 2].any()
+    made, kernels = made[..., :2], kernels_of(plan)
+    size = np.linalg.norm(kernels, axis=1)
+    found = np.tensordot(made, made, ([1, 2], [1, 2])) / 40_000
+    scale = np.outer(size, size)
+    np.testing.assert_allclose(found / scale, kernels @ kernels.T / scale, atol=0.05)
+    later = kernels[:, : -plan.step] @ kernels[:, plan.step :].T
+    next_row = np.tensordot(made[:, 1:], made[:, :-1], ([1, 2], [1, 2])) / 40_000
+    one, other = (np.diagonal(each) / size**2 for each in (next_row, later))
+    np.testing.assert_allclose(one, other, atol=0.05)

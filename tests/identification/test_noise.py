@@ -1,0 +1,289 @@
+"""Noise is found as it was made; fits by products are fits of the rows, and their sigmas hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from testbed.arrays import Array
+from testbed.identification.noise.autoregression import (
+    LARGEST_ROOT,
+    Autoregression,
+    NoiseMaker,
+    best_order,
+    fit,
+)
+from testbed.identification.noise.average import averaged, averaged_fit
+from testbed.identification.noise.biases import carrying_constants, constants, square_of_last
+from testbed.identification.noise.count_doubt import CountDoubt
+from testbed.identification.noise.dilution import undiluted
+from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.scaled import square_root
+from tests.helpers.strategies import rngs
+
+LAGS = 6
+TRUTH = np.array([1.0, -2.0, 0.5])
+SIGMA = np.array([0.1, 1.0, 0.3, 2.0])
+WHITE = Autoregression(np.zeros((4, 0)), SIGMA)
+SLOW = Autoregression(np.full((4, 1), 0.9), SIGMA)
+SILENT = Autoregression(np.zeros((4, 0)), np.zeros(4))
+
+
+def products(*sequences: Array, cut: int = 10**9) -> LaggedProducts:
+    """Of rows, (C, M, p) each, that were not recorded in one."""
+    sums = LaggedSums(LAGS)
+    for rows in sequences:
+        sums.pause()
+        for first in range(0, rows.shape[1], cut):
+            sums.add(rows[:, first : first + cut])
+    return sums.finish()
+
+
+def problem(seed: int, noise: Autoregression, rows: int = 400, drop: float = 0.0) -> Array:
+    """Slow columns, and what they and noise make of TRUTH: (C, rows, 5) with ones."""
+    rng, t = np.random.default_rng(seed), np.arange(rows) / 10
+    waves, phases = rng.uniform(0.1, 2.0, (4, 3)), rng.uniform(0, 6, (4, 1, 3))
+    columns = np.sin(waves[:, None] * t[:, None] + phases)
+    made = NoiseMaker(noise, 1, rng).rows(rows)
+    kept = rng.random((4, rows, 1)) >= drop
+    return np.concatenate([columns, columns @ TRUTH[:, None] + made, np.ones_like(made)], 2) * kept
+
+
+def scores(found: NoiseFit, truth: Array) -> Array:
+    """Errors in sigmas."""
+    return np.asarray((found.values - truth) / np.sqrt(np.diagonal(found.covariance)))
+
+
+def whitened(rows: Array, a: Array) -> Array:
+    """What of rows does not follow from those before, (C, M - order, p)."""
+    p, last = a.shape[1], rows.shape[1]
+    parts = (a[:, i, None, None] * rows[:, p - 1 - i : last - 1 - i] for i in range(p))
+    return np.asarray(rows[:, p:] - sum(parts))
+
+
+def moments(rows: Array) -> Array:
+    """Of noise, (C, rows)."""
+    part = np.array([rows[:, LAGS - i : rows.shape[1] - i] for i in range(LAGS + 1)])
+    return np.asarray(np.einsum("ict,jct->cij", part, part))
+
+
+def test_what_is_made_is_found_again() -> None:
+    """Two channels of three roots, one pair of them complex; else whitening whitens nothing."""
+    roots = ([0.9, 0.7 * np.exp(1j), 0.7 * np.exp(-1j)], [0.6, 0.7 * np.exp(2j), 0.7 * np.exp(-2j)])
+    noise = Autoregression(
+        np.array([-np.real(np.poly(each))[1:] for each in roots]), np.array([0.2, 5.0])
+    )
+    rows = NoiseMaker(noise, 1, np.random.default_rng(0)).rows(100_000)[..., 0]
+    assert best_order(moments(rows), rows.shape[1] - LAGS) in (3, 4, 5)
+    np.testing.assert_allclose(fit(moments(rows), 3), noise.coefficients, atol=0.03)
+    left = whitened(rows[..., None], noise.coefficients)[..., 0]
+    np.testing.assert_allclose(left.std(axis=1), noise.sigma, rtol=0.02)
+    np.testing.assert_allclose(noise.memory, -1 / np.log([0.9, 0.7]))
+    pieces = NoiseMaker(noise, 1, np.random.default_rng(0))
+    cut = np.concatenate([pieces.rows(20), pieces.rows(30)], axis=1)[..., 0]
+    np.testing.assert_array_equal(cut, rows[:, :50])
+
+
+def test_noise_that_no_model_has_is_met() -> None:
+    """It is stationary from its first row, never grows, and may be absent."""
+    lasting = Autoregression(np.array([[0.97]]), np.array([np.sqrt(1 - 0.97**2)]))
+    rows = NoiseMaker(lasting, 4000, np.random.default_rng(0)).rows(60)[0]
+    np.testing.assert_allclose(rows.std(axis=1), 1.0, atol=0.06)
+    growing = 1.05 ** np.arange(200)[None] + 1e-3 * np.random.default_rng(0).normal(size=(1, 200))
+    held = Autoregression(fit(moments(growing), 2), np.ones(1))
+    assert 0 < held.memory[0] <= -1 / np.log(LARGEST_ROOT) * (1 + 1e-9)
+    nothing = np.zeros((2, LAGS + 1, LAGS + 1))
+    assert not fit(nothing, 3).any()
+    assert best_order(nothing, 100) == 1
+    assert WHITE.memory.tolist() == [0.0] * 4
+
+
+@given(rngs, st.lists(st.integers(LAGS, 40), min_size=1, max_size=4), st.integers(1, 50))
+def test_products_are_those_of_the_rows(
+    rng: np.random.Generator, counts: list[int], cut: int
+) -> None:
+    """However they are cut; rows after a pause have none before. Else long recordings differ."""
+    each = [rng.normal(size=(3, count, 5)) for count in counts]
+    found = products(*each, cut=cut)
+    inner, maps = rng.normal(size=(5, 5)), rng.normal(size=(3, 5, 2))
+    inner += inner.T
+    assert found.rows == sum(counts)
+    for order in range(LAGS + 1):
+        pairs = sum(
+            np.einsum("ctp,ctq->cpq", rows[:, order:], rows[:, : max(rows.shape[1] - order, 0)])
+            for rows in each
+        )
+        np.testing.assert_allclose(found.products[order], pairs, atol=1e-11)
+        long = [rows for rows in each if rows.shape[1] > order]
+        assert found.after(order) == sum(rows.shape[1] - order for rows in long)
+        a = rng.uniform(-0.5, 0.5, (3, order))
+        parts = (whitened(rows, a) for rows in long)
+        white = sum((part.swapaxes(1, 2) @ part for part in parts), np.zeros((3, 5, 5)))
+        np.testing.assert_allclose(found.whitened(a), white, atol=1e-10)
+        wanted = np.zeros((3, order + 1, order + 1))
+        for rows in long:
+            part = np.array([rows[:, order - i : rows.shape[1] - i] for i in range(order + 1)])
+            wanted += np.einsum("ictp,pq,jctq->cij", part, inner, part)
+        np.testing.assert_allclose(found.moments(inner, order), wanted, atol=1e-9)
+    combined, apart = found.combined(maps), products(*(rows @ maps for rows in each))
+    np.testing.assert_allclose(combined.whitened(a), apart.whitened(a), atol=1e-10)
+
+
+def test_the_whitened_fit_is_least_squares_of_whitened_rows() -> None:
+    """And without noise, whatever the fit, the truth."""
+    block = problem(0, SLOW)
+    found = whitened_fit(products(block))
+    white = whitened(block, found.noise.coefficients) / found.noise.sigma[:, None, None]
+    rows = white.reshape(-1, 5)
+    expected, *_ = np.linalg.lstsq(rows[:, :3], rows[:, 3], rcond=None)
+    np.testing.assert_allclose(found.values, expected, rtol=1e-3)  # weights of a round before
+    normal = rows[:, :3].T @ rows[:, :3]
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(normal), rtol=1e-9)
+    for fits in (whitened_fit, weighted_fit):
+        perfect = fits(products(problem(1, SILENT)), None)
+        np.testing.assert_allclose(perfect.values, TRUTH, rtol=1e-12)
+        assert np.isfinite(perfect.covariance).all()
+
+
+def test_sigma_is_the_spread_of_estimates() -> None:
+    """Under white and slow noise, of the plain fit with rows missing, too."""
+    for noise, fits, drop in (
+        (WHITE, whitened_fit, 0.0),
+        (SLOW, whitened_fit, 0.0),
+        (SLOW, weighted_fit, 0.3),
+    ):
+        each = [fits(products(problem(seed, noise, drop=drop)), None) for seed in range(50)]
+        spread = np.sqrt(np.mean([scores(found, TRUTH) ** 2 for found in each]))
+        assert 0.85 < spread < (1.4 if drop else 1.2)
+    orders = [whitened_fit(products(problem(seed, WHITE))).noise.order for seed in range(9)]
+    assert np.median(orders) == 1
+    assert whitened_fit(products(problem(0, SLOW))).noise.coefficients[:, 0].min() > 0.7
+
+
+def test_constants_are_found_apart_from_the_parameters() -> None:
+    """Those that a parameter imitates are not told; the others are, to their sigmas."""
+    block, bias = problem(0, WHITE, rows=2000), np.array([0.3, -1.0, 0.2, 3.0])
+    block[..., 0] = np.array([0.0, 0.0, 1.0, 0.0])[:, None]  # a constant in channel 2
+    made = NoiseMaker(WHITE, 1, np.random.default_rng(5)).rows(2000)[..., 0]
+    block[..., 3] = block[..., :3] @ TRUTH + bias[:, None] + made
+    there = constants(products(block))
+    assert there.directions.shape == (4, 3)
+    assert np.abs(there.directions[2]).max() < 1e-6
+    hidden = np.abs(there.hidden[0])
+    assert hidden[1:].max() < 1e-6 * hidden[0]
+    found = whitened_fit(carrying_constants(products(block), there.directions))
+    told = there.directions @ found.values[3:]
+    np.testing.assert_allclose(told[[0, 1, 3]], bias[[0, 1, 3]], atol=0.2)
+    there_is = np.linalg.solve(found.covariance[3:, 3:], found.values[3:]) @ found.values[3:]
+    assert square_of_last(found, 3) == pytest.approx(there_is)
+    assert square_of_last(found, 0) == 0.0
+
+
+def slow_columns(seed: int, size: Array, rows: int = 4000) -> tuple[LaggedProducts, LaggedProducts]:
+    """Columns seen with noise, (3,), and products of other noise of the same size."""
+    rng, start = np.random.default_rng(seed), np.array([0.7, -1.0, 0.0])
+    block = problem(seed, Autoregression(np.full((4, 1), 0.9), 0.3 * np.sqrt(SIGMA)), rows)
+    seen = block[..., :3] + size * rng.normal(size=(4, rows, 3))
+    made, ones = size * rng.normal(size=seen.shape), block[..., 4:]
+    left = block[..., 3:4] - seen @ start[:, None]
+    noise = np.concatenate([made, -made @ start[:, None], 0 * ones], axis=2)
+    return products(np.concatenate([seen, left, ones], axis=2)), products(noise)
+
+
+@pytest.mark.parametrize(("fits", "size"), [(whitened_fit, 0.015), (weighted_fit, 0.2)])
+def test_what_noise_of_the_columns_draws_to_zero_comes_back(fits: Fit, size: float) -> None:
+    """Else an estimate of many rows is wrong by several of its sigmas."""
+    left = TRUTH - np.array([0.7, -1.0, 0.0])
+    before, after = [], []
+    for seed in range(12):
+        rows, made = slow_columns(seed, np.full(3, size))
+        plain = fits(rows, None)
+        better = undiluted(plain, made)
+        assert not better.drowned(np.eye(3)).any()
+        before.append(scores(plain, left))
+        after.append(scores(better.found, left))
+    assert np.abs(np.mean(before, axis=0)).max() > 2.0
+    assert np.abs(np.mean(after, axis=0)).max() < 1.2
+    assert 0.6 < np.sqrt(np.mean(np.square(after))) < 1.5
+
+
+def test_columns_without_noise_stay_and_drowned_ones_are_named() -> None:
+    """No estimate runs away, no sigma shrinks."""
+    for drowning in (None, 0, 2):
+        size = np.zeros(3)
+        if drowning is not None:
+            size += 1e-3
+            size[drowning] = 30.0
+        rows, made = slow_columns(1, size, 600)
+        plain = whitened_fit(rows)
+        better = undiluted(plain, made)
+        np.testing.assert_array_equal(better.drowned(np.eye(3)), np.arange(3) == drowning)
+        added = better.found.covariance - plain.covariance
+        assert np.linalg.eigvalsh(added).min() > -1e-12
+        if drowning is None:
+            np.testing.assert_allclose(better.found.values, plain.values, rtol=1e-12)
+            np.testing.assert_allclose(added, 0, atol=1e-9 * np.abs(plain.covariance).max())
+        assert np.isfinite(better.found.values).all()
+
+
+def one(values: Array, spread: float) -> NoiseFit:
+    """A fit that says so much."""
+    covariance = spread * np.eye(len(values))
+    return NoiseFit(values, covariance, SILENT, SILENT, covariance)
+
+
+def test_two_models_answers_are_averaged_as_a_mixture() -> None:
+    """The covariance of a mixture by its definition; a constant that is clear is taken."""
+    alone, beside = one(np.array([1.0, 2.0]), 0.5), one(np.array([2.0, 1.5, -1.0]), 2.0)
+    found = averaged(alone, beside, 0.3)
+    means = np.array([1.0, 2.0, 0.0]), np.array([2.0, 1.5, -1.0])
+    mean = 0.7 * means[0] + 0.3 * means[1]
+    second = 0.7 * (np.diag([0.5, 0.5, 0.0]) + np.outer(means[0], means[0]))
+    second += 0.3 * (2.0 * np.eye(3) + np.outer(means[1], means[1]))
+    np.testing.assert_allclose(found.values, mean)
+    np.testing.assert_allclose(found.covariance, second - np.outer(mean, mean), atol=1e-12)
+    shifted = problem(0, WHITE)
+    shifted[..., 3] += 5.0
+    clear = averaged_fit(products(shifted), None, whole=True)
+    assert clear.weight > 0.99
+    np.testing.assert_allclose(clear.directions @ clear.found.values[3:], 5.0, atol=1.0)
+    weights = [averaged_fit(products(problem(s, WHITE)), None, whole=True).weight for s in range(9)]
+    assert np.median(weights) < 0.5
+    few = averaged_fit(products(shifted[:, :40]), None, whole=True)
+    assert few.directions.shape == (4, 0)
+    assert few.weight == 0.0
+
+
+@given(rngs)
+def test_doubt_by_counts_is_the_spread_of_estimates_from_replicas(rng: np.random.Generator) -> None:
+    """Fit by weighted least squares; without replicas there is none."""
+    columns, made = rng.normal(size=(3, 40, 4)), rng.normal(size=(3, 40, 5))
+    sigma = rng.uniform(0.5, 5.0, 3)
+    weights = np.repeat(1 / sigma, 40)[:, None]
+    flat, moved = columns.reshape(-1, 4) * weights, made.reshape(-1, 5) * weights
+    noise = Autoregression(np.zeros((3, 0)), sigma)
+    covariance = np.asarray(np.linalg.inv(flat.T @ flat), dtype=np.float64)
+    plain = NoiseFit(np.zeros(4), covariance, noise, noise, covariance)
+    doubt, none = CountDoubt(plain, 4), CountDoubt(plain, 4)
+    for part in (slice(0, 17), slice(17, 40)):
+        doubt.add(columns[:, part], made[:, part])
+        none.add(columns[:, part], made[:, part, :0])
+    estimates, *_ = np.linalg.lstsq(flat, moved, rcond=None)
+    found, share = doubt.found()
+    np.testing.assert_allclose(found, estimates @ estimates.T / 5, rtol=1e-9, atol=1e-14)
+    assert share == pytest.approx(float((moved**2).mean()))
+    assert not none.found()[0].any()
+    assert none.found()[1] == 0.0
+
+
+@given(rngs, st.sampled_from([6, 5, 3]))
+def test_a_root_times_itself_is_the_covariance(rng: np.random.Generator, rank: int) -> None:
+    """Of very different units, singular ones too, and made negative by rounding."""
+    half = rng.normal(size=(6, rank)) * np.logspace(-6, 6, 6)[:, None]
+    root, size = square_root(half @ half.T), np.linalg.norm(half, axis=1)
+    scaled = half @ half.T / np.outer(size, size)
+    np.testing.assert_allclose(root @ root.T / np.outer(size, size), scaled, atol=1e-12)
+    assert np.isfinite(square_root(np.array([[1.0, 1.0], [1.0, 1.0 - 4e-16]]))).all()

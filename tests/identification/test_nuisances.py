@@ -1,0 +1,338 @@
+"""Numbers of the instrument are found beside the robot's, as far as any motion tells them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import SettingsError, UnknownName
+from testbed.identification import windows
+from testbed.identification.filters import row_weights
+from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
+from testbed.identification.nuisances.clock import shifted
+from testbed.identification.nuisances.foretold import row_filter
+from testbed.identification.nuisances.structure import told_apart
+from testbed.identification.nuisances.unknowns import Columns, unknowns_of
+from testbed.identification.windows import make_plan
+from testbed.instruments.encoders import EncoderZeroError
+from testbed.instruments.fault import Fault
+from testbed.instruments.faults import fault_of
+from testbed.instruments.plate import PlatePose
+from testbed.instruments.plate_clock import PlateDelay
+from testbed.instruments.plate_noise import PlateBias
+from testbed.kernel.layout import layout
+from testbed.recordings.recording import Recording
+from tests.helpers.faulty import clean, with_faults
+from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import robot
+from tests.helpers.strategies import motions, trees
+
+SMALL = 1e-6
+ALL = {each.kind: each for each in (*TESTED, *NUISANCES)}
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
+FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
+EXACT = {"position_cutoff": "off", "terms": ()}
+
+
+def fault(kind: str, v: Array) -> Fault:
+    """Of the plate, of the nuisance's numbers."""
+    tables: dict[str, dict[str, Any]] = {
+        "bias": {"kind": "plate_bias", "force": v[:3], "moment": v[3:]},
+        "slope": {"kind": "plate_drift", "force": v[:3], "moment": v[3:]},
+        "pose": {"kind": "plate_pose", "rotation": v[:3], "translation": v[3:]},
+        "height": {"kind": "plate_origin_height", "height": v[0]},
+        "skew": {"kind": "plate_delay", "delay": v[0]},
+        "gains": {"kind": "plate_gain", "error": v},
+        "crosstalk": {"kind": "plate_crosstalk", "matrix": v},
+        "matrix": {"kind": "plate_crosstalk", "matrix": v},
+    }
+    table = tables["bias" if kind == "tare" else kind]
+    if "matrix" in table:
+        matrix = np.zeros((6, 6))
+        matrix[~np.eye(6, dtype=bool) if kind == "crosstalk" else ...] = (
+            v if kind == "crosstalk" else v.reshape(6, 6)
+        )
+        table |= {"size": 0.0, "matrix": matrix * FULL / FULL[:, None]}
+    listed = {k: x.tolist() if isinstance(x, np.ndarray) else x for k, x in table.items()}
+    found: Fault = fault_of(listed)
+    return found
+
+
+def on_pedestal(tree: tb.Tree, duration: float) -> Recording:
+    """A perfect recording."""
+    found = ideal(tree, duration=duration, seed=3)
+    return replace(found, wrench=found.measured("wrench") + TARE, tare=TARE, truth=None)
+
+
+def shown(recording: Recording, kind: str, values: Array) -> Recording:
+    """With a fault of the plate."""
+    wrench = recording.measured("wrench")
+    rng = np.random.default_rng(0)
+    return replace(recording, wrench=fault(kind, values).apply(wrench, recording.time, rng))
+
+
+def columns_of(recording: Recording, tree: tb.Tree, kind: str, estimated: bool = False) -> Array:
+    """The nuisance's columns, (6, rows, k)."""
+    minimal, settings = tb.minimal_set(tree, "reaction"), tb.Settings(position_cutoff="off")
+    plan = make_plan(recording, layout(tree, minimal), TARE, settings)
+    cutoff, unknowns = settings.row_low_pass, unknowns_of(tree, [ALL[kind]])
+    assert cutoff is not None
+    made = Columns(
+        plan,
+        row_filter(plan, cutoff),
+        minimal.values(tb.barycentric(tree)),
+        [unknowns],
+        unknowns if estimated else None,
+    )
+    parts = (made(plan.signals(recording.part(w.first, w.last), w), w.row) for w in plan.windows())
+    return np.concatenate(list(parts), axis=1)
+
+
+def encoder_errors(kind: str, recording: Recording, tree: tb.Tree) -> list[list[Array]]:
+    """Errors of positions, velocities and accelerations, number by number."""
+    q, qd, qdd = (recording.measured(s) for s in ("position", "velocity", "acceleration"))
+    jerk, one = np.gradient(qdd, recording.time, axis=0, edge_order=2), np.eye(tree.n)
+    if kind == "sampling":
+        return [[0 * q, qd, 2 * qdd]]
+    waves = [[np.sin(q), np.cos(q) * qd, np.cos(q) * qdd - np.sin(q) * qd**2]]
+    waves += [[np.cos(q), -np.sin(q) * qd, -np.sin(q) * qdd - np.cos(q) * qd**2]]
+    of_all = {
+        "joint_zeros": [[q**0, 0 * q, 0 * q]],
+        "encoder_gains": [[q, qd, qdd]],
+        "encoder_delays": [[-qd, -qdd, -jerk]],
+        "eccentricity": waves,
+    }[kind]
+    places = [k for k in range(tree.n) if kind != "eccentricity" or tree.joints[k].revolute]
+    return [[one[k] * part for part in parts] for k in places for parts in of_all]
+
+
+def effects(kind: str, recording: Recording, tree: tb.Tree) -> list[Array]:
+    """Change of what the model leaves of the wrench, number by number, (M, 6)."""
+    if kind in ("joint_zeros", "encoder_gains", "encoder_delays", "eccentricity", "sampling"):
+        states = [recording.measured(s) for s in ("position", "velocity", "acceleration")]
+        before = tb.base_wrench(tree, tb.Motion(recording.time, *states))
+        moved = [
+            [x + SMALL * dx for x, dx in zip(states, each, strict=True)]
+            for each in encoder_errors(kind, recording, tree)
+        ]
+        after = (tb.base_wrench(tree, tb.Motion(recording.time, *each)) for each in moved)
+        return [(before - each) / SMALL for each in after]
+    count = len(ALL[kind].parts(tree))
+    rows = (shown(recording, kind, SMALL * unit).measured("wrench") for unit in np.eye(count))
+    return [(each - recording.measured("wrench")) / SMALL for each in rows]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["puma", "random"])
+def test_columns_are_what_the_fault_does(name: str) -> None:
+    """Of every kind: by the instrument's own model of it, or by the wrench of another motion."""
+    tree = robot(name)
+    recording, settings = on_pedestal(tree, 8.0), tb.Settings(position_cutoff="off")
+    weights, step = row_weights(recording.rate, settings.row_low_pass), int(recording.rate / 10)
+    columns = {kind: columns_of(recording, tree, kind) for kind in ALL}
+    for kind in set(ALL) - {"slope", "clock_rate", "tare"}:
+        found = columns[kind]
+        wanted = [
+            np.stack([np.convolve(c, weights, "valid")[::step] for c in each.T])
+            for each in effects(kind, recording, tree)
+        ]
+        assert found.shape[2] == len(wanted), kind
+        rows = min(found.shape[1], wanted[0].shape[1])
+        assert rows > 60
+        together = np.stack(wanted, axis=2)[:, :rows]
+        size = np.abs(together).max(axis=(0, 1)) + 1e-9 * np.abs(together).max()
+        gap = np.abs(found[:, :rows] - together) / size
+        assert gap.max() < 1e-3, kind
+    time = columns["slope"][0, :, 0]
+    assert abs(time.mean()) < 0.1
+    np.testing.assert_allclose(np.diff(time), 0.1, atol=1e-9)
+    np.testing.assert_allclose(columns["slope"], time[:, None] * columns["bias"])
+    np.testing.assert_allclose(columns["clock_rate"], time[:, None] * columns["skew"])
+    np.testing.assert_array_equal(columns["tare"], columns["bias"])
+    for kind in [each.kind for each in NUISANCES if each.by_measured]:
+        own = columns_of(recording, tree, kind, estimated=True)
+        np.testing.assert_allclose(own, columns[kind], atol=1e-3 * np.abs(columns[kind]).max())
+
+
+VALUES = {
+    "bias": np.array([1.0, -2.0, 0.0, 0.3, -0.4, 0.5]),
+    "tare": np.array([2.0, 1.0, 0.0, 0.5, -0.5, 0.1]),
+    "slope": np.array([0.1, -0.2, 0.1, 0.01, 0.02, -0.03]),
+    "pose": np.array([0.02, -0.01, 0.03, 2e-3, 4e-3, -3e-3]),
+    "height": np.array([0.02]),
+    "skew": np.array([7.3e-3]),
+    "matrix": np.random.default_rng(5).uniform(-0.01, 0.01, 36),
+    "joint_zeros": np.array([-0.007, 0.003, 0.013]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", set(VALUES) - {"matrix"})
+def test_what_was_added_is_found_or_named(kind: str) -> None:
+    """Far beyond first order; what no motion tells is among the warnings, by its name."""
+    tree = robot("puma").without_friction()
+    right, values = on_pedestal(tree, 12.0), VALUES[kind]
+    if kind == "joint_zeros":
+        recording = replace(right, position=right.position + values)
+    else:
+        recording = shown(right, kind, values)
+    settings = tb.Settings(zeros=True, nuisances=[kind], **EXACT)  # type: ignore[arg-type]
+    found = tb.identify(tree, recording, settings=settings)
+    names = [part.name for part in ALL[kind].parts(tree)]
+    told = {each.name: each.value for each in found.nuisances}
+    said = " ".join(w for w in found.warnings if w.startswith("no motion tells"))
+    wanted = dict(zip(names, values, strict=True))
+    hidden = [name for name in names if name not in told]
+    assert set(hidden) <= {"bias/Fz", "tare/Fz", "slope/Fz"}
+    assert [name for name in names if (name in said) != (name in hidden)] == []
+    gaps = [abs(told[name] - wanted[name]) for name in told]
+    assert max(gaps) < 3e-6 * max(1.0, np.abs(values).max())
+    truth = found.minimal.values(tb.barycentric(tree))
+    assert found.noise is not None
+    assert not hidden or "mbar1" in found.noise.hidden
+    seen = [k for k, n in enumerate(found.names) if n not in found.noise.hidden]
+    np.testing.assert_allclose(found.values[seen], truth[seen], atol=3e-5 * np.abs(truth).max())
+
+
+def test_what_the_fault_does_is_undone() -> None:
+    """By the nuisance's inverse, which shares no code with the fault; shifts in time are exact."""
+    exact = on_pedestal(robot("ur5"), 2.0)
+    for kind in set(VALUES) - {"joint_zeros"}:
+        undo, values = ALL[kind].undo, VALUES[kind]
+        assert undo is not None
+        scaled = np.ravel(np.eye(6)) + values if kind == "matrix" else values
+        back = undo(shown(exact, kind, values), scaled, exact.time)
+        gap = back.measured("wrench")[10:-10] - exact.measured("wrench")[10:-10]
+        assert np.abs(gap).max() < 1e-6, kind
+    t, powers = np.arange(60.0)[:, None] / 10, np.arange(8)
+    for samples in (0.0, 3.0, -2.0, 0.5, 7.25, -1.75):
+        wanted = ((t + samples / 10) ** powers)[12:-12]
+        np.testing.assert_allclose(shifted(t**powers, samples)[12:-12], wanted, rtol=1e-9)
+
+
+@given(trees((2, 5)).flatmap(lambda tree: motions(tree, 80).map(lambda motion: (tree, motion))))
+@hypothesis.settings(max_examples=6)
+def test_what_is_imitated_is_so_on_any_motion(pair: tuple[tb.Tree, tb.Motion]) -> None:
+    """A constant that parameters show, by least squares, is held; else the estimate is singular."""
+    tree, motion = pair
+    minimal = tb.minimal_set(tree, "reaction")
+    kept, imitated = told_apart(layout(tree, minimal), minimal.names, NUISANCES, TARE)
+    assert len(kept.kept) + len(imitated) == len(kept.parts)
+    held = {each.name for each in imitated}
+    flat = tb.regressor(tree, motion, minimal).reshape(-1, minimal.count)
+    for axis, name in zip(np.eye(6), AXES, strict=True):
+        constant = np.tile(axis, motion.samples)
+        left = constant - flat @ np.linalg.lstsq(flat, constant, rcond=None)[0]
+        imitable = bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(constant))
+        assert f"bias/{name}" in held or not imitable
+
+
+ZEROS = (3.5e-3, -3.5e-3, 3.5e-3)
+USUAL: dict[str, Fault] = {
+    "pose": PlatePose(rotation=(3.5e-3, -3.5e-3, 3.5e-3), translation=(1e-3, 1e-3, -1e-3)),
+    "skew": PlateDelay(delay=1e-3),
+    "bias": PlateBias(force=(2.0, -2.0, 0.0), moment=(0.5, 0.5, -0.5)),
+    "joint_zeros": EncoderZeroError(error=ZEROS),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kinds", [("pose", "skew", "bias"), ("joint_zeros",)])
+def test_estimated_faults_are_as_good_as_none(kinds: tuple[str, ...]) -> None:
+    """Usual sizes under usual noise: within four sigma, all of them and the robot."""
+    tree, right = robot("puma"), clean(robot("puma"), 0, rate=250.0)
+    truth = tb.minimal_set(tree, "reaction", zeros=True).values(tb.barycentric(tree))
+    wrong = with_faults(right, 0, *(USUAL[kind] for kind in kinds))
+    found, usual = (
+        tb.identify(tree, each, settings=tb.Settings(zeros=True, nuisances=asked))
+        for each, asked in ((wrong, kinds), (right.blind(), ()))
+    )
+    for each, zero in zip(found.nuisances, ZEROS, strict=False):
+        assert kinds != ("joint_zeros",) or abs(each.value - zero) < 4 * each.sigma
+    seen = np.isfinite(found.sigma)
+    errors = [np.abs(each.values - truth)[seen] for each in (found, usual)]
+    assert (errors[0] < 4 * found.sigma[seen]).all()
+    assert np.median(errors[0] / found.sigma[seen]) < 1.5
+    assert np.median(found.sigma[seen] / usual.sigma[seen]) < 2
+
+
+def test_what_is_hardly_told_is_named() -> None:
+    """Three slides show what a shift of the plate shows, but for their accelerations."""
+    recording = clean(robot("gantry"), 0, rate=250.0).blind()
+    found = tb.identify(robot("gantry"), recording, settings=tb.Settings(nuisances=["pose"]))
+    (said,) = [w for w in found.warnings if w.startswith("hardly told")]
+    assert all(f"pose/p{axis}" in said for axis in "xyz")
+
+
+@pytest.mark.slow
+def test_a_fault_is_found_in_part_of_a_long_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In windows that are spread evenly; the estimate is as by all of them."""
+    monkeypatch.setattr(windows, "WINDOW", 1000)
+    tree = robot("puma")
+    recording = clean(tree, 1, duration=260.0, rate=100.0)
+    recording = with_faults(recording, 1, PlatePose(rotation=3.5e-3, translation=1e-3))
+    rows = layout(tree.without_inertias(), tb.minimal_set(tree, "reaction"))
+    found = {}
+    for most in (10_000, 4, 3, 1):
+        monkeypatch.setattr(windows, "LOOKED_AT", most)
+        plan = make_plan(recording, rows, tb.pedestal_wrench(tree), tb.Settings())
+        every = [window.row for window in plan.windows()]
+        at = [every.index(row) for row in sorted(plan.looked_at)]
+        assert len(at) == min(most, len(every))
+        assert plan.looked_at_all == (most > len(every))
+        assert at[0] == 0
+        assert len(at) == 1 or at[-1] == len(every) - 1
+        assert len(at) < 3 or np.ptp(np.diff(at)) <= 1
+        if most in (10_000, 3):
+            found[most] = tb.identify(tree, recording)
+    whole, part = found.values()
+    np.testing.assert_allclose(part.values, whole.values, rtol=1e-9)
+    np.testing.assert_allclose(part.covariance, whole.covariance, rtol=1e-6)
+    one, other = (
+        next(test for test in each.trace_tests if test.nuisance.kind == "pose")
+        for each in (whole, part)
+    )
+    assert max(one.chance, other.chance) < 1e-9
+    at_most = int(np.abs(one.size).argmax())
+    np.testing.assert_allclose(other.size[at_most], one.size[at_most], rtol=0.3)
+    assert 0.3 < other.shift / one.shift < 3
+
+
+def test_bits_do_not_depend_on_threads_nor_on_files(tmp_path: Path) -> None:
+    tree = robot("puma")
+    recording = measured(tree, rate=500.0, duration=20.0)
+    recording.save(tmp_path / "r.parquet")
+    settings = tb.Settings(nuisances=["pose", "skew"])
+    sources: list[tuple[Any, int]] = [(recording, 1), (recording, 3)]
+    first, *others = (
+        tb.identify(tree, source, settings=settings, threads=threads)
+        for source, threads in (*sources, (str(tmp_path / "r.parquet"), 2))
+    )
+    for other in others:
+        np.testing.assert_array_equal(first.values, other.values)
+        np.testing.assert_array_equal(first.covariance, other.covariance)
+        assert (first.nuisances, first.trace_tests) == (other.nuisances, other.trace_tests)
+    inner = [tb.identify(tree, recording, "internal", settings=s) for s in (settings, None)]
+    assert inner[0].nuisances == ()
+    np.testing.assert_array_equal(inner[0].values, inner[1].values)
+
+
+def test_nuisances_that_cannot_be_asked_for_are_refused() -> None:
+    with refuses(UnknownName, "poses", "pose"):
+        tb.Settings(nuisances=["poses"])
+    wrong: list[dict[str, Any]] = [{"nuisances": ["pose"] * 2}, {"nuisances": 3}]
+    wrong += [{"nuisances": ["pose"], **more} for more in ({"noise": "white"}, {"cutoff": "off"})]
+    for words in wrong:
+        with refuses(SettingsError, "nuisances"):
+            tb.Settings(**words)

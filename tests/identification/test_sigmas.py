@@ -1,0 +1,318 @@
+"""Errors are of the size of sigma: under any noise, settings, plate's zero, facts and weights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import minimize
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.errors import SettingsError, TestbedError
+from testbed.experiment.results import estimate_as_json
+from testbed.identification.estimate import METHODS, Estimate, Method
+from testbed.identification.influence import by_influence, influence
+from testbed.identification.known import Facts, free, parse_known
+from testbed.identification.ridge import ridge
+from testbed.identification.trace_findings import LEVEL
+from testbed.robot.rotations import about
+from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
+from tests.helpers.plates import mass_of
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import noisy, robot, run_of
+from tests.helpers.strategies import rngs, settings
+
+
+def scores(tree: tb.Tree, estimate: Estimate) -> Array:
+    """Errors of the minimal parameters in units of sigma."""
+    base = estimate.base
+    return np.asarray((base.values - estimate.minimal.values(tb.barycentric(tree))) / base.sigma)
+
+
+@pytest.mark.slow
+@hypothesis.settings(max_examples=8)
+@given(
+    st.sampled_from(["puma", "gantry"]), settings, st.sampled_from(METHODS),
+    st.sampled_from([0.0, 0.98]),
+)  # fmt: skip
+def test_sigma_is_the_size_of_the_error(
+    name: str, how: tb.Settings, method: Method, memory: float
+) -> None:
+    """Under white and slow noise, however signals are treated."""
+    tree = robot(name)
+    if name != "puma":
+        how = replace(how, zeros=False)
+    if memory or "off" in (how.cutoff, how.position_cutoff):
+        how = replace(how, noise="ar", cutoff=5.0, position_cutoff=20.0)
+    found = tb.identify(tree, measured(tree, 1, memory=memory), method, settings=how)
+    assert 0.3 < float(np.sqrt(np.mean(scores(tree, found) ** 2))) < 2.0
+    assert found.noise is None or found.noise.factor >= 1.0
+
+
+@pytest.mark.slow
+def test_sigma_holds_where_noise_of_accelerations_passes_the_filter() -> None:
+    """It draws plain least squares to zero, by up to 20 sigma here; drowned ones are named."""
+    tree = robot("puma")
+    how = tb.Settings(cutoff=20.0)
+    found = tb.identify(tree, measured(tree, 1, duration=60.0), "internal", settings=how)
+    assert 0.4 < float(np.sqrt(np.mean(scores(tree, found) ** 2))) < 1.7
+    tree, rng = robot("gantry"), np.random.default_rng(0)
+    fine = measured(tree, 0, duration=40.0, speed=0.25, memory=0.98, noise=0.1)
+    coarse = replace(fine, position=fine.position + 5e-4 * rng.normal(size=fine.position.shape))
+    drowned = [tb.identify(tree, each).noise for each in (fine, coarse)]
+    assert [bool(each and each.drowned) for each in drowned] == [False, True]
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_perfect_recordings_give_the_truth_by_any_engine(method: Method) -> None:
+    """Whitening noise that is not there does no harm; a span is a shorter recording."""
+    tree = robot("gantry").without_friction()
+    recording = ideal(tree, duration=12.0)
+    how = tb.Settings(position_cutoff="off", cutoff=5.0, terms=())
+    one, other, early, part = (
+        tb.identify(tree, each, method, settings=replace(how, **more))
+        for each, more in (
+            (recording, {"engine": "compiled"}),
+            (recording, {"engine": "numpy"}),
+            (recording, {"span": (2.0, 9.0)}),
+            (recording.part(400, 1800), {}),
+        )
+    )
+    truth = one.minimal.values(tb.barycentric(tree))
+    size = np.abs(truth).max()
+    for each in (one, other, early):
+        np.testing.assert_allclose(each.base.values, truth, atol=1e-9 * size)
+    assert abs(np.subtract(early.samples, part.samples)).max() <= 1
+    assert max(early.samples) < max(one.samples)
+
+
+@pytest.mark.slow
+def test_what_a_plates_zero_hides_has_no_sigma() -> None:
+    """It is found and told; all others hold; a known mass makes it known."""
+    tree, rng = robot("puma"), np.random.default_rng(0)
+    clean, zero = measured(tree), 3 * np.repeat([1.0, 0.2], 3) * rng.normal(size=6)
+    off = replace(clean, wrench=clean.measured("wrench") + zero)
+    found = tb.identify(tree, off)
+    assert found.unidentifiable == ("mbar1",)
+    assert np.abs(scores(tree, found)).max() < 5
+    noise = found.noise
+    assert noise is not None
+    assert noise.hidden == ("mbar1",)
+    told = noise.bias_sigma > 0
+    assert told.sum() >= 5
+    np.testing.assert_array_less(np.abs(noise.bias - zero)[told], 5 * noise.bias_sigma[told])
+    content = estimate_as_json(found)
+    assert content["unidentifiable"] == ["mbar1"]
+    assert [k for k, s in enumerate(content["sigma"]) if s is None] == [found.names.index("mbar1")]
+    known = tb.Settings(known={"mass": (mass_of(tree), 0.01)})
+    sure = tb.identify(tree, off, settings=known)
+    assert sure.unidentifiable == () == tb.identify(tree, clean).unidentifiable
+    assert np.abs(scores(tree, sure)).max() < 5
+    other = measured(tree, 1)
+    other = replace(other, wrench=other.measured("wrench") + 20 + zero)
+    held, false = (tb.validate(tree, other, each) for each in (found, tb.identify(tree, clean)))
+    assert [each.code for each in held.findings] == []
+    assert {each.code for each in false.findings} == {"prediction"}
+
+
+@pytest.mark.slow
+def test_noise_across_channels_is_whitened_and_its_memory_told() -> None:
+    """By the covariance of all channels' residuals, and by a given one; to the same bits again."""
+    tree, rng = robot("puma"), np.random.default_rng(0)
+    clean = measured(tree, 0, noise=0.1)
+    common = np.cumsum(rng.normal(size=clean.samples))[:, None] * [0.05, 0, 0, 0, 0.01, 0]
+    shared = replace(clean, wrench=clean.measured("wrench") + common)
+    given = np.diag([1.0, 1, 1, 0.04, 0.04, 0.04]).tolist()
+    for weights in ("full", given):
+        how = tb.Settings(weights=weights)
+        one, other = (tb.identify(tree, shared, zeros=True, settings=how) for _ in range(2))
+        assert np.abs(scores(tree, one)).max() < 5
+        np.testing.assert_array_equal(one.covariance, other.covariance)
+    for memory, least, most in ((0.0, 0.0, 0.3), (0.99, 0.25, 1.5)):
+        noise = tb.identify(tree, measured(tree, 0, memory=memory, duration=40.0, noise=3.0)).noise
+        assert noise is not None
+        assert least <= np.median(noise.memory) <= most
+
+
+@pytest.mark.slow
+def test_dry_friction_that_jumps_at_reversals_does_not_enter() -> None:
+    """The further the reach the fewer the rows; beyond the filter's own there is nothing."""
+    tree = robot("puma")
+    clean = measured(tree, noise=1e-3)
+    speed = np.gradient(clean.position, clean.time, axis=0)
+    stuck = np.where(np.abs(speed) < tb.Settings().deadband, 20.0, 0.0)  # a force that no law has
+    recording = replace(clean, torque=clean.measured("torque") + stuck)
+    errors, counts = [], []
+    for reach in (0.0, 0.05, None, 10.0):
+        how = tb.Settings(reversal_reach=reach, zeros=True)
+        found = tb.identify(tree, recording, "internal", settings=how)
+        truth = found.minimal.values(tb.barycentric(tree))
+        errors.append(float(np.abs(found.base.values / truth - 1).max()))
+        counts.append(sum(found.samples))
+    assert counts == sorted(counts, reverse=True)
+    assert len(set(counts)) >= 3
+    assert errors[2] < 0.2 * errors[0]
+
+
+@pytest.mark.slow
+def test_few_rows_are_enough_for_some_estimate_or_named() -> None:
+    """Whitening takes no more rows than there are."""
+    tree, recording, made = robot("puma"), measured(robot("puma")), 0
+    for method in METHODS:
+        for samples in (160, 200, 240, 300, 400, 1000):
+            try:
+                found = tb.identify(tree, recording.part(0, samples), method)
+            except TestbedError:
+                continue
+            made += 1
+            assert np.isfinite(found.covariance).all()
+    assert made >= 6
+
+
+@given(rngs, st.integers(1, 3))
+def test_what_facts_leave_free_satisfies_them(rng: np.random.Generator, count: int) -> None:
+    """And one that follows from others is refused by its name."""
+    rows = rng.normal(size=(count, 6))
+    names, none = tuple(f"fact {k}" for k in range(count)), np.zeros((count, 6))
+    values = rng.normal(size=count)
+    given = Facts(names, rows, values, np.zeros((count, count)), none, np.zeros(count))
+    left = free(given)
+    unknowns = left.fixed @ values + left.lead @ rng.normal(size=left.lead.shape[1])
+    np.testing.assert_allclose(rows @ unknowns, values, atol=1e-11)
+    assert np.linalg.matrix_rank(left.lead) == 6 - count
+    if count == 3:
+        with refuses(SettingsError, "fact 2"):
+            free(replace(given, rows=np.array([rows[0], rows[1], rows[0] - 2 * rows[1]])))
+
+
+@pytest.mark.slow
+def test_facts_count_as_far_as_they_are_sure() -> None:
+    """Held, a mass is had; its doubt comes back as far as the estimate moves; seen by moving it."""
+    tree, recording = robot("puma"), measured(robot("puma"))
+    mass = mass_of(tree) + 1.0
+    exact, moved, doubted = (
+        tb.identify(tree, recording, settings=tb.Settings(known={"mass": given}))
+        for given in (mass, mass + 1e-3, (mass, 0.05))
+    )
+    theta = (exact.minimal.lift @ exact.values).reshape(-1, 10)
+    roots = [k for k, joint in enumerate(tree.joints) if joint.parent < 0]
+    assert theta[roots, 0].sum() == pytest.approx(mass, abs=1e-9)
+    slope = (moved.values - exact.values) / 1e-3
+    wanted = np.sqrt(np.diagonal(exact.covariance) + (0.05 * slope) ** 2)
+    np.testing.assert_allclose(doubted.values, exact.values)
+    np.testing.assert_allclose(np.sqrt(np.diagonal(doubted.covariance)), wanted, rtol=0.02)
+    plain, inner = (
+        tb.identify(tree, recording, "internal", settings=tb.Settings(known=known))
+        for known in ({}, {"mass": 3.0})
+    )
+    np.testing.assert_array_equal(plain.values, inner.values)  # torques do not tell the mass
+    k = 3
+    sure = tb.Settings(known={plain.names[k]: float(plain.values[k])})
+    found = tb.identify(tree, recording, "internal", settings=sure)
+    assert np.abs((found.values - plain.values) / plain.sigma).max() < 0.01
+    assert found.sigma[k] == 0
+    assert found.noise is not None
+    assert plain.noise is not None
+    column = plain.covariance[:, k]
+    left = plain.covariance - np.outer(column, column) / plain.covariance[k, k]
+    spread = np.sqrt(np.maximum(np.diagonal(left), 0)) * found.noise.factor / plain.noise.factor
+    np.testing.assert_allclose(np.delete(found.sigma, k), np.delete(spread, k), rtol=0.02)
+
+
+def test_facts_that_mean_nothing_are_refused() -> None:
+    words = ["mass=20", "gain/Fz=1.01+-2e-3", "K*1zz=1e-3"]
+    wanted = {"mass": (20.0, 0.0), "gain/Fz": (1.01, 2e-3), "K*1zz": (1e-3, 0.0)}
+    assert parse_known(words) == wanted
+    for word in ("mass", "mass=", "=20", "mass=heavy", "mass=20+-much"):
+        with refuses(SettingsError, word):
+            parse_known([word])
+    for wrong in (3, {"mass": "20"}, {"mass": (1, -1)}, {"mass": (1, 2, 3)}, {"mass": ()}):
+        with refuses(TestbedError, "known"):
+            tb.Settings(known=wrong)  # type: ignore[arg-type]
+    tree, recording = robot("puma"), measured(robot("puma"), duration=4.0)
+    for name, culprit in (
+        ("weight", "weight"),
+        ("centre/w", "centre/w"),
+        ("centre/z", "centre/z"),
+        ("centre/x@hip=1", "hip"),
+        ("centre/x@elbow=far", "far"),
+    ):
+        with pytest.raises(TestbedError, match=culprit):
+            tb.identify(tree, recording, settings=tb.Settings(known={name: 0.1}))
+    with refuses(SettingsError, "mass"):
+        tb.identify(tree, recording, settings=tb.Settings(known={"mass": 20.0, "mbar1": 20.0}))
+
+
+@given(rngs)
+def test_ridge_minimises_misfit_and_length(rng: np.random.Generator) -> None:
+    """By a general minimiser, in the rows' own terms: columns of unit length, noise of one."""
+    rows = rng.normal(size=(40, 4)) @ rng.normal(size=(4, 4)) * [1.0, 30.0, 0.01, 5.0]
+    y = rows @ rng.normal(size=4) + rng.normal(size=40)
+    covariance: Array = np.asarray(np.linalg.inv(rows.T @ rows), dtype=np.float64)
+    plain = np.asarray(covariance @ rows.T @ y, dtype=np.float64)
+    length = np.linalg.norm(rows, axis=0)
+    strength = 4 / np.sum((plain * length) ** 2)
+
+    def cost(scaled: Array) -> float:
+        misfit = y - rows / length @ scaled
+        return float(misfit @ misfit + strength * scaled @ scaled)
+
+    values, spread = ridge(plain, covariance)
+    found = minimize(cost, plain * length, tol=1e-14)
+    assert cost(values * length) <= found.fun * (1 + 1e-9)
+    eigenvalues = np.linalg.eigvalsh((covariance - spread) * np.outer(length, length))
+    assert eigenvalues.min() >= -1e-9 * eigenvalues.max()  # never less certain
+
+
+@pytest.mark.slow
+def test_an_estimate_by_ridge_is_drawn_and_says_so() -> None:
+    tree, recording = robot("gantry"), noisy(ideal(robot("gantry"), duration=6.0))
+    plain, drawn = (
+        tb.identify(tree, recording, settings=tb.Settings(ridge=each)) for each in (False, True)
+    )
+    np.testing.assert_array_equal(drawn.values, ridge(plain.values, plain.covariance)[0])
+    assert (drawn.sigma <= plain.sigma * (1 + 1e-9)).all()
+    assert len(drawn.warnings) > len(plain.warnings)
+    with refuses(SettingsError, "ridge", "yes"):
+        tb.Settings(ridge="yes")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_a_plate_that_is_not_level_is_named() -> None:
+    """By 1 degree; a level one is not."""
+    tree = robot("ur5")
+    leaning = tree.with_gravity(about(np.array([1.0, 0, 0]), 0.02) @ tree.gravity)
+    for actual, said in ((leaning, True), (tree, False)):
+        made = noisy(ideal(actual, duration=20.0), size=0.02)
+        facts = {**made.facts, "gravity": tree.gravity.tolist()}
+        found = tb.identify(tree, replace(made, facts=facts))
+        assert any(LEVEL in finding.causes for finding in found.findings) == said
+
+
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_a_parameter_counts_for_the_signal_that_it_makes_alone(name: str) -> None:
+    """Witness: the regressor of the motion, unfiltered; one of nothing comes last."""
+    tree = robot(name)
+    recording = ideal(tree)
+    found = run_of(tree, recording).estimates["external"]
+    truth = found.minimal.values(tb.barycentric(tree))
+    states = (recording.measured(s) for s in ("position", "velocity", "acceleration"))
+    motion = tb.Motion(recording.time, *states)
+    columns = tb.regressor(tree, motion, found.minimal) * truth
+    parts = (columns[:, :3], columns[:, 3:])
+    wanted = np.max(
+        [np.linalg.norm(p, axis=(0, 1)) / np.linalg.norm(p.sum(axis=2)) for p in parts], axis=0
+    )
+    values = dict(zip(found.names, truth.tolist(), strict=True))
+    large = wanted > 0.02 * wanted.max()
+    np.testing.assert_allclose(influence(found, values)[large], wanted[large], rtol=0.2)
+    order = by_influence([found], values)
+    shares = wanted[[found.names.index(n) for n in order[: int(large.sum())]]]
+    assert (shares[1:] < 1.5 * shares[:-1]).all()
+    assert by_influence([found], {order[0]: 0.0})[-1] == order[0]
