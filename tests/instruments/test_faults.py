@@ -230,7 +230,9 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
     assert PlateHum(phase=1.0).drawn(rig, rng).phase == 1.0
-    assert len(np.atleast_1d(EncoderEccentricity().drawn(rig, rng).phase or 0.0)) == 3
+    by_joint = EncoderEccentricity().drawn(rig, rng).phase
+    assert isinstance(by_joint, tuple)
+    assert len(by_joint) == 3
     by_name = EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)

@@ -63,7 +63,8 @@ def wrench(recording: Recording) -> Array:
 
 
 def net(recording: Recording) -> Array:
-    return wrench(recording) - np.asarray(recording.tare)
+    found: Array = wrench(recording) - np.asarray(recording.tare)
+    return found
 
 
 def same(one: Array | None, other: Array | None) -> None:
@@ -157,11 +158,13 @@ def test_a_measured_tare_has_the_plates_own_faults_and_noise_and_the_drift_since
         shown = net(seen(fault, MeasuredTare(), base=quiet))
         np.testing.assert_allclose(shown, wrench(bare), atol=1e-10)
     drift = seen(PlateDrift((0.05, 0.0, 0.0), 0.0), MeasuredTare(5.0, 60.0), base=quiet)
-    np.testing.assert_allclose(drift.tare, TARE - 0.05 * 62.5005 * np.eye(6)[0])
+    np.testing.assert_allclose(np.asarray(drift.tare), TARE - 0.05 * 62.5005 * np.eye(6)[0])
     noisy = seen(MeasuredTare(1.0))
     same(noisy.wrench, seen().wrench)
     own = stream("plate_noise", SEED, 0, "tare").normal(size=(1000, 6)).mean(axis=0)
-    np.testing.assert_allclose(noisy.tare, TARE + np.repeat([0.5, 0.1], 3) * own, atol=1e-12)
+    np.testing.assert_allclose(
+        np.asarray(noisy.tare), TARE + np.repeat([0.5, 0.1], 3) * own, atol=1e-12
+    )
 
 
 @given(tree=trees((1, 5)), kinds=st.sets(st.sampled_from(sorted(KINDS)), min_size=1))

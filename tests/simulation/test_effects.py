@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import mujoco
@@ -50,19 +51,19 @@ def test_friction_follows_its_law(puma: Tree) -> None:
     sign, v = np.sign(SPEEDS), SPEEDS
     dip = np.exp(-((v / 0.2) ** 2))
     dry, wet = COULOMB.coefficients(puma)[0], VISCOUS.coefficients(puma)[0]
-    cases = [
+    cases: list[tuple[Array, dict[str, Any]]] = [
         (2 * sign * dip, {"kind": "stribeck_friction", "coefficient": 2.0, "speed": 0.2}),
         (3 * sign * v**2, {"kind": "power_friction", "coefficient": 3.0, "exponent": 2.0}),
         (np.where(v > 0, 1 + 0.5 * v, 0),
          {"kind": "asymmetric_friction", "coulomb": 1.0, "viscous": 0.5}),
         (2 * sign, {"kind": "load_friction", "share": 0.1}),
     ]  # fmt: skip
-    for want, table in cases:
-        np.testing.assert_allclose(taken(puma, v, -20.0, **table), want, rtol=1e-8)
+    for want, said in cases:
+        np.testing.assert_allclose(taken(puma, v, -20.0, **said), want, rtol=1e-8)
     slip = taken(puma, v, steps=400, kind="lugre_friction", static=1.5, speed=0.2)
     np.testing.assert_allclose(slip, sign * dry * (1 + 0.5 * dip) + wet * v, rtol=1e-6)
     for damping in (0.0, 100.0):  # at first a spring and a damper
-        table = {"kind": "lugre_friction", "stiffness": 1e4, "damping": damping}
+        table: dict[str, Any] = {"kind": "lugre_friction", "stiffness": 1e4, "damping": damping}
         held = taken(puma, np.array([1e-6]), **table)
         assert held == pytest.approx((1e4 * 1e-3 + damping + wet) * 1e-6, rel=1e-3)
 
@@ -159,7 +160,7 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(tmp_path: Path, puma: Tree) 
     for name in ("puma562.xml", "puma562.urdf"):
         path = ROOT / "models" / name
         tree = tb.load_tree(path)
-        table = {"kind": "geared_rotor", "inertia": 3e-4}
+        table: dict[str, Any] = {"kind": "geared_rotor", "inertia": 3e-4}
         _, loaded, plant = built(tree, path, ratio=-50.0, **table)
         other = effect_of({"ratio": -51.0, **table}).on(tree.names)
         assert other.flaw(plant, loaded) is not None  # type: ignore[arg-type]
@@ -180,7 +181,7 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(tmp_path: Path, puma: Tree) 
 
 def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
     """Springs and dampers by MuJoCo's own mass matrix; gravity keeps its size and turns."""
-    soft = {"kind": "compliant_plate", "damping": 0.1}
+    soft: dict[str, Any] = {"kind": "compliant_plate", "damping": 0.1}
     _, loaded, plant = built(puma, frequency=80.0, **soft)
     model = plant.model  # type: ignore[attr-defined]
     assert model.nv == puma.n + 6

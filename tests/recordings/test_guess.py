@@ -10,6 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
@@ -177,9 +179,10 @@ def write(log: Log, path: Path) -> None:
         path.write_text("\n".join([";".join(log.columns), *map(";".join, rows)]) + "\n")
 
 
-@pytest.mark.parametrize("seed", range(60))
-def test_a_guess_converts_the_log_back(seed: int, tmp_path: Path) -> None:
+@given(seed=st.integers(0, 10**6))
+def test_a_guess_converts_the_log_back(seed: int, tmp_path_factory: pytest.TempPathFactory) -> None:
     """What a person fills in is the sense of the wrench, and nothing else."""
+    tmp_path = tmp_path_factory.mktemp("log")
     layout = Layout(seed)
     paths = []
     for k, log in enumerate(layout.logs()):
@@ -205,9 +208,11 @@ def empty(text: str) -> list[str]:
     return [line for line in lines if '""' in line or line.startswith("rate = 0")]
 
 
-@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
-@pytest.mark.parametrize("since", [0, EPOCH])
-@pytest.mark.parametrize("rate", [20, 50, 59.94, 125, 240, 500, 800])
+@given(
+    rate=st.sampled_from([20, 50, 59.94, 125, 240, 500, 800]),
+    since=st.sampled_from([0, EPOCH]),
+    unit=st.sampled_from(["s", "ms", "us", "ns"]),
+)
 def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: str) -> None:
     """Counted in whole units, of which a sample may be few, or in seconds with a fraction."""
     samples = np.arange(int(30 * rate))
