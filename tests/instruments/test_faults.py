@@ -202,6 +202,7 @@ def test_noise_has_its_size_and_memory() -> None:
     same(long_ago[0], 3.0 * white[0] * [1, 1, 1, 0.01, 0.01, 0.01])
     pink = np.concatenate([added(PlatePinkNoise(2.0, 2.0, 0.5), s) for s in range(20)], axis=1)
     assert pink.std() == pytest.approx(2.0, rel=0.05)
+    assert abs(np.corrcoef(pink[0], pink[-1])[0, 1]) < 0.4  # the end forgets the start
     frequency, density = welch(pink, RATE, nperseg=4000, axis=0, detrend=False)
     constant = 4.0 / (1 + np.log(RATE / 2 / 0.5))
     for f in (2.0, 10.0, 50.0, 200.0):  # three decibels an octave

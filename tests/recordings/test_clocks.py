@@ -17,6 +17,7 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.held_samples import held_share, slow_device
+from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.interruptions import SHORTEST, cut
 from testbed.recordings.importing.mapping import SourceTable
 from testbed.recordings.importing.pieces import pieces
@@ -125,7 +126,13 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     true = np.arange(0, 8, 4e-3)
     stamps = true + 1e-3 * rng.uniform(-1, 1, len(true))
     logs.write(true, true, stamps)
-    (warning,) = logs.recording(rate="250").facts["warnings"]
+    made = logs.recording(rate="250")
+    (warning,) = made.facts["warnings"]
+    report = ImportReport.from_dict(made.facts["import"])
+    assert report.as_dict() == made.facts["import"]
+    first, robot, plate, *others = report.lines()
+    assert f"{made.samples} samples at 250 Hz" in first
+    assert ("'robot'" in robot, "'plate'" in plate, len(others)) == (True, True, 2)
     assert "[sources.plate]" in warning
     assert "steady = true" in warning
     assert logs.off(rate="250", plate="steady = true") < logs.off(rate="250") / 10

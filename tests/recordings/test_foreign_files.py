@@ -83,6 +83,9 @@ def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:
             assert table.columns == tuple(wanted)
             read = table.read(table.columns)
             assert {key: values.tolist() for key, values in read.items()} == wanted
+    ticks = [1_761_234_567_000_000_001 + 10**7 * k for k in range(4)]  # more digits than doubles
+    (tmp_path / "log.csv").write_text("t,q\n" + "".join(f"{tick},1\n" for tick in ticks))
+    assert open_foreign(tmp_path / "log.csv").stamps("t").tolist() == ticks
     np.save(tmp_path / "log.npy", np.arange(6.0).reshape(3, 2))
     assert open_foreign(tmp_path / "log.npy").read(["array[1]"])["array[1]"].tolist() == [1, 3, 5]
 

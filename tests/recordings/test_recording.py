@@ -19,7 +19,7 @@ import testbed as tb
 from testbed.errors import RecordingError
 from testbed.recordings.checks import check_times, checked_metadata
 from testbed.recordings.columns import members_of, unit_of
-from testbed.recordings.coupled_gear import LONGEST, coupled_shafts
+from testbed.recordings.coupled_gear import LONGEST, coupled_shafts, with_gear
 from testbed.recordings.formats import parquet
 from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
 from testbed.recordings.joined import Joined
@@ -246,6 +246,10 @@ def test_channels_that_are_no_measurement_are_named_with_their_place(
     for column, values, culprits in cases:
         with refuses(RecordingError, "other.parquet", *culprits):
             Recording.load(rewritten(path, column, values))
+    for lost, culprit in (("time", "'time'"), ("position/", "'position/JOINT'")):
+        columns = {n: v for n, v in whole.columns().items() if not n.startswith(lost)}
+        with refuses(RecordingError, culprit):
+            Recording.from_columns(columns, {}, "r")
     single = rewritten(path, "wrench/Fz", pa.array(force.astype(np.float32)))
     np.testing.assert_allclose(Recording.load(single).measured("wrench")[:, 2], force, rtol=1e-6)
     table = pq.read_table(path)
@@ -352,6 +356,11 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
     assert found == {"wrist.motor": {"wrist": 1.0, "flange": 0.5}}
     found = shafts([[0, 2, -8], [0, 1, 0], [0, 0, 1]])
     assert found == {"waist.motor": {"wrist": -0.25, "flange": 1.0}}
+    facts = {"mapping": {"gear": {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}, "joints": [
+        "waist", "shoulder", "elbow",
+    ]}}  # fmt: skip
+    geared = with_gear(robot("puma"), replace(ideal(robot("puma"), duration=1.0), facts=facts))
+    assert [shaft.name for shaft in geared.shafts] == ["shoulder.motor"]
     nan = float("nan")
     for matrix in ("rows", [["a", 0, 0], [0, 1, 1], [0, 0, 1]], [[1, 0, 0], [0, 1, 1]], None,
                    [[1, 0, 0], [0, 1, nan], [0, 0, 1]], [[1, 1], [1, 1]], [1, 1, 1]):  # fmt: skip
