@@ -356,7 +356,7 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
     assert found == {"wrist.motor": {"wrist": 1.0, "flange": 0.5}}
     found = shafts([[0, 2, -8], [0, 1, 0], [0, 0, 1]])
     assert found == {"waist.motor": {"wrist": -0.25, "flange": 1.0}}
-    facts = {"mapping": {"gear": {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}, "joints": [
+    facts: dict[str, Any] = {"mapping": {"gear": {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}, "joints": [
         "waist", "shoulder", "elbow",
     ]}}  # fmt: skip
     geared = with_gear(robot("puma"), replace(ideal(robot("puma"), duration=1.0), facts=facts))
@@ -367,8 +367,8 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
         assert shafts(matrix) == {}
     for names in (7, [1, 2, 3], {"waist": 1}, ["waist", "wrist"]):
         assert shafts(np.ones((3, 3)).tolist(), names) == {}
-    for facts in ({}, {"mapping": 3}, {"mapping": {"gear": 3, "joints": joints}}):
-        assert coupled_shafts(facts) == {}
+    unknown: list[dict[str, Any]] = [{}, {"mapping": 3}, {"mapping": {"gear": 3, "joints": joints}}]
+    assert [coupled_shafts(each) for each in unknown] == [{}] * 3
     wide = np.eye(LONGEST + 1).tolist()
     wide[0][1] = 0.5
     assert shafts(wide, [f"j{k}" for k in range(LONGEST + 1)]) == {}
