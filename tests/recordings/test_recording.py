@@ -356,9 +356,8 @@ def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_
     assert found == {"wrist.motor": {"wrist": 1.0, "flange": 0.5}}
     found = shafts([[0, 2, -8], [0, 1, 0], [0, 0, 1]])
     assert found == {"waist.motor": {"wrist": -0.25, "flange": 1.0}}
-    facts: dict[str, Any] = {"mapping": {"gear": {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}, "joints": [
-        "waist", "shoulder", "elbow",
-    ]}}  # fmt: skip
+    gear = {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}
+    facts = {"mapping": {"gear": gear, "joints": ["waist", "shoulder", "elbow"]}}
     geared = with_gear(robot("puma"), replace(ideal(robot("puma"), duration=1.0), facts=facts))
     assert [shaft.name for shaft in geared.shafts] == ["shoulder.motor"]
     nan = float("nan")
