@@ -23,8 +23,8 @@ from testbed.viewer.scene import scene_of
 from tests.helpers.approved import hold, tags, timeless
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, REAL
+from tests.helpers.riding import riding
 from tests.helpers.viewer import content
-from tests.sanity.test_free_base import right as on_a_base
 
 pytestmark = pytest.mark.slow
 
@@ -48,7 +48,7 @@ ROBOTS = (*FILES, "riding")
 def run_of(name: str) -> Run:
     """With what its estimates leave of a second recording."""
     if name == "riding":
-        tree, recording = on_a_base(3)
+        tree, recording = riding(3)
         return assemble_run(tree, with_base_joints(recording), name=name)
     tree = FILES[name].tree()
     first, second = (measured(tree, seed, duration=8.0) for seed in (1, 2))

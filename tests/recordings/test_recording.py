@@ -1,178 +1,373 @@
-"""Recordings come back as they were saved, and say what is wrong with them."""
+"""Recordings come back as they were saved, whole or in parts, and say what is wrong with them."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import hypothesis
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import RecordingError
-from testbed.instruments.chain import Instrument, measure
-from testbed.recordings.geometry import check_robot, geometry
-from testbed.recordings.recording import Recording, Truth
+from testbed.recordings.checks import check_times, checked_metadata
+from testbed.recordings.columns import members_of, unit_of
+from testbed.recordings.coupled_gear import LONGEST, coupled_shafts, with_gear
+from testbed.recordings.formats import parquet
+from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
+from testbed.recordings.joined import Joined
+from testbed.recordings.measured_base import (
+    NAMES,
+    MeasuredBase,
+    on_its_base,
+    with_base_joints,
+)
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import gathered, open_source
+from testbed.recordings.stored import write_parts
+from testbed.robot.free_base import on_free_base
+from tests.helpers.ideal import ideal
+from tests.helpers.measured import measured
+from tests.helpers.refusals import refuses
+from tests.helpers.riding import riding
 from tests.helpers.robots import random_robot
+from tests.helpers.runs import robot, without
+from tests.helpers.strategies import trees
+
+SIZE = 130
+"""Samples of a row group."""
 
 
-def truth(samples: int = 50, n: int = 2) -> Truth:
-    rng = np.random.default_rng(0)
-    q, qd, qdd, torque, friction = (rng.normal(size=(samples, n)) for _ in range(5))
-    return Truth(q, qd, qdd, torque, friction, rng.normal(size=(samples, 6)))
+@pytest.fixture(scope="module")
+def tree() -> tb.Tree:
+    """With joints of both kinds."""
+    return random_robot(np.random.default_rng(2), 3).tree()
 
 
-def recording(instrument: Instrument | None = None, seed: int = 1) -> Recording:
-    facts = {"seed": seed, "geometry": {}}
-    time = np.arange(50) / 100
-    return measure(
-        instrument or Instrument(), ("a", "b"), time, truth(), np.arange(6.0), facts, seed
-    )
+@pytest.fixture(scope="module")
+def whole(tree: tb.Tree) -> Recording:
+    made = ideal(tree, duration=10.0, rate=100.0)
+    facts = {"robot": "r", "geometry": geometry(tree)}
+    return replace(made, tare=np.arange(6.0), facts=facts)
 
 
-def arrays(item: Recording) -> dict[str, np.ndarray]:
-    groups = ("time", "position", "torque", "wrench", "velocity", "acceleration", "tare")
-    found = {g: getattr(item, g) for g in groups if getattr(item, g) is not None}
-    return found | {f"truth/{k}": v for k, v in vars(item.truth).items()}
+@pytest.fixture(scope="module")
+def path(whole: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In row groups; the last is shorter."""
+    path = tmp_path_factory.mktemp("stored") / "r.parquet"
+    write_parts(cut(whole), path)
+    assert pq.ParquetFile(path).metadata.num_row_groups == -(-whole.samples // SIZE)
+    return path
 
 
-def test_a_recording_comes_back_bit_for_bit(tmp_path: Path) -> None:
-    for senses in (False, True):
-        saved = recording(Instrument(senses_kinematics=senses, force_noise=1.0))
-        saved.save(tmp_path / "r.parquet")
-        loaded = Recording.load(tmp_path / "r.parquet")
-        assert loaded.names == saved.names
-        assert loaded.facts == saved.facts
-        assert arrays(loaded).keys() == arrays(saved).keys()
-        for key, values in arrays(saved).items():
-            np.testing.assert_array_equal(arrays(loaded)[key], values)
+def cut(whole: Recording) -> list[Recording]:
+    starts = range(0, whole.samples, SIZE)
+    return [whole.part(first, min(first + SIZE, whole.samples)) for first in starts]
 
 
-def test_every_column_has_its_unit(tmp_path: Path, puma_recording: Recording) -> None:
-    puma_recording.save(tmp_path / "r.parquet")
-    schema = pq.read_schema(tmp_path / "r.parquet")
-    units = {field.name: field.metadata[b"unit"].decode() for field in schema}
-    assert units["time"] == "s"
-    assert units["position/waist"] == "rad"
-    assert units["torque/waist"] == "N m"
-    assert units["truth/acceleration/elbow"] == "rad/s^2"
-    assert units["truth/friction/elbow"] == "N m"
-    assert (units["wrench/Fx"], units["wrench/Mx"]) == ("N", "N m")
+def same(one: Recording, other: Recording) -> None:
+    assert (one.names, one.facts, one.signals) == (other.names, other.facts, other.signals)
+    assert one.columns().keys() == other.columns().keys()
+    for name, values in one.columns().items():
+        np.testing.assert_array_equal(values, other.columns()[name])
+    np.testing.assert_array_equal(one.tare, other.tare)
 
 
-def test_a_recording_knows_its_robot_seed_and_versions(puma_recording: Recording) -> None:
-    facts = puma_recording.facts
-    assert facts["seed"] == 1996
-    assert set(facts["geometry"]) == {"waist", "shoulder", "elbow"}
-    assert len(facts["model_sha256"]) == 64
-    assert {"mujoco", "numpy", "testbed", "python"} <= set(facts["versions"])
+@hypothesis.settings(max_examples=8)
+@given(tree=trees((1, 4)), senses=st.booleans(), lacks=st.sampled_from(["torque", "wrench", ""]))
+def test_a_recording_comes_back_bit_for_bit_with_units(
+    tree: tb.Tree, senses: bool, lacks: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Truth included; whatever its ending; what was not measured is said when asked for."""
+    saved = ideal(tree, duration=1.0, rate=50.0)
+    if not senses:
+        saved = replace(saved, velocity=None, acceleration=None)
+    saved = replace(without(saved, lacks) if lacks else saved, facts={"geometry": geometry(tree)})
+    path = tmp_path_factory.mktemp("r") / "r.v2"
+    saved.save(path.with_suffix(".parquet"))
+    path.with_suffix(".parquet").rename(path)
+    loaded = Recording.load(path)
+    same(loaded, saved)
+    for name, values in saved.true_columns().items():
+        np.testing.assert_array_equal(loaded.true_columns()[name], values)
+    assert loaded.senses_kinematics == senses
+    found = {field.name: field.metadata[b"unit"].decode() for field in pq.read_schema(path)}
+    turns = {joint.name: joint.revolute for joint in tree.joints}
+    for name, said in found.items():
+        signal, _, member = name.removeprefix("truth/").partition("/")
+        angle = ("rad", "N m") if turns.get(member, True) else ("m", "N")
+        wanted = {"time": "s", "position": angle[0], "velocity": f"{angle[0]}/s",
+                  "acceleration": f"{angle[0]}/s^2", "torque": angle[1], "friction": angle[1],
+                  "wrench": "N" if member.startswith("F") else "N m"}[signal]  # fmt: skip
+        assert said == wanted, name
+    if lacks:
+        with refuses(RecordingError, lacks):
+            loaded.measured(lacks)
+    base = [unit_of(f"base/{name}", {}) for name in members_of("base", ("waist",))]
+    assert base == ["m"] * 3 + ["1"] * 4
 
 
-def test_channels_have_noise_of_their_own() -> None:
-    """Switching the plate's noise off leaves the drives' noise as it was."""
-    both = recording(Instrument(torque_noise=1.0, force_noise=1.0, encoder_noise=1.0))
-    one = recording(Instrument(torque_noise=1.0))
-    np.testing.assert_array_equal(both.measured("torque"), one.measured("torque"))
-    assert not np.array_equal(both.measured("wrench"), one.measured("wrench"))
+def test_parts_of_a_file_are_those_of_the_whole_in_any_order_and_size(
+    whole: Recording, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Forward, across row groups, back, the same again, none; a reader may hold so much at once."""
+    stored, n = tb.StoredRecording(path), whole.samples
+    assert (stored.names, stored.samples, stored.signals) == (whole.names, n, whole.signals)
+    assert stored.rate == pytest.approx(100.0, rel=1e-12)
+    spans = [(0, 10), (10, 400), (390, 700), (129, 131), (130, 260), (130, 260), (5, 6), (0, n)]
+    for first, last in [*spans, (n - 1, n), (259, 261), (0, 0), (n, n)]:
+        part = whole.part(first, last)
+        same(stored.part(first, last), part)
+        assert part.truth is None
+        assert np.shares_memory(part.position, whole.position) or not part.samples
+    for at_once in (7, SIZE, 10**6):
+        monkeypatch.setattr("testbed.recordings.recording.AT_ONCE", at_once)
+        same(Recording.load(path), whole)
+    found = gathered(iter(cut(whole)))
+    same(found, whole)
+    assert not found.position.flags.owndata  # it lies in a file, not in memory
+    for named in (path, str(path), cut(whole), whole, stored):
+        same(open_source(named).part(0, n), whole.part(0, n))
+    column = pq.ParquetFile(path).metadata.row_group(0).column(1)
+    assert ("BYTE_STREAM_SPLIT" in column.encodings, column.compression) == (True, "ZSTD")
+    one, two, *_ = cut(whole)
+    for other in (replace(two, names=("x", "y", "z")), replace(two, torque=None)):
+        for make in (gathered, lambda parts: write_parts(parts, path.with_name("other.parquet"))):
+            with refuses(RecordingError, "channels"):
+                make([one, other])
+    monkeypatch.setattr(parquet, "MOST_METADATA", 20)
+    with refuses(RecordingError, path.name):
+        tb.StoredRecording(path)
 
 
-def test_the_same_seed_gives_the_same_noise_and_another_another() -> None:
-    noisy = Instrument(encoder_noise=1e-3, torque_noise=1.0, force_noise=1.0, moment_noise=1.0)
-    for group in ("position", "torque", "wrench"):
-        one, same, other = (getattr(recording(noisy, s), group) for s in (1, 1, 2))
-        np.testing.assert_array_equal(one, same)
-        assert not np.array_equal(one, other)
-
-
-def test_noise_and_gain_are_what_was_asked() -> None:
-    clean, n = truth(20_000), 20_000
-    instrument = Instrument(
-        encoder_resolution=1e-3,
-        torque_noise=0.5,
-        torque_constant_error={"b": 0.08},
-        force_noise=2.0,
-        moment_noise=0.1,
-    )
-    r = measure(instrument, ("a", "b"), np.arange(n) / 1e3, clean, np.zeros(6), {}, 3)
-    np.testing.assert_allclose(r.position, clean.position, atol=0.5e-3 * (1 + 1e-9))
-    np.testing.assert_allclose(r.position / 1e-3, np.round(r.position / 1e-3), atol=1e-6)
-    assert np.std(r.measured("torque")[:, 0] - clean.torque[:, 0]) == pytest.approx(0.5, rel=0.03)
-    assert np.std(r.measured("torque")[:, 1] - 1.08 * clean.torque[:, 1]) == pytest.approx(
-        0.5, rel=0.03
-    )
-    spread = np.std(r.measured("wrench") - clean.wrench, axis=0)
-    np.testing.assert_allclose(spread, [2, 2, 2, 0.1, 0.1, 0.1], rtol=0.03)
-
-
-def test_a_value_that_is_no_number_is_named_with_its_sample_and_time(tmp_path: Path) -> None:
-    bad = recording().measured("wrench").copy()
-    bad[7, 2] = np.nan
-    replace(recording(), wrench=bad).save(tmp_path / "r.parquet")
-    with pytest.raises(RecordingError, match=r"'wrench/Fz' is nan at sample 7 \(t = 0\.07 s\)"):
-        Recording.load(tmp_path / "r.parquet")
-
-
-def test_uneven_sampling_is_named(tmp_path: Path) -> None:
-    time = recording().time.copy()
-    time[20:] += 0.005
-    replace(recording(), time=time).save(tmp_path / "r.parquet")
-    with pytest.raises(RecordingError, match="not uniform: 0.015 s after sample 19"):
-        Recording.load(tmp_path / "r.parquet")
-
-
-def test_a_missing_channel_is_named(tmp_path: Path) -> None:
-    recording().save(tmp_path / "r.parquet")
-    table = pq.read_table(tmp_path / "r.parquet").drop_columns(["wrench/My"])
-    pq.write_table(table, tmp_path / "less.parquet")
-    with pytest.raises(RecordingError, match="channel 'wrench/My' is missing"):
-        Recording.load(tmp_path / "less.parquet")
-
-
-@pytest.mark.parametrize("content", [b"", b"PAR1 truncated", b"time,position\n0,1\n"])
-def test_a_damaged_file_is_said_to_be_damaged(content: bytes, tmp_path: Path) -> None:
+def test_a_save_that_fails_or_would_overwrite_a_strangers_file_changes_nothing(
+    whole: Recording, tmp_path: Path
+) -> None:
     path = tmp_path / "r.parquet"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match="not a readable Parquet recording"):
-        Recording.load(path)
-
-
-def test_a_failed_save_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
-    path = tmp_path / "r.parquet"
-    recording().save(path)
+    whole.save(path)
     before = path.read_bytes()
     with pytest.raises(TypeError):
-        replace(recording(), facts={"what": object()}).save(path)
+        replace(whole, facts={"what": object()}).save(path)
     assert path.read_bytes() == before
-    assert [p.name for p in tmp_path.iterdir()] == ["r.parquet"]
+    assert [each.name for each in tmp_path.iterdir()] == ["r.parquet"]
+    for content in (b"time,position\n0,1\n", b"", b"PAR"):
+        (tmp_path / "notes.csv").write_bytes(content)
+        with refuses(RecordingError, "notes.csv"):
+            whole.save(tmp_path / "notes.csv")
+        assert (tmp_path / "notes.csv").read_bytes() == content
 
 
-def test_another_robot_is_recognised_by_names_and_by_geometry() -> None:
-    tree = random_robot(np.random.default_rng(1), 2).tree()
-    stranger = recording()
-    with pytest.raises(RecordingError, match="another robot: it has the joints a, b"):
-        check_robot(stranger, tree)
-    mine = replace(stranger, names=tree.names, facts={"geometry": geometry(tree)})
-    check_robot(mine, tree)
-    other = geometry(tree)
-    other[tree.names[1]]["offset"] = [9.0, 9.0, 9.0]
-    with pytest.raises(RecordingError, match=f"joint '{tree.names[1]}' has offset"):
-        check_robot(replace(mine, facts={"geometry": other}), tree)
+def test_columns_are_found_by_name_and_another_robots_are_refused(
+    whole: Recording, tree: tb.Tree
+) -> None:
+    """Whatever their order in the file; a kind, a parent, an axis or a place tells."""
+    order = [2, 0, 1]
+    joints = {name: whole.measured(name)[:, order]
+              for name in ("position", "velocity", "acceleration", "torque")}  # fmt: skip
+    truth: dict[str, Any] = {
+        name: values if name == "wrench" else values[:, order]
+        for name, values in vars(whole.truth).items()
+    }
+    names = tuple(whole.names[k] for k in order)
+    shuffled = replace(whole, names=names, truth=replace(whole.truth, **truth), **joints)  # type: ignore[arg-type, type-var]
+    again = shuffled.ordered(tree)
+    same(again, whole)
+    for name, values in whole.true_columns().items():
+        np.testing.assert_array_equal(again.true_columns()[name], values)
+    assert whole.blind().truth is None
+    check_robot(replace(whole, facts={}), tree)
+    first = tree.joints[0]
+    for what, value, other in (
+        ("offset", [x + 0.5 * TOLERANCE for x in first.offset.tolist()], False),
+        ("offset", [9.0, 0.0, 0.0], True),
+        ("kind", "prismatic" if first.revolute else "revolute", True),
+        ("parent", "elsewhere", True),
+        ("axis", [0.6, 0.8, 0.0], True),
+        ("axis", [1.0, 0.0], True),
+    ):
+        said = json.loads(json.dumps(geometry(tree)))
+        said[first.name][what] = value
+        spoiled = replace(whole, facts={"geometry": said})
+        if other:
+            with refuses(RecordingError, f"'{first.name}'", what, json.dumps(value)):
+                check_robot(spoiled, tree)
+        else:
+            check_robot(spoiled, tree)
+    with refuses(RecordingError, *whole.names):
+        check_robot(whole, robot("puma"))
 
 
-def test_columns_are_mapped_by_name_never_by_position(puma: tb.Tree) -> None:
-    names = ("elbow", "waist", "shoulder")
-    position = np.tile([3.0, 1.0, 2.0], (50, 1))
-    shuffled = Recording(names, np.arange(50.0), position, position, np.zeros((50, 6)))
-    np.testing.assert_array_equal(shuffled.ordered(puma).position[0], [1, 2, 3])
-    np.testing.assert_array_equal(shuffled.ordered(puma).measured("torque")[0], [1, 2, 3])
+def rewritten(path: Path, column: str | None, values: Any) -> Path:
+    """The same file with another column, or without it, or with other metadata."""
+    table = pq.read_table(path)
+    other = path.with_name("other.parquet")
+    if column is None:
+        text = values if isinstance(values, str) else json.dumps(values)
+        table = table.replace_schema_metadata({"testbed": text})
+    elif values is None:
+        table = table.drop_columns([column])
+    else:
+        table = table.set_column(table.schema.get_field_index(column), column, values)
+    pq.write_table(table, other)
+    return other
 
 
-@pytest.mark.parametrize("content", [b"time,position\n0,1\n", b"", b"PAR"])
-def test_what_is_no_recording_is_not_written_over(content: bytes, tmp_path: Path) -> None:
-    """An older recording is; another file was somebody's."""
-    path = tmp_path / "notes.csv"
-    path.write_bytes(content)
-    with pytest.raises(RecordingError, match="is there and is no recording"):
-        recording().save(path)
-    assert path.read_bytes() == content
+def spoiled(values: Any, at: int, value: float) -> Any:
+    found = np.array(values)
+    found[at] = value
+    return found
+
+
+def test_channels_that_are_no_measurement_are_named_with_their_place(
+    whole: Recording, path: Path
+) -> None:
+    """Missing, doubled, of texts or dates, infinite, unevenly sampled, in another unit of time."""
+    time, force = whole.time, whole.measured("wrench")[:, 2]
+    late, still = np.where(time > 2, time + 0.005, time), spoiled(time, 300, time[299])
+    cases: list[tuple[str, Any, tuple[str, ...]]] = [
+        ("torque/j2", None, ("'torque/j2'",)),
+        ("time", None, ("'time'",)),
+        *(("wrench/Fz", pa.array(spoiled(force, 700, bad)), ("'wrench/Fz'", "sample 700", "7 s"))
+          for bad in (np.nan, np.inf, -1e12)),
+        *(("wrench/Fz", pa.array([each] * whole.samples), ("'wrench/Fz'",))
+          for each in ("a", None, True, [1.0])),
+        ("time", pa.array(range(whole.samples), pa.timestamp("us")), ("'time'",)),
+        ("time", pa.array(late), ("0.015 s", "sample 200")),
+        ("time", pa.array(still), ("sample 299",)),
+        *(("time", pa.array(time * scale), ()) for scale in (1e-12, 1e300)),
+    ]  # fmt: skip
+    for column, values, culprits in cases:
+        with refuses(RecordingError, "other.parquet", *culprits):
+            Recording.load(rewritten(path, column, values))
+    for lost, culprit in (("time", "'time'"), ("position/", "'position/JOINT'")):
+        columns = {n: v for n, v in whole.columns().items() if not n.startswith(lost)}
+        with refuses(RecordingError, culprit):
+            Recording.from_columns(columns, {}, "r")
+    single = rewritten(path, "wrench/Fz", pa.array(force.astype(np.float32)))
+    np.testing.assert_allclose(Recording.load(single).measured("wrench")[:, 2], force, rtol=1e-6)
+    table = pq.read_table(path)
+    pq.write_table(table.append_column("time", table["time"]), path.with_name("twice.parquet"))
+    with refuses(RecordingError, "'time'"):
+        Recording.load(path.with_name("twice.parquet"))
+    for count in (0, 1):
+        whole.part(0, count).save(path.with_name("short.parquet"))
+        assert tb.StoredRecording(path.with_name("short.parquet")).rate == 0.0
+        with refuses(RecordingError, f"{count} sample"):
+            Recording.load(path.with_name("short.parquet"))
+    for share in (0.009, -0.009):  # steps may differ by a hundredth
+        check_times(np.append(0.0, 1 + share + np.arange(9.0)), "r", 1.0)
+        with refuses(RecordingError, "sample 1000"):
+            check_times(np.append(0.0, 1 + 1.2 * share + np.arange(9.0)), "r", 1.0, first=1000)
+
+
+BAD_METADATA: tuple[Any, ...] = (
+    [1, 2], {"format": "testbed recording 99"}, {"facts": [1]}, {"tare": [1, 2]},
+    {"tare": ["a"] * 6}, {"tare": [True] * 6}, '{"tare": [' + "1" * 400 + ", 0, 0, 0, 0, 0]}",
+    '{"tare": [NaN, 0, 0, 0, 0, 0]}', {"facts": {"gravity": ["down", 0, 0]}},
+    '{"facts": {"gravity": [Infinity, 0, 0]}}', {"facts": {"warnings": "none"}},
+    {"facts": {"warnings": [3]}}, {"facts": {"geometry": 3}}, {"facts": {"geometry": {"j1": 3}}},
+    "[" * 100_000 + "]" * 100_000, "{", '"\\ud800',
+)  # fmt: skip
+
+
+def test_damaged_files_and_metadata_are_refused_in_one_line(path: Path, tmp_path: Path) -> None:
+    for content in (b"", b"PAR1 truncated", b"time,position\n0,1\n"):
+        (tmp_path / "bad.parquet").write_bytes(content)
+        with refuses(RecordingError, "bad.parquet"):
+            Recording.load(tmp_path / "bad.parquet")
+    for metadata in BAD_METADATA:
+        other = rewritten(path, None, metadata)
+        for read in (Recording.load, tb.StoredRecording):
+            with refuses(RecordingError, "other.parquet"):
+                read(other)
+    joint: list[tuple[str, Any]] = [
+        ("kind", "ball"), ("parent", 3), ("axis", [1, 0]), ("axis", [1, 0, True]),
+        ("axis", [1, 0, 1e12]), ("offset", [1, 0, 0, 0]), ("rotation", [1, 0, 0]),
+        ("rotation", [[1, 0, 0], [0, 1], 3]),
+    ]  # fmt: skip
+    for key, value in joint:
+        said = {"facts": {"geometry": {"fine": {"axis": [1, 0, 0]}, "elbow": {key: value}}}}
+        with refuses(ValueError, "'elbow'", key):
+            checked_metadata(said)
+    assert checked_metadata({"tare": [1, 2, 3, 4, 5, 6.5], "facts": {"own": {"deep": [1]}}}) == (
+        (1.0, 2.0, 3.0, 4.0, 5.0, 6.5), {"own": {"deep": [1]}}
+    )  # fmt: skip
+    (tmp_path / "r.doc").write_text("time\n")
+    with refuses(RecordingError, "'.doc'", ".parquet"):
+        Recording.load(tmp_path / "r.doc")
+    for nothing in (tmp_path, tmp_path / "none.parquet"):
+        with refuses(RecordingError, nothing.name):
+            Recording.load(nothing)
+
+
+def test_recordings_as_one_have_what_all_have_and_the_first_ones_tare() -> None:
+    tree = robot("puma")
+    parts = [measured(tree, seed, duration=1.0) for seed in (1, 2)]
+    shift = np.arange(6.0)
+    moved = replace(
+        parts[1], tare=np.asarray(parts[1].tare) + shift, wrench=parts[1].measured("wrench") + shift
+    )
+    plain, both = Joined(parts), Joined([parts[0], without(moved, "torque")])
+    assert "torque" not in both.signals
+    for first, last in plain.segments:
+        part = both.part(first, last)
+        assert part.torque is None
+        wrench = plain.part(first, last).measured("wrench")
+        np.testing.assert_allclose(part.measured("wrench"), wrench, atol=1e-9)
+
+
+def test_a_base_that_was_measured_is_six_joints_more_in_memory_and_in_a_file(
+    tmp_path: Path,
+) -> None:
+    free, recording = riding(11)
+    recording.save(tmp_path / "r.parquet")
+    whole = with_base_joints(recording)
+    source = on_its_base(open_source(tmp_path / "r.parquet"), free)
+    assert isinstance(source, MeasuredBase)
+    assert source.names == whole.names == (*NAMES, *recording.names)
+    for first, last in ((0, 100), (100, recording.samples)):
+        part = source.part(first, last)
+        assert (part.base, part.torque) == (None, None)
+        for name, values in part.columns().items():
+            np.testing.assert_array_equal(values, whole.columns()[name][first:last])
+    assert on_its_base(whole, free) is whole
+    fixed = ideal(robot("puma"), duration=1.0)
+    assert on_its_base(fixed, robot("puma")) is fixed
+    with refuses(RecordingError, "base/x"):
+        MeasuredBase(fixed)
+    with refuses(RecordingError, "base"):
+        on_its_base(fixed, on_free_base(robot("puma")))
+
+
+def test_shafts_of_coupled_gears_are_named_after_their_own_joint_and_nothing_is_trusted() -> None:
+    joints = ["waist", "wrist", "flange"]
+
+    def shafts(matrix: object, names: object = joints) -> Any:
+        return coupled_shafts({"mapping": {"gear": {"matrix": matrix}, "joints": names}})
+
+    found = shafts([[40, 0, 0], [0, 20, 10], [0, -30, 0]])
+    assert found == {"wrist.motor": {"wrist": 1.0, "flange": 0.5}}
+    found = shafts([[0, 2, -8], [0, 1, 0], [0, 0, 1]])
+    assert found == {"waist.motor": {"wrist": -0.25, "flange": 1.0}}
+    gear = {"matrix": [[1, 0, 0], [0, 2, 1], [0, 0, 1]]}
+    facts = {"mapping": {"gear": gear, "joints": ["waist", "shoulder", "elbow"]}}
+    geared = with_gear(robot("puma"), replace(ideal(robot("puma"), duration=1.0), facts=facts))
+    assert [shaft.name for shaft in geared.shafts] == ["shoulder.motor"]
+    nan = float("nan")
+    for matrix in ("rows", [["a", 0, 0], [0, 1, 1], [0, 0, 1]], [[1, 0, 0], [0, 1, 1]], None,
+                   [[1, 0, 0], [0, 1, nan], [0, 0, 1]], [[1, 1], [1, 1]], [1, 1, 1]):  # fmt: skip
+        assert shafts(matrix) == {}
+    for names in (7, [1, 2, 3], {"waist": 1}, ["waist", "wrist"]):
+        assert shafts(np.ones((3, 3)).tolist(), names) == {}
+    unknown: list[dict[str, Any]] = [{}, {"mapping": 3}, {"mapping": {"gear": 3, "joints": joints}}]
+    assert [coupled_shafts(each) for each in unknown] == [{}] * 3
+    wide = np.eye(LONGEST + 1).tolist()
+    wide[0][1] = 0.5
+    assert shafts(wide, [f"j{k}" for k in range(LONGEST + 1)]) == {}

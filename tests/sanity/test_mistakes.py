@@ -1,20 +1,27 @@
-"""What is tried for what robots, and that each mistake that was made is undone."""
+"""What is tried for what robots, and that a mapping with its cure is without the mistake."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.recordings.importing.mapping import WrenchTable, read_mapping
+from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
-from testbed.robot.rotations import from_rpy, from_vector
-from testbed.sanity.cures import frame_of, lines_of, with_lines
+from testbed.sanity.alignment import aligned
+from testbed.sanity.clock_offset import ClockOffset
+from testbed.sanity.cure_words import gain_finding, position_finding
+from testbed.sanity.cures import cures_of, frame_of, lines_of, with_lines
 from testbed.sanity.mistakes import (
-    BEYOND,
     Mistake,
     joint_map,
     merged,
@@ -22,138 +29,177 @@ from testbed.sanity.mistakes import (
     position_hypotheses,
     rarer_hypotheses,
 )
-from testbed.sanity.plate_map import both, placed, quarter_turns
-from tests.helpers.paths import GOLDEN
+from testbed.sanity.plate_map import quarter_turns
+from tests.helpers.foreign_files import npz, some_log
+from tests.helpers.runs import robot
+from tests.helpers.strategies import rngs, trees
 
-ARMS = ("ur5", "gantry_ppp_rrr", "stanford", "scara_rrpr")
-RIGHT: dict[str, Any] = {
-    "source": "log",
-    "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"],
-    "units": ["N", "N m"],
-    "sense": "on_robot",
-}
+JOINTS = ("elbow", "waist", "shoulder")
+"""Of a PUMA, in the mapping's own order."""
+
+signs = st.tuples(*[st.sampled_from([1, -1])] * 3).map(list)
+offsets = st.tuples(*[st.sampled_from([0.0, 0.3, -1.5])] * 3).map(list)
+joint_mistakes = st.one_of(
+    st.builds(Mistake, st.just("position_sign"), st.integers(0, 2).map(lambda k: (k,))),
+    st.builds(
+        Mistake,
+        st.just("zero"),
+        st.integers(0, 2).map(lambda k: (k,)),
+        st.sampled_from([np.pi / 2, -np.pi / 2, 0.5]).map(lambda angle: (angle,)),
+    ),
+)
 
 
-def arm(name: str) -> tb.Tree:
-    return tb.load_tree(GOLDEN / f"robots/{name}.urdf")
+def mapped(raw: Array, table: dict[str, Any]) -> Array:
+    """Positions by the mapping, in the robot's order of joints; raw ones are in the mapping's."""
+    values = raw * np.array(table["sign"]) + np.array(table["offset"])
+    return np.asarray(values[:, [JOINTS.index(name) for name in robot("puma").names]])
 
 
-def positions(tree: tb.Tree, size: float) -> Array:
-    return size * np.random.default_rng(2).uniform(-1, 1, (50, tree.n))
+@given(
+    mistakes=st.lists(joint_mistakes, min_size=1, max_size=4, unique=True),
+    sign=signs,
+    offset=offsets,
+)
+def test_a_mapping_with_its_cures_makes_the_positions_right(
+    mistakes: list[Mistake], sign: list[int], offset: list[float]
+) -> None:
+    """Signs and zeros one after the other, each building on what the last has left; merged, too."""
+    raw = np.random.default_rng(0).normal(size=(4, 3))
+    mapping: dict[str, Any] = {"joints": list(JOINTS), "position": {"sign": sign, "offset": offset}}
+    wanted = mapped(raw, mapping["position"])
+    for each in mistakes:
+        scale, added = joint_map(each, 3, np.zeros(3))
+        wanted = wanted @ scale.T + added
+    together = merged(mistakes)
+    assert len({each.kind for each in together}) == len(together)
+    for said in (mistakes, together):
+        cures = cures_of(robot("puma"), list(said), np.ones(3), np.zeros(3), mapping, 3)
+        cured = with_lines(mapping, [line for cure in cures for line in cure.lines])
+        np.testing.assert_allclose(mapped(raw, cured["position"]), wanted, atol=1e-4)
 
 
-def test_the_quarter_turns_are_the_group_of_proper_ones() -> None:
+@hypothesis.settings(max_examples=8)
+@given(rng=rngs, turned=st.booleans())
+def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, turned: bool) -> None:
+    """The mapping with the lines makes of the file what the map makes of the recording."""
+    given = {
+        "source": "log", "columns": ["Fx", "Fy", "Fz", "Mx", "My", "Mz"],
+        "units": ["lbf", "N mm"], "sense": "on_robot",
+        "place": {"xyz": [0.1, -0.2, 0.3], "rpy": [0.3, -0.2, 1.1] if turned else [0.0] * 3},
+    }  # fmt: skip
+    mapping: dict[str, Any] = {"wrench": given}
+    by_name = dict(zip(given["columns"], rng.normal(size=(6, 5)), strict=True))
+
+    def made(table: dict[str, Any]) -> Array:
+        read = WrenchTable.model_validate(table)
+        return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
+
+    several = plain_hypotheses(frame_of(mapping))
+    for k in rng.choice(len(several), 10, replace=False):
+        said = mapping
+        for lines in lines_of(robot("ur5"), several[k][0], mapping).values():
+            said = with_lines(said, lines)
+        wanted = made(given) @ several[k][1].T
+        scale = np.abs(wanted).max()
+        np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
+
+
+def test_quarter_turns_are_the_group_of_proper_ones() -> None:
     """24, each a rotation, closed under products: no reflection is among them."""
     turns = quarter_turns()
-    assert {round(float(np.linalg.det(turn))) for turn in turns} == {1}
     names = {tuple(turn.ravel().tolist()) for turn in turns}
+    assert {round(float(np.linalg.det(turn))) for turn in turns} == {1}
     assert len(names) == 24
     assert {tuple((a @ b).ravel().tolist()) for a in turns for b in turns} == names
 
 
-@pytest.mark.parametrize("size", [0.1, 10.0 * BEYOND])
-@pytest.mark.parametrize("name", ARMS)
+@given(tree=trees((2, 6)), size=st.sampled_from([0.05, 2.0, 300.0]), rng=rngs)
 def test_what_slides_has_no_angles_and_changes_place_with_what_slides(
-    name: str, size: float
+    tree: tb.Tree, size: float, rng: np.random.Generator
 ) -> None:
-    tree = arm(name)
+    """Units of angles are doubted where all are very large or very small, whatever slides."""
     turning = {k for k, joint in enumerate(tree.joints) if joint.revolute}
-    tried = [
-        *position_hypotheses(tree, positions(tree, size), ()),
-        *rarer_hypotheses(tree, pairs=True),
-    ]
+    slides = np.array([not joint.revolute for joint in tree.joints])
+    values = rng.uniform(0.5, 1, (1, tree.n)) * np.linspace(-1, 1, 50)[:, None]
+    position = values * np.where(slides, rng.choice([0.05, 2.0, 300.0]), size)
+    tried = [*position_hypotheses(tree, position, ()), *rarer_hypotheses(tree, pairs=True)]
     for mistake in tried:
         if mistake.kind in ("degrees", "radians", "zero"):
             assert turning.issuperset(mistake.joints), mistake
         if mistake.kind == "position_order":
             kinds = [tree.joints[k].kind for k in mistake.values]
             assert kinds == [joint.kind for joint in tree.joints], mistake
-    signs = [m.joints for m in tried if m.kind == "position_sign"]
-    assert signs == [(k,) for k in range(tree.n)]
+    assert [m.joints for m in tried if m.kind == "position_sign"] == [(k,) for k in range(tree.n)]
+    units = {m.kind for m in tried} & {"degrees", "radians"}
+    expected = {0.05: {"radians"}, 2.0: set(), 300.0: {"degrees"}}[size]
+    assert units == (expected if turning else set())
+    free = [m.kind for m in position_hypotheses(on_free_base(tree), np.zeros((9, tree.n + 6)), ())]
+    assert (free.count("base_unit"), free.count("quaternion_order")) == (4, 1)
+    assert free.count("position_sign") == tree.n
 
 
-@pytest.mark.parametrize("name", ARMS)
-def test_units_of_angles_are_doubted_where_angles_are_very_large_or_very_small(name: str) -> None:
-    """Of joints that slide they are not looked at."""
-    tree = arm(name)
-    slides = np.array([not joint.revolute for joint in tree.joints])
-    for size, expected in ((0.05, {"radians"}), (2.0, set()), (300.0, {"degrees"})):
-        for other in (0.05, 2.0, 300.0):
-            given = positions(tree, 1.0) * np.where(slides, other, size)
-            kinds = {m.kind for m in position_hypotheses(tree, given, ())}
-            assert kinds & {"degrees", "radians"} == expected
+def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -> None:
+    """Small torques are a motor's or currents, a thousand times too large ones of another unit."""
+    tree, nan = robot("puma"), float("nan")
+    cases: list[tuple[tuple[float, ...], str, str, float]] = [
+        ((0.02, 1.1, 0.05), "[50, 0.90909, 20]", "N m", 0.02),
+        ((nan, 0.1, 1.0), "[0, 10, 1]", "N m", 0.1),
+        ((1010.0, nan, 980.0), '"N mm"', "N m", 1010.0),
+        ((1010.0, 990.0, 980.0), '"mA"', "A", 1010.0),
+    ]
+    for sizes, remedy, unit, number in cases:
+        mapping = {"torque": {"unit": unit}}
+        found = gain_finding(tree, np.array(sizes), 0.2, 5.0, mapping)
+        assert remedy in found.remedy
+        assert found.number == number
+        odd = [n for n, s in zip(tree.names, sizes, strict=True) if s < 0.2 or s > 5]
+        assert [name in found.found for name in tree.names] == [n in odd for n in tree.names]
+    other = gain_finding(tree, np.full(3, 40.0), 0.2, 5.0, {"torque": {"unit": "N m"}})
+    assert "=" not in other.remedy
+    gantry = robot("gantry")  # three joints slide, three turn
+    low, high = np.array([joint.position_range for joint in gantry.joints]).T
+    assert not list(position_finding(gantry, np.stack([low, high]) * 1.05, 0.1))
+    for joint, unit in ((1, '"mm"'), (4, '"deg"')):
+        beyond = np.stack([low, high])
+        beyond[1, joint] += 0.2 * (high - low)[joint]
+        (said,) = position_finding(gantry, beyond, 0.1)
+        assert gantry.names[joint] in said.found
+        assert unit in said.remedy
+        assert said.number == 1.0
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_any_order_of_signs_and_zeros_is_one_line_each(seed: int) -> None:
-    """Positions without several mistakes, one by one, are those without the merged ones."""
-    rng = np.random.default_rng(seed)
-    tree = arm("ur5")
-    zero = np.zeros(tree.n)
-    made = []
-    for _ in range(4):
-        joint = (int(rng.integers(tree.n)),)
-        turned = Mistake("zero", joint, (float(rng.choice([-1.5, 0.5])),))
-        made.append(turned if rng.random() < 0.5 else Mistake("position_sign", joint))
+def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_path: Path) -> None:
+    """All plates get their sum's; a clock that positions share does not drift; noise is none."""
+    text = npz(tmp_path, some_log())
+    before, wrench = text.split("[wrench]\n")
+    two = f"{before}[plates.left]\ndelay = 0.004\n{wrench}\n[plates.right]\n{wrench}"
+    report: Any = SimpleNamespace(clocks={"log": SimpleNamespace(lead=0.25)})
 
-    def undone(mistakes: list[Mistake]) -> Array:
-        position = positions(tree, 1.0)
-        for each in mistakes:
-            scale, added = joint_map(each, tree.n, zero)
-            position = position @ scale.T + added
-        return position
+    def offset(signal: str, delay: float, skew: float = 0.0) -> ClockOffset:
+        return ClockOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
 
-    found = merged(made)
-    assert len({each.kind for each in found}) == len(found)
-    np.testing.assert_allclose(undone(list(found)), undone(made), atol=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_plates_lines_are_the_map_that_was_judged(seed: int) -> None:
-    """The mapping with the lines makes of the file what the map makes of the recording."""
-    from testbed.recordings.importing.mapping import WrenchTable
-    from testbed.recordings.importing.signal_maps import bedplate_wrench
-
-    rng = np.random.default_rng(seed)
-    rpy = (0.0, 0.0, 0.0) if seed % 2 else (0.3, -0.2, 1.1)
-    given = {
-        **RIGHT,
-        "units": ["lbf", "N mm"],
-        "place": {"xyz": [0.1, -0.2, 0.3], "rpy": list(rpy)},
-    }
-    mapping: dict[str, Any] = {"wrench": given}
-    several = list(plain_hypotheses(frame_of(mapping)))
-    columns = rng.normal(size=(5, 6))
-    by_name = dict(zip(RIGHT["columns"], columns.T, strict=True))
-
-    def made(table: Mapping[str, Any]) -> Array:
-        read = WrenchTable.model_validate(table)
-        return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
-
-    for k in rng.choice(len(several), 40, replace=False):
-        mistakes, each = several[k]
-        said = mapping
-        for lines in lines_of(arm("ur5"), mistakes, mapping).values():
-            said = with_lines(said, lines)
-        wanted = made(given) @ each.T
-        np.testing.assert_allclose(
-            made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * np.abs(wanted).max()
-        )
+    (tmp_path / "map.toml").write_text(text)
+    one = read_mapping(tmp_path / "map.toml")
+    found = aligned(one, report, [offset("wrench", 0.003, 1e-4)])
+    assert found.wrench is not None
+    assert (found.torque, found.sources["log"].skew) == (one.torque, 0.0)
+    assert found.wrench.delay == pytest.approx(0.003, abs=1e-15)
+    (tmp_path / "map.toml").write_text(two)
+    several = read_mapping(tmp_path / "map.toml")
+    found = aligned(several, report, [offset("wrench", 0.003)])
+    delays = {name: table.delay for name, table in found.plates.items()}
+    assert delays == pytest.approx({"left": 0.007, "right": 0.003}, abs=1e-15)
+    found = aligned(several, report, [offset("torque", 0.003)])
+    assert found.torque is not None
+    assert found.torque.delay == pytest.approx(0.003, abs=1e-15)
+    assert found.plates == several.plates
+    assert aligned(several, report, [offset("torque", 1e-6), offset("wrench", 0.0)]) == several
 
 
-def test_a_shift_of_the_frame_moves_moments_alone() -> None:
-    turn, place = from_vector(np.array([0.2, 1.0, -0.4])), np.array([0.1, 0.2, -0.3])
-    wrench = np.arange(1.0, 7.0)
-    force, moment = turn @ wrench[:3], turn @ wrench[3:]
-    wanted = np.r_[force, moment + np.cross(place, force)]
-    np.testing.assert_allclose(placed(turn, place) @ wrench, wanted, atol=1e-12)
-    np.testing.assert_allclose(both(turn) @ wrench, np.r_[force, moment], atol=1e-12)
-    assert np.linalg.det(from_rpy((0.1, 0.2, 0.3))) == pytest.approx(1.0)
-
-
-def test_a_base_that_moves_has_its_own_mistakes() -> None:
-    tree = on_free_base(arm("stanford"))
-    kinds = [m.kind for m in position_hypotheses(tree, positions(tree, 1.0), ())]
-    assert kinds.count("base_unit") == 4
-    assert kinds.count("quaternion_order") == 1
-    assert kinds.count("position_sign") == tree.n - 6
+def test_a_cure_of_a_plate_names_a_channel_of_the_plate() -> None:
+    for torques in (0, 6):
+        before, after = np.ones(torques + 6), np.ones(torques + 6)
+        after[torques + 1] = 0.1
+        (cure,) = cures_of(robot("ur5"), [Mistake("sense")], before, after, {}, torques)
+        assert (cure.channel, cure.after) == ("Fy", 0.1)

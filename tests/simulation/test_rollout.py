@@ -1,21 +1,85 @@
-"""What a run logs: samples that belong together, and the traps of logging a simulator."""
+"""A run follows its reference, and its log holds what belongs together."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import hypothesis
 import numpy as np
 import pytest
+from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
-from testbed.simulation.rollout import SimulationDiverged, simulate_motion
+from testbed.simulation.controller import computed_torque, mass_matrices
+from testbed.simulation.drive_model import believed
+from testbed.simulation.rollout import SimulationDiverged, Task, simulate_motion, simulate_motions
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
+from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, run, waving
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import Robot
+from tests.helpers.strategies import rngs, robots
+
+INSTANTS = Sampling(500.0, 2, False, 0.2)
+
+
+def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
+    """The robot with something changed on every joint."""
+    return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
+
+
+@hypothesis.settings(max_examples=6)
+@given(robot=robots((2, 6)), rng=rngs)
+def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
+    robot: Robot, rng: np.random.Generator
+) -> None:
+    """By w^2 e + 2 0.9 w e', Pinocchio's mass matrix and the rotors, within the motors' limits."""
+    w, grid, n = 30.0, 500, len(robot.links)
+    tree = with_all(robot.tree(), rotor_inertia=0.7, coulomb=2.0, viscous=0.3)
+    motion = Fourier(0.1, rng.normal(size=n), *(0.3 * rng.normal(size=(2, n, 3))))
+    turns = rng.permutation(grid)[:6] + grid * np.array([0, 1, -1, 3, -2, 0])
+    drive = computed_torque(tree, motion, (turns + 1e-6) / grid * motion.period, w)
+    there = drive.reference
+    witness = by_pinocchio(robot.urdf(), tree, (there.q, there.qd, there.qdd))
+    mass = mass_matrices(tree, there.q)
+    np.testing.assert_allclose(mass, witness.mass, atol=1e-12 * np.abs(witness.mass).max())
+    for k in range(6):
+        alone = drive.torque(k, there.q[k], there.qd[k])
+        dry = alone - witness.forces[k] - 0.3 * there.qd[k] - 0.7 * there.qdd[k]
+        np.testing.assert_allclose(dry, 2 * np.tanh(there.qd[k] / 0.05), rtol=1e-6, atol=1e-9)
+        late, slow = 0.01 * rng.normal(size=(2, n))
+        added = drive.torque(k, there.q[k] - late, there.qd[k] - slow) - alone
+        wanted = (witness.mass[k] + 0.7 * np.eye(n)) @ (w**2 * late + 2 * 0.9 * w * slow)
+        np.testing.assert_allclose(added, wanted, atol=1e-4 * np.abs(wanted).max())
+    weak = computed_torque(with_all(tree, max_effort=0.5), motion, there.t[:1], w)
+    free = drive.torque(0, there.q[0] - 1, there.qd[0])
+    limited = weak.torque(0, there.q[0] - 1, there.qd[0])
+    np.testing.assert_array_equal(limited, np.clip(free, -0.5, 0.5))
+
+
+@given(robot=robots((2, 6)), rng=rngs)
+def test_what_a_drive_believes_is_as_wrong_as_said_and_a_possible_robot(
+    robot: Robot, rng: np.random.Generator
+) -> None:
+    tree = with_all(robot.tree(), rotor_inertia=0.7, coulomb=2.0, viscous=0.3)
+    wrong = believed(tree, 0.1, rng)
+    assert wrong.names == tree.names
+    for old, new in zip(tree.inertias, wrong.inertias, strict=True):
+        factor = new.mass / old.mass
+        assert min(abs(factor - 0.9), abs(factor - 1.1)) < 1e-12
+        np.testing.assert_allclose(new.com, old.com, atol=1e-14)
+        np.testing.assert_allclose(new.central, factor * old.central, rtol=1e-9, atol=1e-14)
+    for one, other in zip(tree.joints, wrong.joints, strict=True):
+        for name in ("coulomb", "viscous", "rotor_inertia"):
+            assert round(getattr(other, name) / getattr(one, name), 9) in (0.9, 1.1)
+    masses = {tuple(body.mass for body in believed(tree, 0.1, rng).inertias) for _ in range(20)}
+    assert len(masses) > 2  # chance decides the signs
 
 
 def test_the_plate_feels_the_motion_that_the_encoders_show(puma: tb.Tree) -> None:
@@ -34,132 +98,107 @@ def test_the_plate_feels_the_motion_that_the_encoders_show(puma: tb.Tree) -> Non
     assert gap.max() < 1e-4
 
 
-def test_the_acceleration_of_an_averaged_sample_is_the_gain_of_velocity(puma: tb.Tree) -> None:
-    done = run(puma, PUMA, waving(3), Sampling(1000.0, 4, True, 0.1), 2.5e-4, friction=False)
-    moved = np.diff(done.truth.position, axis=0) * 1000
-    between = (done.truth.velocity[1:] + done.truth.velocity[:-1]) / 2
-    np.testing.assert_allclose(moved, between, atol=1e-4)
-    gained = np.diff(done.truth.velocity, axis=0) * 1000
-    middle = (done.truth.acceleration[1:] + done.truth.acceleration[:-1]) / 2
-    np.testing.assert_allclose(gained, middle, atol=0.01)
-
-
-@pytest.mark.slow
-def test_the_same_experiment_gives_the_same_bits(puma_recording: tb.Recording) -> None:
-    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
-    again = tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
-    for group in ("position", "torque", "wrench"):
-        np.testing.assert_array_equal(getattr(again, group), getattr(puma_recording, group))
-
-
-def friction_law(velocity: Array) -> Array:
-    coulomb, viscous = np.array([6.3, 5.5, 2.6]), np.array([5.80, 9.50, 3.98])
-    return coulomb * np.sign(velocity) + viscous * velocity
-
-
-def test_dry_friction_is_coulombs_above_a_hundredth_of_a_radian_a_second(puma: tb.Tree) -> None:
-    true = run(puma, PUMA, waving(3), Sampling(1000.0, 4, False, 0.0), 2.5e-4).truth
-    fast = np.abs(true.velocity) > 0.01
-    np.testing.assert_allclose(true.friction[fast], friction_law(true.velocity)[fast], atol=1e-12)
-    assert fast.mean() > 0.9
-
-
-def test_the_drive_follows_its_reference(puma_recording: tb.Recording) -> None:
-    true = puma_recording.truth
-    assert true is not None
-    assert max(puma_recording.facts["tracking_rms"].values()) < 2e-3
-    fast = np.abs(true.velocity) > 0.1
-    means = friction_law(true.velocity)  # of the mean velocity; the law is linear there
-    np.testing.assert_allclose(true.friction[fast], means[fast], atol=1e-3)
-
-
-def test_samples_are_means_by_the_trapezoidal_rule(puma: tb.Tree) -> None:
-    """One step a sample: the mean of two neighbours; the acceleration is what speed gained."""
-    runs = [
-        run(puma, PUMA, waving(3), Sampling(2000.0, 1, averaged, 0.1), 5e-4, friction=False)
+def test_samples_are_instants_or_means_by_the_trapezoidal_rule(puma: tb.Tree) -> None:
+    """The acceleration of a mean is what speed gained; means of five steps lie amid their ends."""
+    first, mean = (
+        run(puma, PUMA, waving(3), Sampling(2000.0, 1, averaged, 0.1), 5e-4, friction=False).truth
         for averaged in (False, True)
-    ]
-    first, mean = (done.truth for done in runs)
+    )
     for name in ("position", "velocity"):
         values = getattr(first, name)
-        np.testing.assert_allclose(
-            getattr(mean, name)[:-1], (values[1:] + values[:-1]) / 2, atol=1e-12
-        )
+        between = (values[1:] + values[:-1]) / 2
+        np.testing.assert_allclose(getattr(mean, name)[:-1], between, atol=1e-12)
     gain = np.diff(first.velocity, axis=0) * 2000
     np.testing.assert_allclose(mean.acceleration[:-1], gain, atol=1e-7)
     np.testing.assert_array_equal(mean.torque, first.torque)
-    np.testing.assert_allclose(mean.wrench, first.wrench, atol=0.05 * np.abs(first.wrench).max())
-
-
-@pytest.mark.parametrize("averaged", [False, True])
-def test_a_sample_of_several_steps_lies_between_its_ends(puma: tb.Tree, averaged: bool) -> None:
-    """Means of five steps are those of a run of five times as many samples' instants."""
-    coarse = run(puma, PUMA, waving(3), Sampling(400.0, 5, averaged, 0.1), 5e-4, friction=False)
-    q = coarse.truth.position
-    wanted = waving(3).at(coarse.time + averaged * 0.5 / 400).q
-    np.testing.assert_allclose(q, wanted, atol=5e-4)
-    assert np.abs(q - waving(3).at(coarse.time + (not averaged) * 0.5 / 400).q).max() > 1e-3
+    for averaged in (False, True):
+        sampling = Sampling(400.0, 5, averaged, 0.1)
+        coarse = run(puma, PUMA, waving(3), sampling, 5e-4, friction=False)
+        at = coarse.time + averaged * 0.5 / 400
+        np.testing.assert_allclose(coarse.truth.position, waving(3).at(at).q, atol=5e-4)
+        other = waving(3).at(coarse.time + (not averaged) * 0.5 / 400).q
+        assert np.abs(coarse.truth.position - other).max() > 1e-3
 
 
 def test_what_is_watched_is_what_is_recorded_and_what_went_before(puma: tb.Tree) -> None:
+    """A viewer sees the warm-up, from the reference's own state on; a recording begins at 0."""
     seen: list[tuple[Array, Truth]] = []
     done: list[tuple[int, int]] = []
-    plant = build_plant(ModelFile(PUMA), puma, 1e-3)
     rollout = simulate_motion(
-        plant,
-        puma,
-        waving(3),
-        2.0,
-        60.0,
+        build_plant(ModelFile(PUMA), puma, 1e-3), puma, waving(3), 2.0, 60.0,
         Sampling(1000.0, 1, False, 0.3),
         progress=lambda now, total: done.append((now, total)),
         watch=lambda time, truth: seen.append((time, truth)),
-    )
+    )  # fmt: skip
     assert done == [(1000, 2300), (2000, 2300), (2300, 2300)]
     time = np.concatenate([t for t, _ in seen])
     np.testing.assert_allclose(time, np.arange(-300, 2000) / 1000, atol=1e-12)
     np.testing.assert_array_equal(rollout.time, time[300:])
-    for name in ("position", "velocity", "acceleration", "torque", "friction", "wrench"):
+    for name in vars(rollout.truth):
         whole = np.concatenate([getattr(truth, name) for _, truth in seen])
         np.testing.assert_array_equal(getattr(rollout.truth, name), whole[300:])
-    np.testing.assert_array_equal(time[0], -0.3)
     started = waving(3).at(time[:1])
     np.testing.assert_allclose(seen[0][1].position[0], started.q[0], atol=1e-12)
     np.testing.assert_allclose(seen[0][1].velocity[0], started.qd[0], atol=1e-12)
 
 
-def weaker(tree: tb.Tree, share: float) -> tb.Tree:
-    joints = (replace(joint, max_effort=share * joint.max_effort) for joint in tree.joints)
-    return replace(tree, joints=tuple(joints))
-
-
-def test_tracking_is_the_rms_distance_from_the_reference(puma: tb.Tree) -> None:
-    strong = weaker(puma, 10)
-    done = run(strong, PUMA, waving(3), Sampling(500.0, 2, False, 0.2), 1e-3)
+def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
+    puma: tb.Tree,
+) -> None:
+    """The waving takes the shoulder to its limit; dry friction is Coulomb's unless it stands."""
+    done = run(puma, PUMA, waving(3), INSTANTS, 1e-3)
     away = done.truth.position - waving(3).at(done.time).q
     np.testing.assert_allclose(done.tracking, np.sqrt(np.mean(away**2, axis=0)), rtol=1e-9)
-    assert (done.tracking > 0).all()
-    assert (done.saturated == 0).all()
-
-
-def test_saturation_is_the_share_of_samples_at_the_limit(puma: tb.Tree) -> None:
-    """The waving takes the shoulder there."""
-    done = run(puma, PUMA, waving(3), Sampling(500.0, 2, False, 0.2), 1e-3)
     limits = np.array([joint.max_effort for joint in puma.joints])
-    torque = np.abs(done.truth.torque)
-    assert (torque <= limits).all()
-    np.testing.assert_array_equal(done.saturated, (torque == limits).mean(axis=0))
+    at_limit = np.abs(done.truth.torque) == limits
+    assert (np.abs(done.truth.torque) <= limits).all()
+    np.testing.assert_array_equal(done.saturated, at_limit.mean(axis=0))
     assert 0 < done.saturated.max() < 1
+    speed = done.truth.velocity
+    law = np.array([6.3, 5.5, 2.6]) * np.sign(speed) + np.array([5.80, 9.50, 3.98]) * speed
+    fast = np.abs(speed) > 0.02
+    np.testing.assert_allclose(done.truth.friction[fast], law[fast], atol=1e-9)
+    with refuses(SimulationDiverged, "shoulder"):
+        run(with_all(puma, max_effort=0.5), PUMA, waving(3), INSTANTS, 1e-3)
+    strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)
+    with refuses(SimulationDiverged, "1.00 s"):
+        simulate_motion(plant, strong, waving(3), 1.0, 1e5, replace(INSTANTS, warm_up=0.0))
+    tasks = [Task(plant, puma, waving(3), 60.0)] * 2
+    with pytest.raises(ValueError, match="alone|own"):
+        simulate_motions(tasks, 0.6, INSTANTS, forces=lambda t, q, v, motor: np.zeros(3))
 
 
-def test_motors_too_weak_to_follow_lose_the_reference(puma: tb.Tree) -> None:
-    with pytest.raises(SimulationDiverged, match=r"lost the reference at .*shoulder"):
-        run(weaker(puma, 0.01), PUMA, waving(3), Sampling(500.0, 2, False, 0.2), 1e-3)
-
-
-def test_a_run_that_blows_up_says_when(puma: tb.Tree) -> None:
-    """A loop far faster than the samples it is closed over."""
-    strong = weaker(puma, np.inf)
-    plant = build_plant(ModelFile(PUMA), puma, 1e-3)
-    with pytest.raises(SimulationDiverged, match=r"unstable near t = 1\.00 s; use a smaller step"):
-        simulate_motion(plant, strong, waving(3), 1.0, 1e5, Sampling(500.0, 2, False, 0.0))
+@pytest.mark.slow
+def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_bit() -> None:
+    """The laws of motion hold for what was stated, whatever the drive believes."""
+    words = ["motion.duration=1", "motion.candidates=1", "motion.fundamental=0.5",
+             "simulation.warm_up=0.5", "simulation.step=5e-4", "robot.joint.elbow.coulomb=4.5",
+             "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
+             ]  # fmt: skip
+    right, wrong, again = (
+        tb.simulate(
+            tb.Experiment.load(
+                ROOT / "experiments/noise_free.toml", [*words, f"simulation.drive_model_error={e}"]
+            )
+        )
+        for e in (0.0, 0.1, 0.1)
+    )
+    truth = wrong.truth
+    assert truth is not None
+    assert right.truth is not None
+    for name, values in vars(truth).items():
+        np.testing.assert_array_equal(getattr(again.truth, name), values)
+    assert np.abs(truth.position - right.truth.position).max() > 1e-4
+    load = tb.Inertia.about_centre(2.0, [0.05] * 3, 2e-3 * np.eye(3))
+    tree = tb.load_tree(PUMA).with_inertia(2, load)
+    motion = tb.Motion(wrong.time, truth.position, truth.velocity, truth.acceleration)
+    wrench = tb.base_wrench(tree, motion) + np.asarray(wrong.tare)
+    np.testing.assert_allclose(truth.wrench, wrench, atol=1e-9 * np.abs(wrench).max())
+    law = np.array([6.3, 5.5, 4.5]) * np.sign(motion.qd) + [0, 9.5, 3.98] * motion.qd
+    fast = np.abs(motion.qd) > 0.02
+    np.testing.assert_allclose(truth.friction[fast], law[fast], atol=1e-9)
+    for error in ("-0.1", "1.0", "nan"):
+        with refuses(tb.TestbedError, "simulation.drive_model_error"):
+            tb.Experiment.load(
+                ROOT / "experiments/table6.toml", [f"simulation.drive_model_error={error}"]
+            )

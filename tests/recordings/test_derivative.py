@@ -1,0 +1,136 @@
+"""Velocities held against positions: what is wrong is told with the line that cures it."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.errors import RecordingError
+from testbed.recordings.importing.foreign_units import UNITS, factor
+from tests.helpers.ideal import ideal
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import robot
+from tests.helpers.strategies import seeds
+
+JOINTS = robot("ur5").names
+N = len(JOINTS)
+UNIT = {"position": "rad", "velocity": "rad/s", "acceleration": "rad/s^2"}
+TURNS = [u for u in UNITS["velocity"] if u != "rad/s" and ("m" not in u[:1] or u == "mrad/s")]
+
+
+def log(folder: Path, seed: int = 0, noise: float = 0.0) -> dict[str, Any]:
+    """What a UR5 did, in radians."""
+    made, rng = ideal(robot("ur5"), duration=8, rate=100, seed=seed), np.random.default_rng(seed)
+    kinds: dict[str, Any] = {}
+    for kind in (*UNIT, "torque"):
+        values = made.measured(kind)
+        kinds[kind] = values + noise * np.std(values) * rng.normal(size=values.shape)
+    np.savez(folder / "log.npz", **kinds)
+    return kinds
+
+
+def columns(kind: str, order: Any = range(N)) -> list[str]:
+    return [f"{kind}[{k}]" for k in order]
+
+
+def mapping(**changed: dict[str, Any]) -> str:
+    """A mapping of it, right but for what is changed."""
+    tables: dict[str, dict[str, Any]] = {
+        kind: {"columns": columns(kind), "unit": unit}
+        for kind, unit in {**UNIT, "torque": "N m"}.items()
+        if kind != "acceleration" or kind in changed
+    }
+    lines = ["rate = 100", f"joints = {json.dumps(JOINTS)}"]
+    lines += ["[sources.log]", 'file = "log.npz"', "rate = 100"]
+    for kind, table in tables.items():
+        lines += [f"[{kind}]", 'source = "log"']
+        said = table | changed.get(kind, {})
+        lines += [f"{key} = {json.dumps(value)}" for key, value in said.items()]
+    return "\n".join(lines) + "\n"
+
+
+def imported(folder: Path, text: str) -> tb.Recording:
+    (folder / "map.toml").write_text(text)
+    return tb.Recording.from_mapping(folder / "map.toml")
+
+
+def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:
+    """The mapping's lines in a refusal, as tables."""
+    with pytest.raises(RecordingError) as refused:
+        imported(folder, text)
+    said = str(refused.value).partition("in the mapping: ")[2].rpartition("; or leave")[0]
+    found: dict[str, dict[str, Any]] = {}
+    for part in said.split(" and "):
+        kind, _, keys = part.strip("[").partition("] ")
+        found[kind] = tomllib.loads(keys.replace(", sign", "\nsign").replace(", unit", "\nunit"))
+    return found
+
+
+@hypothesis.settings(max_examples=8)
+@given(
+    seed=seeds,
+    wrong=st.fixed_dictionaries(
+        {},
+        optional={
+            "unit": st.sampled_from(TURNS),
+            "sign": st.permutations([-1, -1, 1, 1, 1, 1]).map(list),
+            "columns": st.permutations(range(N)).map(lambda order: columns("velocity", order)),
+        },
+    ).filter(lambda wrong: bool(wrong) and wrong.get("columns") != columns("velocity")),
+)
+def test_the_cure_of_a_wrong_velocity_makes_it_right(
+    seed: int, wrong: dict[str, Any], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Unit, signs and order, alone and together; noise of 2 % besides."""
+    folder = tmp_path_factory.mktemp("log")
+    log(folder, seed, noise=0.02)
+    found = cure(folder, mapping(velocity=wrong))
+    assert set(found) == {"velocity"}
+    made = imported(folder, mapping(velocity=wrong | found["velocity"])).measured("velocity")
+    right = ideal(robot("ur5"), duration=8, rate=100, seed=seed).measured("velocity")
+    assert np.corrcoef(made.ravel(), right.ravel())[0, 1] > 0.99
+    assert np.std(made) == pytest.approx(np.std(right), rel=0.01)
+
+
+def test_which_of_two_is_in_another_unit_is_told_by_their_sizes(tmp_path: Path) -> None:
+    """Positions in degrees, both in one unit, accelerations against velocities; a dead encoder."""
+    data = log(tmp_path)
+    assert imported(tmp_path, mapping(acceleration={})).senses_kinematics
+    wrong = mapping(acceleration={"unit": "deg/s^2"})
+    assert cure(tmp_path, wrong) == {"acceleration": {"unit": "rad/s^2"}}
+    degrees = data | {"position": data["position"] / factor("position", "deg")}
+    np.savez(tmp_path / "log.npz", **degrees)
+    assert cure(tmp_path, mapping()) == {"position": {"unit": "deg"}}
+    for was, said in (("rad", "deg"), ("deg", "rad")):
+        both = {kind: data[kind] / factor("position", was) for kind in ("position", "velocity")}
+        np.savez(tmp_path / "log.npz", **data | both)
+        units = {"position": was, "velocity": f"{was}/s"}
+        for kind, right in units.items():
+            told = units | {kind: right.replace(was, said)}
+            tables = {name: {"unit": unit} for name, unit in told.items()}
+            assert cure(tmp_path, mapping(**tables)) == {kind: {"unit": right}}
+    data["position"][:, 1] = 0.0
+    np.savez(tmp_path / "log.npz", **data)
+    with refuses(RecordingError, JOINTS[1]):
+        imported(tmp_path, mapping())
+
+
+def test_a_right_velocity_is_taken_and_a_robot_at_rest_says_nothing(tmp_path: Path) -> None:
+    for noise in (0.0, 0.02, 0.3):
+        log(tmp_path, noise=noise)
+        told = imported(tmp_path, mapping()).facts["import"]["signals"]["velocity"]
+        assert told["use"]
+        assert bool(told["notes"]) == (noise > 0.1)  # it follows, but badly
+    data = log(tmp_path)
+    still = {"position": np.full_like(data["position"], 0.3), "velocity": 0 * data["velocity"]}
+    np.savez(tmp_path / "log.npz", **data | still)
+    assert not imported(tmp_path, mapping()).facts["import"]["signals"]["velocity"]["notes"]

@@ -1,0 +1,287 @@
+"""Every foreign format, written by its own library, is read back; damage and traps are refused."""
+
+from __future__ import annotations
+
+import builtins
+import gzip
+from pathlib import Path
+from typing import Any
+
+import h5py
+import hypothesis
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+from scipy.io import savemat
+
+import testbed as tb
+from testbed.errors import RecordingError, TestbedError, UnknownName
+from testbed.recordings.importing.foreign_units import TIMES
+from testbed.recordings.importing.guess import guessed
+from testbed.recordings.importing.readers import open_foreign
+from testbed.recordings.importing.readers.ros_messages import numbers_of
+from tests.helpers.foreign_files import EPOCH, FORMATS, SINGLE, some_log, write_c3d
+from tests.helpers.refusals import is_message, refuses
+from tests.helpers.strategies import rngs
+
+STAMPS = 2.4e-7
+"""Spacing of doubles at seconds since 1970 [s]."""
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
+    name: str, tmp_path: Path
+) -> None:
+    """To the last bit; single precision and stamps since 1970 as far as they go."""
+    log = some_log()
+    (tmp_path / "map.toml").write_text(FORMATS[name](tmp_path, log))
+    found = tb.Recording.from_mapping(tmp_path / "map.toml")
+    np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
+    for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
+        exact = wanted.astype(np.float32) if name in SINGLE else wanted
+        np.testing.assert_array_equal(found.measured(signal), exact)
+    assert found.facts.get("warnings") is None
+    file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
+    text = guessed([file], tmp_path).text
+    (tmp_path / "guess.toml").write_text(text)
+    with pytest.raises(TestbedError) as empty:  # a person fills in units and sense, all at once
+        tb.Recording.from_mapping(tmp_path / "guess.toml")
+    assert "guess.toml" in str(empty.value)
+    if name not in ("csv", "c3d"):
+        assert all(key in str(empty.value) for key in ("unit", "units", "sense"))
+    if name == "mcap":
+        return  # a folder
+    data = file.read_bytes()
+    file.write_bytes(data[: len(data) // 3] + b"," * (name == "csv"))
+    with pytest.raises(RecordingError) as damaged:
+        tb.Recording.from_mapping(tmp_path / "map.toml")
+    assert is_message(str(damaged.value))
+    assert "log." in str(damaged.value)
+
+
+def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:
+    """Separators, decimal commas, preambles, quotes, doubled names, words; packed, in Latin-1."""
+    cases: list[tuple[str, dict[str, list[float]]]] = [
+        ("1 2\n3 4\n5 6\n", {"0": [1, 3, 5], "1": [2, 4, 6]}),
+        ("a;b\n1,5;2\n3;4,25\n", {"a": [1.5, 3], "b": [2, 4.25]}),
+        ('% by a logger\n"a","b"\n1,2\n3,4\n', {"a": [1, 3], "b": [2, 4]}),
+        ("speed of all\na\tb\ta\n1\t2\t3\n4\t5\t6\n", {"a": [1, 4], "b": [2, 5], "a (2)": [3, 6]}),
+        ("# größe b\n1 2\n3 4\n", {"größe": [1, 3], "b": [2, 4]}),
+        ("t,what,b\n0,on,2\n1,off,4\n", {"t": [0, 1], "b": [2, 4]}),
+    ]
+    for text, wanted in cases:
+        (tmp_path / "log.txt").write_bytes(text.encode("latin-1"))
+        (tmp_path / "log.csv.gz").write_bytes(gzip.compress(text.encode()))
+        for name in ("log.txt", "log.csv.gz"):
+            table = open_foreign(tmp_path / name)
+            assert table.columns == tuple(wanted)
+            read = table.read(table.columns)
+            assert {key: values.tolist() for key, values in read.items()} == wanted
+    ticks = [1_761_234_567_000_000_001 + 10**7 * k for k in range(4)]  # more digits than doubles
+    (tmp_path / "log.csv").write_text("t,q\n" + "".join(f"{tick},1\n" for tick in ticks))
+    assert open_foreign(tmp_path / "log.csv").stamps("t").tolist() == ticks
+    np.save(tmp_path / "log.npy", np.arange(6.0).reshape(3, 2))
+    assert open_foreign(tmp_path / "log.npy").read(["array[1]"])["array[1]"].tolist() == [1, 3, 5]
+
+
+@given(rng=rngs, style=st.sampled_from([(",", "."), (";", ","), ("\t", ".")]), word=st.booleans())
+def test_a_field_that_is_no_number_is_named_by_line_and_column_and_an_empty_one_is_nan(
+    rng: np.random.Generator, style: tuple[str, str], word: bool,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:  # fmt: skip
+    """Comments and a preamble count as lines."""
+    separator, point = style
+    numbers = rng.normal(size=(30, 4))
+    row, column = int(rng.integers(1, 30)), int(rng.integers(0, 4))
+    rows = [[f"{x:.6f}".replace(".", point) for x in each] for each in numbers]
+    rows[row][column] = "off" if word else ""
+    lines = ["of a logger", separator.join("abcd"), *map(separator.join, rows)]
+    lines.insert(10, "# a comment")
+    path = tmp_path_factory.mktemp("text") / "log.csv"
+    path.write_text("\n".join(lines))
+    if word:
+        number = lines.index(separator.join(rows[row])) + 1
+        with refuses(RecordingError, f"line {number}:", f"'{'abcd'[column]}'"):
+            open_foreign(path)
+    else:
+        numbers[row, column] = np.nan
+        read = open_foreign(path).read(list("abcd"))
+        np.testing.assert_allclose(np.stack(list(read.values()), axis=1), numbers, atol=1e-6)
+
+
+def test_traps_in_files_are_not_opened(tmp_path: Path) -> None:
+    """Pickles, links to other files, arrays larger than memory, words and volumes of MATLAB."""
+    np.savez(tmp_path / "log.npz", q=np.arange(3.0), bad=np.array([{}], dtype=object))
+    assert open_foreign(tmp_path / "log.npz").columns == ("q",)
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["secret"] = np.arange(5.0)
+    with h5py.File(tmp_path / "log.h5", "w") as file:
+        file["link"] = h5py.ExternalLink("other.h5", "secret")
+        layout = h5py.VirtualLayout((5,), "f8")
+        layout[:] = h5py.VirtualSource("other.h5", "secret", (5,))
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("q", (10**9, 2), "f8", chunks=(1024, 2))
+        file.create_dataset("picture", (10**8, 10**8), "f8", chunks=(16, 16))
+    table = open_foreign(tmp_path / "log.h5")
+    assert table.columns == ("q[0]", "q[1]")
+    with refuses(RecordingError, "log.h5"):
+        table.read(["q[0]"])
+    content = {"q": np.arange(6.0).reshape(3, 2), "note": "by hand", "volume": np.zeros((2, 2, 2)),
+               "log": {"t": np.arange(3.0), "who": "me"}}  # fmt: skip
+    savemat(tmp_path / "log.mat", content)
+    columns = {name.split("[")[0] for name in open_foreign(tmp_path / "log.mat").columns}
+    assert columns == {"q", "log/t"}
+
+
+BAD_FILES = (
+    ("a.csv", b""), ("a.csv", b"words\nand more words\n"), ("a.csv", b"1,2\n\0\n"),
+    ("a.c3d", b"\2\x50" + bytes(100)), ("a.c3d", b"\2\x51" + bytes(2000)),
+    ("a.xls", b"1"), ("a.npz.gz", b"1"), ("a", b"1"), ("none/a.csv", None), (".", None),
+)  # fmt: skip
+
+
+def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, data in BAD_FILES:
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        with pytest.raises((RecordingError, UnknownName)) as refused:
+            open_foreign(tmp_path / name)
+        assert data is None or name[1:] in str(refused.value)
+        assert "\n" not in str(refused.value)
+    np.savez(tmp_path / "empty.npz", text=np.array(["a", "b"]))
+    with refuses(RecordingError, "empty.npz"):
+        guessed([tmp_path / "empty.npz"], tmp_path)
+    FORMATS["bag"](tmp_path, some_log())
+    with refuses(UnknownName, "/joint_states", "/plate"):
+        open_foreign(tmp_path / "log.bag", "/joints")
+    plate = open_foreign(tmp_path / "log.bag", "/plate")
+    assert plate.read(["received"])["received"][0] == EPOCH
+    with refuses(UnknownName, "'wrench/force/w'"):
+        plate.read(["wrench/force/w"])
+    FORMATS["hdf5"](tmp_path, some_log())
+    real = builtins.__import__
+
+    def without(what: str, *args: Any, **kwargs: Any) -> Any:
+        if what.partition(".")[0] in ("h5py", "rosbags"):
+            raise ImportError(what)
+        return real(what, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    for name, package in (("log.h5", "h5py"), ("log.bag", "rosbags")):
+        with refuses(RecordingError, package, "[import]"):
+            open_foreign(tmp_path / name, "/plate" if package == "rosbags" else None)
+
+
+def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
+    tmp_path: Path,
+) -> None:
+    def opened(**columns: Any) -> Any:
+        pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+        return open_foreign(tmp_path / "log.parquet")
+
+    for kind in (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64()):
+        (found,) = opened(x=pa.array([0, 1, 1]).cast(kind)).read(["x"]).values()
+        assert (found.dtype, found.tolist()) == (np.float64, [0.0, 1.0, 1.0])
+    for unit, size in {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}.items():
+        ticks = [2 * size, 3 * size, 5 * size]
+        at, lasts = (pa.array(ticks, kind(unit)) for kind in (pa.timestamp, pa.duration))
+        table = opened(at=at, lasts=lasts)
+        for name in ("at", "lasts"):
+            assert table.stamps(name).dtype == np.int64
+            assert (table.stamps(name) * TIMES[table.units[name]]).tolist() == [2.0, 3.0, 5.0]
+    pairs = pa.list_(pa.float64(), 2)
+    table = opened(q=pa.array([[1.0, 2.0], [3.0, 4.0]], pairs), words=["a", "b"])
+    assert table.columns == ("q[0]", "q[1]")
+    assert table.read(["q[1]"])["q[1]"].tolist() == [2.0, 4.0]
+    for hole in (pa.array([1.0, None]), pa.array([[1.0, None], [3.0, 4.0]], pairs),
+                 pa.array([[1.0, 2.0], None], pairs)):  # fmt: skip
+        table = opened(x=hole)
+        with refuses(RecordingError, "'x'", "1"):
+            table.read(table.columns)
+
+
+POLYGON, DIAGNOSTIC = "geometry_msgs/msg/Polygon", "diagnostic_msgs/msg/DiagnosticStatus"
+
+
+@hypothesis.settings(max_examples=4)
+@given(version=st.sampled_from([1, 2]), rng=rngs)
+def test_ros_messages_are_numbers_by_their_paths(
+    version: int, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Lists of messages, texts between numbers; lists that grow, and lengths that lie, are none."""
+    store = get_typestore({1: Stores.ROS1_NOETIC, 2: Stores.ROS2_HUMBLE}[version])
+    kinds, definitions = store.types, store.fielddefs
+
+    def packed(kind: str, message: Any) -> bytes:
+        pack = store.serialize_ros1 if version == 1 else store.serialize_cdr
+        return bytes(pack(message, kind))
+
+    def polygon(points: Any) -> bytes:
+        each = [kinds["geometry_msgs/msg/Point32"](*map(float, point)) for point in points]
+        return packed(POLYGON, kinds[POLYGON](each))
+
+    def bag(messages: list[bytes]) -> Path:
+        folder = tmp_path_factory.mktemp("bag")
+        path = folder / ("log.bag" if version == 1 else "log")
+        plugin = StoragePlugin.MCAP
+        writer: Any = Writer1(path) if version == 1 else Writer(
+            path, version=9, storage_plugin=plugin
+        )  # fmt: skip
+        with writer:
+            topic = writer.add_connection("/told", POLYGON, typestore=store)
+            for k, message in enumerate(messages):
+                writer.write(topic, EPOCH + k * 10_000_000, message)
+        return path
+
+    points = rng.normal(size=(5, 3, 3)).astype(np.float32)
+    names = [f"points[{k}]/{axis}" for k in range(3) for axis in "xyz"]
+    found = open_foreign(bag([polygon(each) for each in points]), "/told").read(names)
+    for name, values in zip(names, points.reshape(5, 9).T, strict=True):
+        np.testing.assert_array_equal(found[name], values)
+    with refuses(RecordingError, "points[2]/x"):
+        open_foreign(bag([polygon(np.ones((k, 3))) for k in (2, 2, 3)]), "/told")
+    pair = kinds["diagnostic_msgs/msg/KeyValue"]
+    told = [pair("temperature", "41.5"), pair("größe", "")]
+    data = packed(DIAGNOSTIC, kinds[DIAGNOSTIC](2, "plate", "warm", "id 7", told))
+    assert numbers_of(data, DIAGNOSTIC, definitions, version) == {"level": 2.0}
+    data, start = polygon(np.ones((2, 3))), 0 if version == 1 else 4
+    for count in (10**6, 3, 1):
+        wrong = data[:start] + count.to_bytes(4, "little") + data[start + 4 :]
+        if count == 1:
+            assert len(numbers_of(wrong, POLYGON, definitions, version)) == 3
+        else:
+            with refuses(ValueError):
+                numbers_of(wrong, POLYGON, definitions, version)
+
+
+def test_a_c3d_file_has_points_beside_channels_with_units_names_and_what_was_not_seen(
+    tmp_path: Path,
+) -> None:
+    rng = np.random.default_rng(0)
+    place, force = rng.normal(size=(3, 2, 6)), rng.normal(size=(4, 6))
+    place[:, 0, 2] = np.nan
+    write_c3d(
+        tmp_path / "log.c3d", force, place,
+        ANALOG={"LABELS": ("Fx", "Fx", "", "My"), "UNITS": ("N", "N", "", "Nmm")},
+        POINT={"LABELS": ("m", "n"), "UNITS": ("mm",)},
+    )  # fmt: skip
+    table = open_foreign(tmp_path / "log.c3d")
+    channels = ("analog/Fx", "analog/Fx (1)", "analog/2", "analog/My")
+    points = [f"point/{name}/{axis}" for name in "mn" for axis in "xyz"]
+    assert set(table.columns) == {"analog/time", "point/time", *points, *channels}
+    units = {"analog/time": "s", "point/time": "s", "analog/Fx": "N", "analog/My": "Nmm"}
+    assert table.units == units | dict.fromkeys(points, "mm")
+    read = table.read(table.columns)
+    np.testing.assert_allclose(read["analog/time"], np.arange(6) / 100.0)
+    for name, values in zip(channels, force, strict=True):
+        np.testing.assert_allclose(read[name], values, rtol=1e-6)
+    for name, values in zip(points, place.transpose(1, 0, 2).reshape(6, 6), strict=True):
+        np.testing.assert_allclose(read[name], values, rtol=1e-6)
