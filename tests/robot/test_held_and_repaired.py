@@ -327,6 +327,11 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         path = written(set_link(text_of(robot, form), "j2_body", *never), folder, form)
         with refuses(InertiaError, "'j2_body'"):
             tb.load_tree(path, repair={})
+        for mass, moment in ((-1.0, 1e-3), (1.0, float("nan"))):  # no body is near
+            wrong = set_link(text_of(robot, form), "j2_body", mass, (1e-3, 1e-3, moment))
+            with refuses(ModelError, "'j2_body'"):
+                tb.load_tree(written(wrong, folder, form))
+        path = written(set_link(text_of(robot, form), "j2_body", *never), folder, form)
         found = nearest_bodies(path)
         body = found.bodies["j2_body"]
         assert len(found.bodies) == 1

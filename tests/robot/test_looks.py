@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -430,27 +430,3 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     drawn = load_shapes(puma.path, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)
     assert len(load_appearance(puma.tree()).shapes) == len(list(sticks(puma.tree()))) + 1
-
-
-@given(trees((1, 5)))
-def test_lengths_grow_with_the_robot(tree: tb.Tree) -> None:
-    """Ten times as large, ten times the reach: arrows and text fit hands and cranes."""
-    joints = tuple(replace(joint, offset=10 * joint.offset) for joint in tree.joints)
-    inertias = tuple(
-        replace(each, first_moment=10 * each.first_moment, tensor=100 * each.tensor)
-        for each in tree.inertias
-    )
-    small = load_appearance(tree)
-    large = load_appearance(replace(tree, joints=joints, inertias=inertias))
-    if small.reach > 0.1:
-        assert large.reach == pytest.approx(10 * small.reach)
-    assert set(small.tips) == {j for j in range(tree.n) if not tree.children(j)}
-
-
-@given(rngs, st.sampled_from([*np.eye(3), *-np.eye(3), np.array([1e-9, 0, 1]), None]))
-def test_upright_turns_z_into_any_direction(rng: np.random.Generator, to: Array | None) -> None:
-    direction = rng.normal(size=3) if to is None else to
-    turn = upright(direction)
-    np.testing.assert_allclose(turn[:, 2], direction / np.linalg.norm(direction), atol=1e-15)
-    np.testing.assert_allclose(turn.T @ turn, np.eye(3), atol=1e-14)
-    assert np.linalg.det(turn) == pytest.approx(1.0)

@@ -83,37 +83,6 @@ def test_reach_says_who_lies_on_whose_chain(tree: tb.Tree) -> None:
         assert tree.children(j) == tuple(k for k in range(tree.n) if tree.parents[k] == j)
 
 
-WELDED = {
-    "r.urdf": '<robot name="r"><link name="b"/><link name="l"><inertial><origin xyz="0 0 .1"/>'
-    '<mass value="2"/><inertia ixx=".1" ixy="0" ixz="0" iyy=".1" iyz="0" izz=".05"/></inertial>'
-    '<visual><geometry><mesh filename="package://nowhere/l.dae"/></geometry></visual></link>'
-    '<joint name="j" type="continuous"><parent link="b"/><child link="l"/><axis xyz="0 0 1"/>'
-    '</joint><link name="tool"><inertial><origin xyz=".1 0 0"/><mass value="1"/>'
-    '<inertia ixx=".01" ixy="0" ixz="0" iyy=".02" iyz="0" izz=".02"/></inertial></link>'
-    '<joint name="w" type="fixed"><parent link="l"/><child link="tool"/>'
-    '<origin xyz="0 .3 0" rpy="0 0 1.5707963267948966"/></joint></robot>',
-    "r.xml": '<mujoco><compiler angle="radian"/><asset><mesh name="m" file="nowhere.stl"/></asset>'
-    '<worldbody><body name="l"><joint name="j"/><geom type="mesh" mesh="m"/>'
-    '<inertial mass="2" pos="0 0 .1" diaginertia=".1 .1 .05"/>'
-    '<body name="tool" pos="0 .3 0" euler="0 0 1.5707963267948966">'
-    '<inertial mass="1" pos=".1 0 0" diaginertia=".01 .02 .02"/></body></body></worldbody>'
-    "</mujoco>",
-}
-
-
-def test_a_tool_welded_to_a_link_is_part_of_it_and_lost_meshes_do_not_matter(
-    tmp_path: Path,
-) -> None:
-    """Mass, first moment and inertia add up, in both formats."""
-    for name, text in WELDED.items():
-        (tmp_path / name).write_text(text)
-        (body,) = tb.load_tree(tmp_path / name).inertias
-        assert body.mass == pytest.approx(3.0)
-        np.testing.assert_allclose(body.com, [0, 0.4 / 3, 0.2 / 3], atol=SAME)
-        moments = [0.1 + 2 * 0.01 + 0.02 + 0.4**2, 0.1 + 2 * 0.01 + 0.01, 0.05 + 0.02 + 0.4**2]
-        np.testing.assert_allclose(np.diag(body.tensor), moments, atol=SAME)
-
-
 @given(rngs)
 def test_an_inertia_seen_from_elsewhere_is_the_same_body(rng: np.random.Generator) -> None:
     com, at, angles = rng.uniform(-2, 2, (3, 3))
@@ -347,35 +316,3 @@ def test_laws_are_found_by_name() -> None:
     for wrong in ("viscos", *(f"stribeck@{x}" for x in ("", "0", "fast", "-1", "inf"))):
         with refuses(UnknownName, f"'{wrong}'", "viscous", "stribeck@0.1"):
             joint_law(wrong)
-
-
-@pytest.mark.parametrize("form", ["urdf", "xml"])
-@pytest.mark.parametrize(
-    ("mass", "moments"),
-    [("-1", (1, 1, 1)), ("nan", (1, 1, 1)), ("1", (1, 1, math.nan)), ("1", (1, 1, 3)),
-     ("1", (0, 0, 0)), ("0", (1, 1, 1))],
-)  # fmt: skip
-def test_a_body_that_cannot_be_is_refused_by_name_or_repaired_and_said(
-    mass: str, moments: tuple[float, ...], form: str, tmp_path: Path
-) -> None:
-    """Numbers that no matter has, and that nobody would see in a simulation."""
-    x, y, z = moments
-    (tmp_path / f"r.{form}").write_text(
-        f'<robot name="r"><link name="b"/><link name="l"><inertial><mass value="{mass}"/><inertia '
-        f'ixx="{x}" iyy="{y}" izz="{z}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        f'{JOINT.format("j", "continuous", "")}</robot>'
-        if form == "urdf"
-        else MJCF.format(
-            f'<body name="l"><joint name="j"/><inertial mass="{mass}" pos="0 0 0" '
-            f'diaginertia="{x} {y} {z}"/></body>', ""
-        )
-    )  # fmt: skip
-    with refuses(ModelError, "'l'"):
-        tb.load_tree(tmp_path / f"r.{form}", repair={})
-    if mass == "-1" or "nan" in f"{mass}{moments}":  # no body is near
-        with refuses(ModelError, "'l'"):
-            tb.load_tree(tmp_path / f"r.{form}")
-        return
-    tree = tb.load_tree(tmp_path / f"r.{form}")
-    assert len(tree.warnings) == 1
-    assert "'l'" in tree.warnings[0]

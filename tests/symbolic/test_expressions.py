@@ -19,7 +19,6 @@ from testbed.symbolic.expression import (
     symbol,
 )
 from testbed.symbolic.languages.paper import line
-from testbed.symbolic.languages.text import harmless
 from testbed.symbolic.parse import read_listing
 from testbed.symbolic.polynomial import LARGEST, Ring, same
 from testbed.symbolic.symbol_algebra import cosine, sine
@@ -160,16 +159,6 @@ def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> No
     assert read_listing(f"Q1 = {text}", NAMES)["Q1"] == (
         g * (over / 2**shift) if over else number(0)
     )
-
-
-@given(st.text())
-def test_a_comment_holds_nothing_that_any_language_obeys(text: str) -> None:
-    """Names of a robot's file stand in generated code."""
-    shown = harmless(text)
-    assert shown.isascii()
-    assert len(shown) <= 120
-    assert all(c.isalnum() or c in "_.,+-() /" for c in shown)
-    assert harmless(shown) == shown
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from testbed.symbolic.angles import almost_right, right_angles
 from testbed.symbolic.compare import compare_equations
 from testbed.symbolic.equations import FORMS, Equations, Form, Listing, equations
 from testbed.symbolic.kinds import KINDS
-from testbed.symbolic.languages import Language, as_document, write_equations
+from testbed.symbolic.languages import Language, write_equations
 from tests.helpers.generated import LatexReader, c_call, c_library, latex_blocks, python_module
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio
@@ -264,13 +264,3 @@ def test_turns_close_to_quarter_turns_are_said_and_squared_and_others_stay(off: 
     close = abs(off) < 1e-4
     np.testing.assert_array_equal(right_angles(tree).joints[0].axis, [0, 0, 1] if close else axis)
     assert set(almost_right(tree)) == ({"a"} if 1e-12 < abs(off) < 1e-4 else set())
-
-
-def test_a_document_for_programs_says_what_is_printed(puma: tb.Tree) -> None:
-    listing = equations(puma, ["joint-forces"], "reduced", zeros=True)
-    document = as_document(listing, write_equations(listing, "paper"))
-    forces = document["equations"]["joint-forces"]
-    assert forces["shape"] == (3,)
-    assert forces["operations"]["trigonometric"] == listing.equations[0].program.count.trigonometric
-    assert forces["delta_d"][2] == {"name": "2*K3d", "unit": "kg m^2"}
-    assert document["constants"] == pytest.approx({"l12z": 0.6718, "l23z": 0.4318, "g": 9.81})
