@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import InertiaError, MimicError, ModelError, UnknownName
-from testbed.robot.inertia import Inertia, inertia_flaw, nearest_body
+from testbed.robot.inertia import SMALL, Inertia, inertia_flaw, nearest_body
 from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import parse_lock
 from testbed.robot.model_file import ModelFile
@@ -367,9 +367,14 @@ def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path:
     path = written(ET.tostring(root, encoding="unicode"), tmp_path)
     with refuses(InertiaError, "'j3_body'"):
         tb.load_tree(path, repair={})
-    masses = [inertia.mass for inertia in tb.load_tree(path).inertias]
-    assert masses[0] == 0
-    assert 0 < masses[2] < 1e-4 * masses[1]
+    mended = tb.load_tree(path)
+    bare, arm, end = mended.inertias
+    assert bare.mass == 0
+    assert 0 < end.mass < 1e-4 * arm.mass
+    square, *others = (
+        float(np.trace(each.pseudo[:3, :3])) / each.mass for each in (end, arm, mended.pedestal)
+    )
+    assert square == pytest.approx(SMALL**2 * max(others))  # its size fits the robot's
     assert tb.load_tree(path, repair={}, lock={"j3": None}).n == 2  # held, it is a frame
     body = Inertia.about_centre(2.0, (0.1, 0, 0), np.eye(3))
     given = tb.load_tree(path, repair={"j2_body": body, "j3_body": body})

@@ -430,3 +430,14 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     drawn = load_shapes(puma.path, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)
     assert len(load_appearance(puma.tree()).shapes) == len(list(sticks(puma.tree()))) + 1
+
+
+@given(trees((1, 4)))
+def test_two_robots_side_by_side_have_the_reach_of_one(tree: tb.Tree) -> None:
+    """Arrows and text fit a hand of five fingers as they fit one finger."""
+    twins = tuple(
+        replace(j, name=f"{j.name}'", parent=-1 if j.parent < 0 else j.parent + tree.n)
+        for j in tree.joints
+    )
+    both = replace(tree, joints=tree.joints + twins, inertias=tree.inertias * 2)
+    assert load_appearance(both).reach == pytest.approx(load_appearance(tree).reach)
