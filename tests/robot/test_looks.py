@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
-import xml.etree.ElementTree as ET
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.robot.model_file import ModelFile
-from testbed.robot.rotations import about, from_rpy, to_rpy
+from testbed.robot.rotations import about, to_rpy
 from testbed.robot.visuals.appearance import bounds, load_appearance
 from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.load_shapes import load_shapes
@@ -31,28 +31,6 @@ from tests.helpers.robots import random_robot
 from tests.helpers.strategies import rngs, seeds, trees
 
 SINGLE = 1e-6  # meshes are kept in single precision
-
-
-@dataclass(frozen=True)
-class Dressed:
-    """One shape of one body, as both files are to state it."""
-
-    body: str
-    kind: str
-    size: Array
-    position: Array
-    rpy: tuple[float, float, float]
-    colour: Array
-
-    def as_shape(self, body: int) -> Shape:
-        """What is to be found."""
-        size = np.repeat(self.size, 3) if self.kind == "sphere" else self.size
-        kind = "ellipsoid" if self.kind == "sphere" else self.kind
-        rotation = from_rpy(self.rpy)
-        if kind == "mesh":
-            return Shape(body, "mesh", np.zeros(0), self.position, rotation, self.colour,
-                         WEDGE * self.size, FACES)  # fmt: skip
-        return Shape(body, kind, size, self.position, rotation, self.colour)  # type: ignore[arg-type]
 
 
 WEDGE = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.5]])
@@ -79,75 +57,52 @@ def text(values: Array | tuple[float, ...]) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def clothe(seed: int, folder: Path) -> tuple[list[Dressed], Path, Path]:
-    """A random robot with random shapes, in both languages."""
+SIZES = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "mesh": 3}
+
+
+def clothe(seed: int, folder: Path) -> tuple[dict[str, list[Shape]], Path, Path]:
+    """A random robot with random shapes by the name of their body, in both languages."""
     rng = np.random.default_rng(seed)
     robot = random_robot(rng, int(rng.integers(2, 7)))
-    names = ["pedestal_body", *(f"{link.name}_body" for link in robot.links)]
-    kinds = {"box": 3, "sphere": 1, "cylinder": 2, "capsule": 2, "mesh": 3}
-    clothes = [
-        Dressed(
-            name,
-            kind := str(rng.choice(list(kinds))),
-            rng.uniform(0.05, 0.4, kinds[kind]),
-            rng.uniform(-0.5, 0.5, 3),
-            to_rpy(about(upright(rng.normal(size=3))[:, 2], rng.uniform(-3, 3))),
-            np.round(rng.uniform(0, 1, 4), 3),
-        )
-        for name in names
-        for _ in range(int(rng.integers(0, 4)))
-    ]
+    urdf, mjcf, assets = robot.urdf(), robot.mjcf(), ""
+    clothes: dict[str, list[Shape]] = {}
+    for name in ("pedestal_body", *(f"{link.name}_body" for link in robot.links)):
+        visuals = geoms = ""
+        clothes[name] = []
+        for k in range(int(rng.integers(0, 4))):
+            kind = str(rng.choice(list(SIZES)))
+            size, place = rng.uniform(0.05, 0.4, SIZES[kind]), rng.uniform(-0.5, 0.5, 3)
+            turn = about(upright(rng.normal(size=3))[:, 2], rng.uniform(-3, 3))
+            colour, rpy = np.round(rng.uniform(0, 1, 4), 3), text(to_rpy(turn))
+            round_form = f'radius="{text(size[:1])}" length="{text(2 * size[1:])}"'
+            form = {
+                "box": f'size="{text(2 * size)}"',
+                "sphere": f'radius="{text(size)}"',
+                "mesh": f'filename="wedge.stl" scale="{text(size)}"',
+            }.get(kind, round_form)
+            visuals += (
+                f'<visual><origin xyz="{text(place)}" rpy="{rpy}"/><geometry><{kind} {form}/>'
+            )
+            visuals += f'</geometry><material name="{name}{k}"><color rgba="{text(colour)}"/>'
+            visuals += "</material></visual>"
+            form = f'mesh="{name}{k}"' if kind == "mesh" else f'size="{text(size)}"'
+            geoms += f'<geom type="{kind}" {form} pos="{text(place)}" euler="{rpy}" '
+            geoms += f'rgba="{text(colour)}"/>'
+            if kind == "mesh":
+                assets += f'<mesh name="{name}{k}" file="wedge.stl" scale="{text(size)}"/>'
+                mesh = (np.zeros(0), place, turn, colour, WEDGE * size, FACES)
+                clothes[name].append(Shape(0, "mesh", *mesh))
+            else:
+                full: Kind = "ellipsoid" if kind == "sphere" else kind  # type: ignore[assignment]
+                size = np.repeat(size, 3) if kind == "sphere" else size
+                clothes[name].append(Shape(0, full, size, place, turn, colour))
+        urdf = urdf.replace(f'<link name="{name}">', f'<link name="{name}">{visuals}')
+        mjcf = re.sub(f'(<body name="{name}"[^>]*>)', rf"\1{geoms}", mjcf)
+    head = f'<compiler angle="radian" eulerseq="XYZ"/><asset>{assets}</asset>'  # fixed axes
     write_stl(folder / "wedge.stl")
-    urdf, mjcf = ET.fromstring(robot.urdf()), ET.fromstring(robot.mjcf())
-    compiler = mjcf.find("compiler")
-    assert compiler is not None
-    compiler.set("eulerseq", "XYZ")  # about fixed axes, as in URDF
-    assets = ET.SubElement(mjcf, "asset")
-    for k, each in enumerate(clothes):
-        link = next(link for link in urdf.iter("link") if link.get("name") == each.body)
-        body = next(body for body in mjcf.iter("body") if body.get("name") == each.body)
-        link.append(_visual(each))
-        body.append(_geom(each, f"m{k}"))
-        if each.kind == "mesh":
-            scaled = {"name": f"m{k}", "file": "wedge.stl", "scale": text(each.size)}
-            ET.SubElement(assets, "mesh", scaled)
-    (folder / "r.urdf").write_bytes(ET.tostring(urdf))
-    (folder / "r.xml").write_bytes(ET.tostring(mjcf))
+    (folder / "r.urdf").write_text(urdf)
+    (folder / "r.xml").write_text(mjcf.replace('<compiler angle="radian"/>', head))
     return clothes, folder / "r.urdf", folder / "r.xml"
-
-
-def _visual(each: Dressed) -> ET.Element:
-    size = each.size
-    forms = {
-        "box": {"size": text(2 * size)},
-        "sphere": {"radius": text(size)},
-        "cylinder": {"radius": text(size[:1]), "length": text(2 * size[1:])},
-        "capsule": {"radius": text(size[:1]), "length": text(2 * size[1:])},
-        "mesh": {"filename": "wedge.stl", "scale": text(size)},
-    }
-    visual = ET.Element("visual")
-    ET.SubElement(visual, "origin", xyz=text(each.position), rpy=text(each.rpy))
-    ET.SubElement(ET.SubElement(visual, "geometry"), each.kind, forms[each.kind])
-    material = ET.SubElement(visual, "material", name=text(each.colour))
-    ET.SubElement(material, "color", rgba=text(each.colour))
-    return visual
-
-
-def _geom(each: Dressed, mesh: str) -> ET.Element:
-    form = {"mesh": mesh} if each.kind == "mesh" else {"size": text(each.size)}
-    place = {"pos": text(each.position), "euler": text(each.rpy), "rgba": text(each.colour)}
-    return ET.Element("geom", {"type": each.kind} | form | place)
-
-
-def found_in(path: Path, tree: tb.Tree) -> dict[str, list[Shape]]:
-    """Shapes by the name of their body, in the file's order."""
-    seen = load_shapes(path, tree)
-    assert seen.warnings == ()
-    names = [*(joint.body for joint in tree.joints), "pedestal_body"]
-    found: dict[str, list[Shape]] = {name: [] for name in names}
-    for shape in seen.shapes:
-        found[names[shape.body]].append(shape)
-    return found
 
 
 def corners_of(shape: Shape) -> Array:
@@ -173,9 +128,12 @@ def test_both_languages_show_what_was_written(seed: int) -> None:
     with TemporaryDirectory() as folder:
         clothes, urdf, mjcf = clothe(seed, Path(folder))
         for path in (urdf, mjcf):
-            found = found_in(path, tb.load_tree(path))
-            for name, shapes in found.items():
-                written = [each.as_shape(0) for each in clothes if each.body == name]
+            tree = tb.load_tree(path)
+            seen = load_shapes(path, tree)
+            assert seen.warnings == ()
+            names = [*(joint.body for joint in tree.joints), "pedestal_body"]
+            for name, written in clothes.items():
+                shapes = [shape for shape in seen.shapes if names[shape.body] == name]
                 meshes = [shape for shape in shapes if shape.kind == "mesh"]
                 wanted = [each for each in written if each.kind == "mesh"]
                 assert [s.kind for s in shapes if s not in meshes] == [
