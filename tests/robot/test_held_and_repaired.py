@@ -64,6 +64,7 @@ def assert_held(full: tb.Tree, locked: tb.Tree, held: Mapping[str, float]) -> No
 
 
 @given(robots((2, 8)), rngs, st.sampled_from(FORMS))
+@pytest.mark.slow
 def test_a_held_joint_is_one_that_stands_still(
     robot: Robot, rng: np.random.Generator, form: str
 ) -> None:
@@ -101,6 +102,7 @@ STACKED = """<mujoco><compiler angle="degree" eulerseq="zyx"/>
 
 
 @given(st.dictionaries(st.sampled_from("abcdef"), st.floats(-1.5, 1.5), min_size=1, max_size=5))
+@pytest.mark.slow
 def test_joints_of_one_body_are_held_each(held: dict[str, float]) -> None:
     """In degrees, counted from references, within frames, before and behind others."""
     held |= {"a": 0.2 + abs(held["a"]) / 2} if "a" in held else {}  # within its range
@@ -316,6 +318,7 @@ def test_the_nearest_body_is_the_projection_of_what_was_given(rng: np.random.Gen
 
 
 @given(robots((2, 4)), st.sampled_from(NEVER), st.sampled_from(FORMS))
+@pytest.mark.slow
 def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
     robot: Robot, never: tuple[float, tuple[float, ...]], form: str
 ) -> None:

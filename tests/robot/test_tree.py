@@ -48,6 +48,7 @@ def assert_same_tree(a: tb.Tree, b: tb.Tree) -> None:
 
 
 @given(robots(), rngs)
+@pytest.mark.slow
 def test_a_file_of_either_format_is_the_robot_that_was_written(
     robot: Robot, rng: np.random.Generator
 ) -> None:

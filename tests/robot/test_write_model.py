@@ -91,6 +91,7 @@ def test_what_is_written_is_read_and_the_rest_is_as_it_was(
 
 @given(robots((2, 6)), seeds)
 @hypothesis.settings(max_examples=8)
+@pytest.mark.slow
 def test_a_written_robot_is_the_same_to_all_readers(robot: Robot, seed: int) -> None:
     """An identified robot goes back to its users: MuJoCo and Pinocchio compute its torques."""
     states = random_states(np.random.default_rng(seed), 5, len(robot.links))
