@@ -113,15 +113,14 @@ class Sheet:
             if any(f in other or f in nothing for factors in line for f in factors):
                 terms = []
                 for factors, number in line.items():
-                    if not nothing.isdisjoint(factors):
-                        continue
                     renamed = []
                     for factor in factors:
                         while factor in other:
                             factor, sign = other[factor]
                             number *= sign
                         renamed.append(factor)
-                    terms.append((_ordered(renamed), number))
+                    if nothing.isdisjoint(renamed):
+                        terms.append((_ordered(renamed), number))
                 self.lines[name] = dict(collect(terms).terms)
 
     def _prune(self) -> None:

@@ -1,0 +1,168 @@
+"""What every room relies on: arrays that stay, keys that are checked, messages that show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from testbed.arrays import apply, readonly, skew
+from testbed.blas import one_blas_thread
+from testbed.errors import (
+    InertiaError,
+    MimicError,
+    SettingsError,
+    UnknownName,
+    UnseenParameters,
+    printable,
+)
+from testbed.keys import COUNTS, LARGEST, Key, hidden, key
+from testbed.kind_table import KindTable
+from tests.helpers.refusals import refuses
+from tests.helpers.strategies import rngs, wrong_numbers
+
+
+@given(rngs, st.lists(st.integers(1, 4), max_size=3))
+def test_skew_is_the_cross_product_sample_by_sample(
+    rng: np.random.Generator, lead: list[int]
+) -> None:
+    u, v = rng.normal(size=(2, *lead, 3))
+    np.testing.assert_allclose(apply(skew(v), u), np.cross(v, u), atol=1e-14)
+
+
+def test_what_a_value_was_made_of_cannot_change_it_and_wrong_shapes_are_named() -> None:
+    loose = np.zeros(3)
+    kept = readonly(loose, (3,), "speed")
+    loose[0] = 1.0
+    assert kept[0] == 0.0
+    assert not kept.flags.writeable
+    assert readonly([[1]], (1, None), "t").dtype == np.float64
+    assert np.shares_memory(readonly(kept[1:], (2,), "speed"), kept)  # no copy without need
+    for shape in [(2,), (3, 1), (), (4,)]:
+        with refuses(ValueError, "speed", str(shape)):
+            readonly(np.zeros(shape), (3,), "speed")
+
+
+def test_one_thread_is_used_meanwhile_and_as_many_as_before_afterwards() -> None:
+    """Threads that wait for each other make small matrices ten times slower."""
+
+    def threads() -> set[int]:
+        return {each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"}
+
+    np.linalg.inv(np.eye(3))  # the library is there
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with one_blas_thread():
+            assert threads() == {1}
+        assert threads() == before
+
+
+SIX = tuple(tuple(float(6 * row + column) for column in range(6)) for row in range(6))
+KEPT: list[tuple[Key, Any, Any]] = [
+    (Key(), 3, 3.0),
+    (Key("word"), "waist", "waist"),
+    (Key("joints"), {"waist": 1}, {"waist": 1.0}),
+    (Key("matrix"), [list(row) for row in SIX], SIX),
+    (Key(least=2.0), 2.0, 2.0),
+    (Key(least=0.0, most=1.0), 1.0, 1.0),
+    (Key(positive=True), 1e-9, 1e-9),
+    (Key(whole=True), 4.0, 4),
+    *((Key(members), [1] * count, (1.0,) * count) for members, count in COUNTS.items()),
+    (Key("joints"), [1] * 7, (1.0,) * 7),
+]
+WRONG: list[tuple[Key, Any]] = [
+    (Key(), 1.01 * LARGEST),
+    (Key("word"), 3),
+    (Key("joints"), {"waist": "far"}),
+    (Key("axes"), {"x": 1}),
+    (Key("joints"), []),
+    (Key("matrix"), SIX[:5]),
+    (Key("matrix"), [row[:5] for row in SIX]),
+    (Key(least=2.0), 1.99),
+    (Key(least=0.0, most=1.0), 1.1),
+    (Key(positive=True), 1e-10),
+    (Key(whole=True), 0.5),
+    *(
+        (Key(members), [1.0] * (count + more))
+        for members, count in COUNTS.items()
+        for more in (-1, 1)
+    ),
+]
+
+
+def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
+    """A typing error in a fault's table would otherwise simulate another instrument."""
+    for wanted, value, kept in KEPT:
+        found = wanted.checked(value, "bias: size")
+        assert (found, type(found)) == (kept, type(kept))
+    for wanted, value in WRONG:
+        with refuses(SettingsError, "bias: size", repr(value)[:40]):
+            wanted.checked(value, "bias: size")
+
+
+@given(wrong_numbers.filter(lambda value: value != -1.0))
+def test_what_is_no_number_is_taken_by_no_key(value: Any) -> None:
+    with refuses(SettingsError, "bias: size"):
+        Key().checked(value, "bias: size")
+    with refuses(SettingsError, "bias: size"):
+        Key("channels").checked([1.0] * 5 + [value], "bias: size")
+
+
+@dataclass(frozen=True, eq=False)
+class Ramp(KindTable):
+    """Made up for this test."""
+
+    kind: ClassVar[str] = "ramp"
+    slope: float | dict[str, float] = key(1.0, "joints")
+    start: float | None = key(None)
+    seed: int = hidden(7)
+
+
+def test_values_of_kinds_are_their_tables_whatever_they_are_installed_on() -> None:
+    """Two runs with one fault compare as equal; its file says it with every default."""
+    one, other = Ramp({"waist": 2}), Ramp({"waist": 2.0}, seed=8)
+    assert one == other != Ramp()
+    assert len({one, other, Ramp()}) == 2
+    assert one.table() == {"kind": "ramp", "slope": {"waist": 2.0}}
+    assert Ramp(start=3.0).table() == {"kind": "ramp", "slope": 1.0, "start": 3.0}
+    assert one.by_joint == {"slope": {"waist": 2.0}}
+    with refuses(SettingsError, "ramp", "start", "'now'"):
+        Ramp(start="now")  # type: ignore[arg-type]
+
+
+@given(st.text(max_size=40), st.integers(1, 60), st.integers(20, 500))
+def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
+    text: str, times: int, limit: int
+) -> None:
+    """Names of a model file could clear a screen, or drive everything else off it."""
+    shown = printable(text * times, limit)
+    assert shown == "" or shown.isprintable()
+    assert len(shown) <= limit
+    plain = " ".join((text * times).split())
+    if plain.isprintable() and len(plain) <= limit:
+        assert shown == plain
+    elif plain.isprintable():
+        start, _, end = shown.partition("...")
+        assert plain.startswith(start.strip())
+        assert plain.endswith(end.rpartition("...")[2].strip())
+
+
+def test_errors_keep_what_they_are_about_and_name_the_nearest() -> None:
+    """Programs read the attributes; people read the way out."""
+    near = UnknownName("column", "elbow torqe", ["w" * 201, *map(str, range(40)), "elbow torque"])
+    assert near.name == "elbow torqe"
+    assert "'elbow torque'" in str(near)
+    assert "w" * 201 not in str(near)
+    assert len(str(near)) < 300
+    assert "torque" not in str(UnknownName("joint", "xyz", ["torque"])).partition("(")[0]
+    assert InertiaError("arm.urdf", ["link 'a'", "link 'b'"]).flaws == ("link 'a'", "link 'b'")
+    mimic = MimicError("hand.urdf", {"left": "right"}, ["right", "left", "right"])
+    assert mimic.masters == {"left": "right"}
+    assert str(mimic).count("--lock right") == 1
+    unseen = UnseenParameters(["K1zz", "mb2x"], 5, 7, 100)
+    assert (unseen.names, unseen.rank) == (("K1zz", "mb2x"), 5)
+    assert "K1zz, mb2x" in str(unseen)

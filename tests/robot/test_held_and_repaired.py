@@ -1,0 +1,409 @@
+"""Joints that are held, joints that follow, bodies that cannot be: the tree is the file's robot."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import hypothesis
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.errors import InertiaError, MimicError, ModelError, UnknownName
+from testbed.robot.inertia import SMALL, Inertia, inertia_flaw, nearest_body
+from testbed.robot.load import mimic_joints, nearest_bodies
+from testbed.robot.locks import parse_lock
+from testbed.robot.model_file import ModelFile
+from testbed.robot.repair import THINNEST
+from testbed.robot.rotations import from_rpy
+from testbed.robot.write_model import write_model
+from testbed.simulation.build import build_plant
+from tests.helpers.paths import REAL, ROOT
+from tests.helpers.pinocchio import by_pinocchio
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import Robot, random_robot, random_states
+from tests.helpers.strategies import rngs, robots
+
+PANDA = REAL / "panda_description/urdf/panda.urdf"
+FORMS = ("urdf", "xml")
+
+
+def written(text: str, folder: Path | str, form: str = "urdf") -> Path:
+    """A robot's file."""
+    path = Path(folder) / f"r.{form}"
+    path.write_text(text)
+    return path
+
+
+def text_of(robot: Robot, form: str) -> str:
+    """In one of the formats."""
+    return robot.urdf() if form == "urdf" else robot.mjcf()
+
+
+def assert_held(full: tb.Tree, locked: tb.Tree, held: Mapping[str, float]) -> None:
+    """What locked and standing joints need and exert is the same, whatever the others do."""
+    assert set(locked.names) == set(full.names) - set(held)
+    states = np.array(random_states(np.random.default_rng(0), 3, full.n))
+    for name, position in held.items():
+        states[:, :, full.index(name)] = [[position], [0.0], [0.0]]
+    moving = [full.index(name) for name in locked.names]
+    whole, part = (tb.Motion(np.arange(3.0), *s) for s in (states, states[:, :, moving]))
+    wrench = tb.base_wrench(full, whole) + tb.pedestal_wrench(full)
+    found = tb.base_wrench(locked, part) + tb.pedestal_wrench(locked)
+    scale = np.abs(wrench).max()
+    np.testing.assert_allclose(found, wrench, atol=1e-12 * scale)
+    forces = tb.joint_forces(full, whole)[:, moving]
+    np.testing.assert_allclose(tb.joint_forces(locked, part), forces, atol=1e-12 * scale)
+
+
+@given(robots((2, 8)), rngs, st.sampled_from(FORMS))
+@pytest.mark.slow
+def test_a_held_joint_is_one_that_stands_still(
+    robot: Robot, rng: np.random.Generator, form: str
+) -> None:
+    """An arm with a locked wrist is identified as the arm that it is; MuJoCo's plant agrees."""
+    with TemporaryDirectory() as folder:
+        path = written(text_of(robot, form), folder, form)
+        full = tb.load_tree(path)
+        names = rng.choice(full.names, size=int(rng.integers(1, full.n)), replace=False)
+        held = {str(name): float(rng.uniform(-3, 3)) for name in names}
+        locked = tb.load_tree(path, lock=held)
+        assert_held(full, locked, held)
+        build_plant(ModelFile(path, lock=held), locked, 1e-3)
+
+
+STACKED = """<mujoco><compiler angle="degree" eulerseq="zyx"/>
+<default><default class="turned"><joint ref="20" damping="1"/></default></default>
+<option gravity="1 -2 -9"/><worldbody>
+<frame pos="0 .1 .3" euler="10 20 30"><body name="base" pos=".1 0 0" axisangle="1 1 0 40">
+ <joint name="a" axis="0 3 1" pos=".1 0 .2" range="10 80"/>
+ <frame euler="0 50 0" pos="0 0 .1">
+  <joint name="b" class="turned" axis="1 0 1" pos="0 .2 0"/></frame>
+ <joint name="c" type="slide" axis="0 1 2" ref=".3"/>
+ <joint name="d" class="turned" axis="1 1 1"/>
+ <inertial mass="3" pos=".1 .2 .3" diaginertia=".2 .3 .4"/>
+ <body name="tip" pos="0 0 .4" zaxis="1 0 1">
+  <joint name="e" axis="0 1 0" ref="-15" pos="0 0 .1"/>
+  <geom type="box" size=".1 .2 .05" pos=".1 0 0" mass="1"/></body>
+ <body name="side" xyaxes="0 1 0 1 0 0"><joint name="f" type="slide" axis="1 0 0"/>
+  <geom type="capsule" size=".05 .1" mass="2"/></body>
+</body></frame></worldbody>
+<custom><numeric name="velocity_limit/b" data="3"/></custom>
+<actuator><motor joint="b"/><position joint="e"/></actuator>
+<sensor><jointpos joint="d"/></sensor>
+<keyframe><key qpos="0 0 0 0 0 0"/></keyframe></mujoco>"""
+
+
+@given(st.dictionaries(st.sampled_from("abcdef"), st.floats(-1.5, 1.5), min_size=1, max_size=5))
+@pytest.mark.slow
+def test_joints_of_one_body_are_held_each(held: dict[str, float]) -> None:
+    """In degrees, counted from references, within frames, before and behind others."""
+    held |= {"a": 0.2 + abs(held["a"]) / 2} if "a" in held else {}  # within its range
+    with TemporaryDirectory() as folder:
+        path = written(STACKED, folder, "xml")
+        locked = tb.load_tree(path, lock=held)
+        assert_held(tb.load_tree(path), locked, held)
+        build_plant(ModelFile(path, lock=held), locked, 1e-3)
+        rests = {"a": np.radians(45), "b": 0.0, "f": 0.0}
+        for name in rests.keys() & held.keys():
+            assert_held(tb.load_tree(path), tb.load_tree(path, lock={name: None}),
+                        {name: rests[name]})  # fmt: skip
+
+
+@given(st.sampled_from([np.pi / 2, -np.pi / 2, 1.5707963, np.pi]), st.floats(-3, 3))
+def test_origins_turn_exactly_where_roll_and_yaw_are_one(pitch: float, position: float) -> None:
+    text = random_robot(np.random.default_rng(4), 3).urdf()
+    start = text.index("<origin", text.index('<joint name="j2"'))
+    end = text.index("<limit", start)
+    turned = f'<origin xyz="0 0 1" rpy="0.4 {pitch!r} -0.9"/><axis xyz="1 2 -3"/>'
+    with TemporaryDirectory() as folder:
+        path = written(text[:start] + turned + text[end:], folder)
+        held = {"j2": position}
+        assert_held(tb.load_tree(path), tb.load_tree(path, lock=held), held)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["g1_29dof_rev_1_0", "tiago_no_hand", "panda"])
+def test_other_peoples_joints_are_held_and_their_followers_follow(
+    name: str, tmp_path: Path
+) -> None:
+    """A humanoid's arms, a gripper: what real files hold, half of the joints locked."""
+    path = next(REAL.rglob(f"{name}.urdf"))
+    followers = dict.fromkeys(mimic_joints(path))
+    loose = "".join(x for x in path.read_text().splitlines(True) if "<mimic" not in x)
+    full = tb.load_tree(written(loose, tmp_path), weld_root=True)
+    held, rng = {}, np.random.default_rng(1)
+    for joint in rng.permutation([n for n in full.names if n not in followers])[: full.n // 2]:
+        low, high = np.clip(full.joints[full.index(joint)].position_range, -3, 3)
+        held[str(joint)] = float(rng.uniform(low, high))
+    if name == "panda":
+        with pytest.raises(MimicError, match="--lock panda_finger_joint1") as caught:
+            tb.load_tree(path)
+        assert caught.value.masters == {"panda_finger_joint2": "panda_finger_joint1"}
+        held["panda_finger_joint1"] = 0.03
+    locked = tb.load_tree(path, weld_root=True, lock=held)
+    also = dict.fromkeys(followers, held.get("panda_finger_joint1", 0.0))
+    assert_held(full, locked, held | also)
+    assert locked.warnings == ()
+    if name == "panda":  # followers alone stand where their masters' zeros take them
+        alone = tb.load_tree(path, lock=followers)
+        assert_held(full, alone, {"panda_finger_joint2": 0.0})
+        assert "panda_finger_joint1" in alone.warnings[0]
+        assert tb.load_tree(path, lock=followers | held | {"panda_finger_joint2": 0.01}).warnings
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.25])
+def test_offset_and_multiplier_say_where_a_follower_is(offset: float, tmp_path: Path) -> None:
+    robot = random_robot(np.random.default_rng(6), 5).urdf()
+    (tmp_path / "full.urdf").write_text(robot)
+    for follower, master, slope in (("j4", "j2", -0.5), ("j5", "j4", 2.0)):
+        start = robot.index("<limit", robot.index(f'<joint name="{follower}"'))
+        mimic = f'<mimic joint="{master}" multiplier="{slope}" offset="{offset}"/>'
+        robot = robot[:start] + mimic + robot[start:]
+    path, full = written(robot, tmp_path), tb.load_tree(tmp_path / "full.urdf")
+    first = offset - 0.5 * 0.6
+    held = {"j2": 0.6, "j4": first, "j5": offset + 2 * first}
+    assert_held(full, tb.load_tree(path, lock={"j2": 0.6}), held)
+    rest = {"j4": offset, "j5": offset + 2 * offset}
+    assert_held(full, tb.load_tree(path, lock={"j4": None, "j5": None}), rest)
+
+
+@pytest.mark.parametrize("master", ["b", "f"])
+def test_an_equality_between_joints_is_a_follower(master: str, tmp_path: Path) -> None:
+    """Where the follower stands is where MuJoCo's own constraint is met; loops are refused."""
+
+    def constrained(inside: str) -> Path:
+        text = STACKED.replace("<actuator>", f"<equality>{inside}</equality><actuator>")
+        return written(text, tmp_path, "xml")
+
+    (tmp_path / "free.xml").write_text(STACKED)
+    free = tb.load_tree(tmp_path / "free.xml")
+    path = constrained(
+        f'<joint joint1="e" joint2="{master}" polycoef="0.1 -0.7 0.3 0.2 -0.1"/>'
+    )  # fmt: skip
+    with pytest.raises(MimicError, match=f"--lock {master}"):
+        tb.load_tree(path)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    data.joint(master).qpos = 0.4
+    mujoco.mj_forward(model, data)
+    follower = float(data.joint("e").qpos[0] - data.efc_pos[0])
+    locked = tb.load_tree(path, lock={master: 0.4})
+    assert_held(free, locked, {master: 0.4, "e": follower})
+    assert mimic_joints(path) == ("e",)
+    build_plant(ModelFile(path, lock={master: 0.4}), locked, 1e-3)
+    path = constrained(
+        '<joint joint1="f" polycoef="0.1 0 0 0 0"/><weld body1="tip" active="false"/>'
+    )
+    assert_held(free, tb.load_tree(path), {"f": 0.1})
+    with refuses(ModelError, "'w'", "--lock"):
+        tb.load_tree(constrained('<weld name="w" body1="tip"/>'))
+
+
+def test_what_cannot_be_held_is_named(tmp_path: Path) -> None:
+    """In either format; the ends of a range are within it, but for rounding."""
+    for form in FORMS:
+        for lock, *culprits in (
+            ({"weist": None}, "'weist'", "'waist'"),
+            ({"waist": 4.0}, "'waist'", "4"),
+            ({"waist": float("nan")}, "'waist'", "nan"),
+            ({"waist": "up"}, "'waist'", "'up'"),
+            (dict.fromkeys(("waist", "shoulder", "elbow")), "joint"),
+        ):
+            with refuses((ModelError, UnknownName), *culprits):  # type: ignore[arg-type]
+                tb.load_tree(ROOT / f"models/puma562.{form}", lock=lock)  # type: ignore[arg-type]
+    text = random_robot(np.random.default_rng(6), 3).urdf()
+    path = written(text, tmp_path)
+    for side in (-1, 1):
+        assert tb.load_tree(path, lock={"j2": side * (3.0 + 1e-7)}).n == 2
+        with refuses(ModelError, "'j2'"):
+            tb.load_tree(path, lock={"j2": side * 3.001})
+    at = text.index("<limit", text.index('<joint name="j2"'))
+    for mimic in ("<mimic/>", '<mimic joint="j2"/>'):
+        with refuses(ModelError, "'j2'"):
+            tb.load_tree(written(text[:at] + mimic + text[at:], tmp_path), lock={"j2": 0.0})
+    assert parse_lock(["a", "b=-0.5", "c=1e-2"]) == {"a": None, "b": -0.5, "c": 0.01}
+    for wrong in (["=1"], ["a="], ["a=x"], ["a=nan"], ["a=1", "a=2"]):
+        with refuses(ModelError):
+            parse_lock(wrong)
+
+
+# bodies that cannot be
+
+FRAMES = [
+    (0.0, (0.0, 0.0, 0.0)), (1e-9, (0.0, 0.0, 0.0)), (0.02, (0.0, 0.0, 0.0)),
+    (1e-6, (-1.99e-22, 8.5e-23, 3e-6)), (0.05, (1e-5, 1e-5, 2.002e-5)),
+    (0.0, (5.3e-7, 5.7e-7, 8.4e-7)),
+]  # fmt: skip
+"""Mass and principal moments of links that files fix to others."""
+NEVER = [
+    (1.3, (0.0, 0.0, 0.0)), (0.3, (1e-3, 1e-3, 1e-2)), (0.3, (1e-3, 1e-3, -1e-3)),
+    (0.0, (1e-3, 1e-3, 1e-3)),
+]  # fmt: skip
+"""Of links that move, and that no body is near by rounding."""
+
+
+def set_link(text: str, name: str, mass: float, moments: tuple[float, ...]) -> str:
+    """A robot's text with another inertia of one link, in either format."""
+    root = ET.fromstring(text)
+    (link,) = (e for tag in ("link", "body") for e in root.iter(tag) if e.get("name") == name)
+    (inertial,) = link.findall("inertial")
+    if link.tag == "body":
+        place, three = inertial.get("pos", ""), " ".join(map(repr, moments))
+        inertial.attrib = {"mass": repr(mass), "pos": place, "diaginertia": three}
+    else:
+        inertial.findall("mass")[0].set("value", repr(mass))
+        for key, value in zip(("ixx", "iyy", "izz"), moments, strict=True):
+            inertial.findall("inertia")[0].set(key, repr(value))
+        for key in ("ixy", "ixz", "iyz"):
+            inertial.findall("inertia")[0].set(key, "0")
+    return ET.tostring(root, encoding="unicode")
+
+
+@given(robots((1, 6)), rngs)
+@hypothesis.settings(max_examples=8)
+def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
+    robot: Robot, rng: np.random.Generator
+) -> None:
+    """Dynamics are those of Pinocchio's own fusing; MuJoCo simulates it."""
+    root = ET.fromstring(robot.urdf())
+    links = [link.get("name", "") for link in root.findall("link")]
+    for k in range(len(FRAMES)):
+        joint = ET.SubElement(root, "joint", name=f"weld{k}", type="fixed")
+        ET.SubElement(joint, "parent", link=str(rng.choice(links)))
+        ET.SubElement(joint, "child", link=f"frame{k}")
+        ET.SubElement(joint, "origin", xyz="0.1 0 0.2", rpy="0.3 -0.2 0.1")
+        link = ET.fromstring(ET.tostring(root.findall("link")[0]))
+        link.set("name", f"frame{k}")
+        root.append(link)
+    text = ET.tostring(root, encoding="unicode")
+    for k, (mass, moments) in enumerate(FRAMES):
+        text = set_link(text, f"frame{k}", mass, moments)
+    with TemporaryDirectory() as folder:
+        path = written(text, folder)
+        tree = tb.load_tree(path, repair={}).with_gravity(robot.gravity)
+        assert tree.warnings == ()
+        build_plant(ModelFile(path, repair={}), tb.load_tree(path, repair={}), 1e-3)
+    states = random_states(rng, 3, tree.n)
+    witness = by_pinocchio(text, tree, states)
+    motion, scale = tb.Motion(np.arange(3.0), *states), np.abs(witness.wrench).max()
+    np.testing.assert_allclose(tb.joint_forces(tree, motion), witness.forces, atol=1e-12 * scale)
+    np.testing.assert_allclose(tb.base_wrench(tree, motion), witness.wrench, atol=1e-12 * scale)
+
+
+@given(rngs)
+def test_the_nearest_body_is_the_projection_of_what_was_given(rng: np.random.Generator) -> None:
+    """Optimality of the nearest matrix in a cone, of second moments about the same mass centre."""
+    axes = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    second = axes * (rng.uniform(-0.5, 1.0, 3) * 0.1) @ axes.T
+    second = second if np.linalg.eigvalsh(second)[-1] > 0 else -second
+    mass, com = rng.uniform(0.1, 9), rng.normal(size=3) * 0.2
+    given = Inertia.about_centre(mass, com, np.trace(second) * np.eye(3) - second)
+    found = nearest_body(given, THINNEST, 1.0, 1.0)
+    assert inertia_flaw("b", found.mass, found.central) is None
+    assert found.mass == mass
+    np.testing.assert_allclose(found.com, com, rtol=1e-13)
+    new = np.trace(found.central) / 2 * np.eye(3) - found.central
+    change, slack = new - second, new - THINNEST * np.linalg.eigvalsh(second)[-1] * np.eye(3)
+    size = np.abs(second).max()
+    assert min(np.linalg.eigvalsh(matrix)[0] for matrix in (change, slack)) >= -1e-12 * size
+    assert abs(np.sum(change * slack)) <= 1e-12 * size**2
+
+
+@given(robots((2, 4)), st.sampled_from(NEVER), st.sampled_from(FORMS))
+@pytest.mark.slow
+def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
+    robot: Robot, never: tuple[float, tuple[float, ...]], form: str
+) -> None:
+    """The repair is possible, alters no other body and needs none again; the plant has the same."""
+    with TemporaryDirectory() as folder:
+        sound = tb.load_tree(written(text_of(robot, form), folder, form))
+        found = nearest_bodies(Path(folder) / f"r.{form}")
+        assert (found.links, found.bodies, found.notes) == ({}, {}, ())
+        path = written(set_link(text_of(robot, form), "j2_body", *never), folder, form)
+        with refuses(InertiaError, "'j2_body'"):
+            tb.load_tree(path, repair={})
+        for mass, moment in ((-1.0, 1e-3), (1.0, float("nan"))):  # no body is near
+            wrong = set_link(text_of(robot, form), "j2_body", mass, (1e-3, 1e-3, moment))
+            with refuses(ModelError, "'j2_body'"):
+                tb.load_tree(written(wrong, folder, form))
+        path = written(set_link(text_of(robot, form), "j2_body", *never), folder, form)
+        found = nearest_bodies(path)
+        body = found.bodies["j2_body"]
+        assert len(found.bodies) == 1
+        assert inertia_flaw("j2_body", body.mass, body.central) is None
+        tree, again = tb.load_tree(path), tb.load_tree(path, repair=found.bodies)
+        assert (len(tree.warnings), again.warnings) == (1, ())
+        for joint, *three in zip(tree.joints, tree.inertias, again.inertias, sound.inertias,
+                                 strict=True):  # fmt: skip
+            np.testing.assert_allclose(three[1].pseudo, three[0].pseudo, rtol=1e-13, atol=1e-16)
+            if joint.body != "j2_body":
+                np.testing.assert_array_equal(three[0].pseudo, three[2].pseudo)
+        build_plant(ModelFile(path), tree, 1e-3)
+        heavy = tree.with_inertia(0, Inertia.about_centre(5.0, (0, 0, 0.1), np.eye(3)))
+        write_model(ModelFile(path), heavy, Path(folder) / f"w.{form}")
+        fresh = tb.load_tree(Path(folder) / f"w.{form}", repair={})  # only bodies that can be
+        for one, two in zip(fresh.inertias, heavy.inertias, strict=True):
+            np.testing.assert_allclose(one.pseudo, two.pseudo, rtol=1e-12, atol=1e-14)
+        path = written(set_link(text_of(robot, form), "j2_body", 0.5, (1e-3, 1e-3, 2.0001e-3)),
+                       folder, form)  # fmt: skip
+        rounded = tb.load_tree(path, repair={})  # whatever is asked for: it is rounding, and said
+        assert len(rounded.warnings) == 1
+        moments = np.linalg.eigvalsh(rounded.inertias[rounded.index("j2")].central)
+        np.testing.assert_allclose(moments, [1e-3, 1e-3, 2e-3], atol=2e-7)
+
+
+def test_a_chains_bare_end_gets_matter_and_a_frame_on_the_way_does_not(tmp_path: Path) -> None:
+    robot = random_robot(np.random.default_rng(3), 3)
+    chain = replace(robot, links=tuple(replace(x, parent=k - 1) for k, x in enumerate(robot.links)))
+    root = ET.fromstring(chain.urdf())
+    for name in ("j1_body", "j3_body"):
+        (link,) = (each for each in root.findall("link") if each.get("name") == name)
+        link.remove(link.findall("inertial")[0])
+    path = written(ET.tostring(root, encoding="unicode"), tmp_path)
+    with refuses(InertiaError, "'j3_body'"):
+        tb.load_tree(path, repair={})
+    mended = tb.load_tree(path)
+    bare, arm, end = mended.inertias
+    assert bare.mass == 0
+    assert 0 < end.mass < 1e-4 * arm.mass
+    square, *others = (
+        float(np.trace(each.pseudo[:3, :3])) / each.mass for each in (end, arm, mended.pedestal)
+    )
+    assert square == pytest.approx(SMALL**2 * max(others))  # its size fits the robot's
+    assert tb.load_tree(path, repair={}, lock={"j3": None}).n == 2  # held, it is a frame
+    body = Inertia.about_centre(2.0, (0.1, 0, 0), np.eye(3))
+    given = tb.load_tree(path, repair={"j2_body": body, "j3_body": body})
+    np.testing.assert_allclose(given.inertias[1].pseudo, body.pseudo, rtol=1e-15)
+    flat = Inertia.about_centre(2.0, np.zeros(3), np.diag([1.0, 1.0, 9.0]))
+    for name, wrong, kind in (("j2_bdy", body, UnknownName), ("j2_body", flat, InertiaError)):
+        with refuses(kind, f"'{name}'"):
+            tb.load_tree(path, repair={"j3_body": body, name: wrong})
+
+
+def test_angles_rounded_in_the_file_are_right_ones_and_others_stay(tmp_path: Path) -> None:
+    """Else formulas hold millionths of every parameter."""
+    root = ET.fromstring(random_robot(np.random.default_rng(3), 4).urdf())
+    said = {
+        "j1": ("1.5708 0 -3.14159", (np.pi / 2, 0, -np.pi)),
+        "j2": ("0 -1.57079 6.283185", (0, -np.pi / 2, 2 * np.pi)),
+        "j3": ("1.5709 2e-6 0", (1.5709, 0, 0)),
+        "j4": ("0.785398 1e-4 1.5707", (0.785398, 1e-4, 1.5707)),
+    }
+    del root.attrib["name"]
+    for element in root.findall("joint"):
+        element.findall("origin")[0].set("rpy", said[element.get("name", "")][0])
+    tree = tb.load_tree(written(ET.tostring(root, encoding="unicode"), tmp_path))
+    assert tree.name == "r"  # called after its file
+    for joint in tree.joints:
+        np.testing.assert_allclose(joint.rotation, from_rpy(said[joint.name][1]), atol=1e-15)
+    xarm = tb.load_tree(next(REAL.rglob("xarm7.urdf")))
+    matrix = tb.minimal_set(xarm, "reaction").matrix
+    assert np.abs(matrix[matrix != 0]).min() > 1e-5

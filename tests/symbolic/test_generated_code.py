@@ -1,0 +1,267 @@
+"""Generated equations compute what Pinocchio computes, in few operations, in every language.
+
+Names from model files are the enemy: they may not become code.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.symbolic.angles import almost_right, right_angles
+from testbed.symbolic.compare import compare_equations
+from testbed.symbolic.equations import FORMS, Equations, Form, Listing, equations
+from testbed.symbolic.kinds import KINDS
+from testbed.symbolic.languages import Language, write_equations
+from tests.helpers.generated import LatexReader, c_call, c_library, latex_blocks, python_module
+from tests.helpers.paths import GOLDEN, ROOT
+from tests.helpers.pinocchio import by_pinocchio
+from tests.helpers.refusals import refuses
+from tests.helpers.robots import Robot, random_robot, random_states
+from tests.helpers.strategies import robots, seeds
+
+pytestmark = pytest.mark.slow
+
+COUNTS: dict[str, dict[str, list[int]]] = json.loads((GOLDEN / "operations.json").read_text())
+"""By robot and kind: multiplications, additions, sines and cosines, and those done once."""
+HOSTILE = (
+    "# -*- coding: rot13 -*-", "vim: set fileencoding=utf-16 modeline:", '"""\nimport os\n"""',
+    "'''; raise SystemExit", "\nimport os #", "\r\x0b\x0c\x1c\x85\u2028\u2029x = 1",
+    r"\N{QUOTATION MARK}\u0027\x27\101", "*/ #error here /*", "??/\n#include <nothing.h>",
+    "ends in a backslash \\", r"\end{document}\input{/etc/passwd}^^M^^5c", "%&latex $x_1$ ~#{}",
+    "* Q1 = 0\nQ1 = 0", "\u0663\u202e\ufeff\x00\x1a\x1b[31m\udc80", "-" * 3000, "",
+)  # fmt: skip
+
+
+def named(path: str) -> tb.Tree:
+    """A robot of the golden ones."""
+    return tb.load_tree(GOLDEN / f"robots/{path}.urdf")
+
+
+def parameters(each: Equations, listing: Listing) -> Array:
+    """What they are in."""
+    theta = tb.barycentric(listing.tree)
+    return (
+        theta.ravel() if listing.form == "full" else listing.minimal[each.kind.model].values(theta)
+    )
+
+
+def computed(listing: Listing, states: tuple[Array, ...], source: str = "") -> dict[str, Array]:
+    """Results of Python, C and LaTeX by kind, which are the same; regressors times parameters."""
+    with TemporaryDirectory() as name:
+        module = python_module(write_equations(listing, "python", source), Path(name))
+        strict = ("-O0", "-trigraphs", "-finput-charset=utf-8")
+        library = c_library(write_equations(listing, "c", source), Path(name), *strict)
+    latex = by_latex(listing, states, source)
+    results = {}
+    for each in listing.equations:
+        vector, function = parameters(each, listing), each.kind.name.replace("-", "_")
+        inputs = list(states[: len(each.kind.takes)])
+        given = [] if each.kind.is_regressor else [vector]
+        found = getattr(module, function)(*inputs, *given)
+        for k, sample in enumerate(zip(*inputs, strict=True)):
+            scale = max(1.0, np.abs(found[k]).max())
+            in_c = c_call(library, function, [*sample, *given], each.shape)
+            np.testing.assert_allclose(in_c, found[k], rtol=0, atol=1e-12 * scale)
+            np.testing.assert_allclose(
+                latex[each.kind.name][k], found[k], rtol=0, atol=1e-12 * scale
+            )
+        results[each.kind.name] = found @ vector if each.kind.is_regressor else found
+    return results
+
+
+def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> dict[str, list[Array]]:
+    """Every number, name and power of the document is read, and nothing else is used."""
+    blocks = latex_blocks(write_equations(listing, "latex", source))
+    constants: dict[str, float] = {}
+    if listing.constants:
+        read = blocks.pop(0)
+        constants = {left: LatexReader(right, {}, np.zeros(0)).value() for left, right in read}
+    found: dict[str, list[Array]] = {}
+    for each, block in zip(listing.equations, blocks, strict=True):
+        samples = zip(*states, strict=True)
+        vector = parameters(each, listing)
+        found[each.kind.name] = [_block(each, block, constants, one, vector) for one in samples]
+    return found
+
+
+def _block(
+    each: Equations, block: list[tuple[str, str]], constants: dict[str, float],
+    sample: tuple[Array, ...], vector: Array,
+) -> Array:  # fmt: skip
+    names = dict(constants)
+    for letter, values in zip(("q", r"\dot q", r"\ddot q"), sample, strict=True):
+        names |= {f"{letter}_{{{k + 1}}}": float(v) for k, v in enumerate(values)}
+    if not each.kind.is_regressor:
+        for value, parameter in zip(vector, each.parameters, strict=True):
+            names[parameter.label.stem.latex] = value / parameter.times
+    result = np.zeros(each.shape)
+    written = [label for label, value in each.program.lines if value or len(each.shape) == 1]
+    assert block == [("0", "0")] if not written else len(block) == len(written)
+    for label, (left, right) in zip(written, block, strict=False):
+        assert left not in names, f"{left} stands for two things"
+        names[left] = LatexReader(right, names, sample[0]).value()
+        if label in each.places:
+            result[each.places[label]] = names[left]
+    return result
+
+
+def check(listing: Listing, urdf: str, seed: int = 0) -> None:
+    """All languages against Pinocchio."""
+    states = random_states(np.random.default_rng(seed), 2, listing.tree.n)
+    witness = by_pinocchio(urdf, listing.tree, states)
+    wanted = {
+        "joint-forces": witness.forces, "dynamic-regressor": witness.forces,
+        "base-wrench": witness.wrench, "reaction-regressor": witness.wrench,
+        "mass-matrix": witness.mass, "gravity-forces": witness.gravity,
+    }  # fmt: skip
+    for kind, found in computed(listing, states).items():
+        scale = max(1.0, np.abs(wanted[kind]).max())
+        np.testing.assert_allclose(found, wanted[kind], rtol=0, atol=1e-12 * scale, err_msg=kind)
+
+
+@pytest.mark.parametrize("form", FORMS)
+@given(robot=robots((1, 4)), numbers=st.booleans(), seed=seeds)
+@hypothesis.settings(max_examples=3)
+def test_equations_of_any_tree_compute_what_pinocchio_does(
+    form: Form, robot: Robot, numbers: bool, seed: int
+) -> None:
+    """A wrong term would send torques to a robot: all kinds, Python, C and the printed page."""
+    check(equations(robot.tree(), list(KINDS), form, numbers=numbers), robot.urdf(), seed)
+
+
+@pytest.mark.parametrize("name", ["gantry_ppp_rrr", "puma560_6", "random_tree_08"])
+def test_equations_of_real_arms_compute_what_pinocchio_does(name: str) -> None:
+    """Some with more than nine joints, where s_{12} is the sine of q12, not of q1 + q2."""
+    kinds = ["joint-forces", "mass-matrix", "base-wrench"]
+    urdf = (GOLDEN / f"robots/{name}.urdf").read_text()
+    check(equations(named(name), kinds, "recursive"), urdf)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_known_zeros_are_left_out_and_the_rest_agrees(form: Form) -> None:
+    path = ROOT / "models/puma562.urdf"
+    listing = equations(tb.load_tree(path), list(KINDS), form, zeros=True)
+    check(listing, path.read_text())
+    assert not re.search(r"\b(mbs?\dx|Ks?\dx[yz])", write_equations(listing, "paper"))
+    one = equations(listing.tree, "mass-matrix", form, zeros="mb3x")
+    assert one.known_zero.sum() == 1
+
+
+def test_hostile_names_change_no_result_and_stand_in_comments_only() -> None:
+    """A downloaded robot must not run code on the machine that generates equations."""
+    plain = random_robot(np.random.default_rng(2), len(HOSTILE)).tree()
+    pairs = zip(plain.joints, HOSTILE, strict=True)
+    joints = tuple(replace(j, name=f"{name}{j.name}", body=name) for j, name in pairs)
+    states = random_states(np.random.default_rng(3), 1, plain.n)
+    one = equations(plain, ["gravity-forces"], "recursive")
+    expected = computed(one, states)
+    marks: dict[Language, str] = {"paper": "*", "latex": "%", "python": "#", "c": " *"}
+    for name in HOSTILE:
+        tree = replace(plain, joints=joints, name=name)
+        other = equations(tree, ["gravity-forces"], "recursive")
+        for language, mark in marks.items():
+            texts = [write_equations(each, language, each.tree.name) for each in (one, other)]
+            code = [[x for x in t.splitlines() if not x.startswith(mark)] for t in texts]
+            assert code[0] == code[1]
+            assert texts[1].isascii()
+            assert max(len(x) for x in texts[1].splitlines() if x.startswith(mark)) < 300
+    np.testing.assert_array_equal(computed(other, states, HOSTILE[0])["gravity-forces"],
+                                  expected["gravity-forces"])  # fmt: skip
+    own = write_equations(other, "paper", HOSTILE[-4])
+    assert not any(compare_equations(plain, own, "recursive").values())
+
+
+def counted(text: str, each: Equations) -> tuple[int, int]:
+    """Multiplications and additions of a generated Python function, by its syntax tree."""
+    tree, name = ast.parse(text), each.kind.name.replace("-", "_")
+    once = {factor.name for factor, _ in each.program.once}  # for all samples
+    (function,) = [f for f in tree.body if isinstance(f, ast.FunctionDef) and f.name == f"_{name}"]
+    products = sums = 0
+    for line in function.body:
+        targets = [t for t in getattr(line, "targets", []) if isinstance(t, ast.Name)]
+        if any(t.id in once or re.fullmatch(r"[SC]_?[\dm_]+", t.id) for t in targets):
+            continue  # angles of sines are nobody's
+        if isinstance(line, ast.Assign | ast.AugAssign):
+            sums += isinstance(line, ast.AugAssign)
+            operations = [n.op for n in ast.walk(line.value) if isinstance(n, ast.BinOp)]
+            products += sum(isinstance(each, ast.Mult) for each in operations)
+            sums += sum(isinstance(each, ast.Add | ast.Sub) for each in operations)
+    return products, sums
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_operations_are_those_of_the_code_and_as_few_as_they_were(name: str) -> None:
+    """Exactly: real-time code that gets slower shows, and what gets faster is written down."""
+    listing = equations(named(name), list(COUNTS[name]), "recursive")
+    text = write_equations(listing, "python")
+    for each in listing.equations:
+        c = each.program.count
+        found = [c.multiplications, c.additions, c.trigonometric, c.once]
+        assert found == COUNTS[name][each.kind.name]
+        assert counted(text, each) == tuple(found[:2])
+    (forces, *_) = COUNTS["puma560_6"].values()
+    assert (forces[0], forces[1]) < (319, 266)  # OpenSYMORO's
+    assert sum(COUNTS["humanoid_pelvis"]["joint-forces"][:2]) < 140 * 38  # ROBOTRAN's a joint
+
+
+def test_the_same_bits_in_every_process() -> None:
+    """Nothing depends on the order of hashes: generated code can be kept under version control."""
+    code = (
+        "import testbed as tb; from testbed.symbolic.equations import equations\n"
+        "from testbed.symbolic.languages import write_equations\n"
+        f"tree = tb.load_tree({str(GOLDEN / 'robots/gantry_ppp_rrr.urdf')!r})\n"
+        "print(write_equations(equations(tree, ['dynamic-regressor'], 'reduced'), 'python'))"
+    )
+    texts = {
+        subprocess.run(
+            [sys.executable, "-c", code], env=os.environ | {"PYTHONHASHSEED": seed}, cwd=ROOT,
+            capture_output=True, check=True, text=True,
+        ).stdout
+        for seed in ("1", "2")
+    }  # fmt: skip
+    assert len(texts) == 1
+
+
+def test_generated_python_takes_samples_of_any_shape_and_refuses_others(
+    puma: tb.Tree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = write_equations(equations(puma, ["joint-forces"], "recursive"), "python")
+    module = python_module(text, tmp_path)
+    delta, states = np.linspace(0.1, 1.5, 15), random_states(np.random.default_rng(1), 10_000, 3)
+    whole = module.joint_forces(*states, delta)
+    cube = [x.reshape(10, 1000, 3) for x in states]
+    np.testing.assert_array_equal(module.joint_forces(*cube, delta).reshape(-1, 3), whole)
+    assert module.joint_forces(*(x[5] for x in states), delta).shape == (3,)
+    monkeypatch.setattr(module, "BLOCK", 7)
+    np.testing.assert_allclose(module.joint_forces(*states, delta), whole, rtol=1e-14, atol=1e-13)
+    with refuses(ValueError):
+        module.joint_forces(states[0][:, :2], *states[1:], delta)
+    with refuses(ValueError, "15", "9"):
+        module.joint_forces(*states, delta[:9])
+
+
+@given(st.sampled_from([0.0, 1e-9, -0.9e-4, 1.1e-4, -2e-4]))
+def test_turns_close_to_quarter_turns_are_said_and_squared_and_others_stay(off: float) -> None:
+    """Angles rounded in a file would make ten times as long equations."""
+    axis = np.array([0, np.sin(off), np.cos(off)])
+    joint = tb.Joint("a", "b", "revolute", -1, axis, np.zeros(3), np.eye(3))
+    tree = tb.Tree("one", (joint,), (tb.Inertia(1.0, np.ones(3), np.eye(3)),))
+    close = abs(off) < 1e-4
+    np.testing.assert_array_equal(right_angles(tree).joints[0].axis, [0, 0, 1] if close else axis)
+    assert set(almost_right(tree)) == ({"a"} if 1e-12 < abs(off) < 1e-4 else set())
