@@ -39,10 +39,10 @@ NAMED = {"coulomb": "coulomb", "viscous": "viscous", "rotor": "rotor_inertia"}
 
 def with_drives(tree: tb.Tree, rng: np.random.Generator, kinds: tuple[str, ...] = KINDS) -> tb.Tree:
     """With friction and rotors of some kinds at every joint."""
-    joints = [
-        replace(j, **{field: rng.uniform(0.5, 2) for kind, field in NAMED.items() if kind in kinds})
-        for j in tree.joints
-    ]
+    joints = []
+    for joint in tree.joints:
+        own: dict[str, Any] = {NAMED[k]: rng.uniform(0.5, 2) for k in kinds if k in NAMED}
+        joints.append(replace(joint, **own))
     return replace(tree, joints=tuple(joints))
 
 
@@ -198,22 +198,21 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
 def test_a_recording_that_cannot_be_filtered_is_refused(puma: tb.Tree, tmp_path: Path) -> None:
     """Too short for its filters, too slow for them, or its time does not go on."""
     whole = ideal(puma)
-    for recording, asked, culprit in (
+    cases: list[tuple[Recording, dict[str, Any], str]] = [
         (ideal(puma, duration=0.5), {}, "0.5 s"),
         (whole.part(0, 30), {}, "0.15 s"),
         (whole, {"cutoff": 1e-9}, "10 s"),
         (whole, {"cutoff": 5e-324, "position_cutoff": 1e-300}, "10 s"),
         (whole, {"cutoff": 150.0, "position_cutoff": "off"}, "150 Hz"),
-    ):
+    ]
+    for way in (whole.time[::-1], np.zeros_like(whole.time)):
+        path = tmp_path / f"{way[0]}.parquet"
+        replace(whole, time=way.copy()).save(path)
+        cases += [(path, {"cutoff": c, "position_cutoff": "off"}, "time") for c in (5.0, "off")]  # type: ignore[misc]
+    for recording, asked, culprit in cases:
         for method in METHODS:
             with refuses(RecordingError, culprit):
-                tb.identify(puma, recording, method, settings=tb.Settings(**asked))  # type: ignore[arg-type]
-    for time in (whole.time[::-1], np.zeros_like(whole.time)):
-        replace(whole, time=time.copy()).save(tmp_path / "r.parquet")
-        for cutoff in (5.0, "off"):
-            asked: Any = {"cutoff": cutoff, "position_cutoff": "off"}
-            with refuses(RecordingError, "time"):
-                tb.identify(puma, tmp_path / "r.parquet", settings=tb.Settings(**asked))
+                tb.identify(puma, recording, method, settings=tb.Settings(**asked))
 
 
 @pytest.mark.slow

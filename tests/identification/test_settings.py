@@ -113,7 +113,7 @@ def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb
     )
     for method in ("external", "internal"):
         with refuses(SettingsError, "zeros"):  # nothing is left
-            tb.identify(light, recording, method, settings=with_zeros)  # type: ignore[arg-type]
+            tb.identify(light, recording, method, settings=with_zeros)
 
 
 def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> None:

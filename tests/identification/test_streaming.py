@@ -132,7 +132,7 @@ def test_compiled_and_plain_engine_give_one_estimate(
     given_now = noisy(encoders(short) if settings is FILTERED else short)
     one, other = (
         tb.identify(tree, given_now, method, settings=replace(settings, engine=engine))
-        for engine in ("compiled", "numpy")  # type: ignore[arg-type]
+        for engine in ("compiled", "numpy")
     )
     np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(one.sigma, other.sigma, rtol=1e-6)
