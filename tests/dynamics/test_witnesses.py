@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.dynamics.drive_set import drive_set
-from testbed.dynamics.inverse_dynamics import parameter_regressor
 from testbed.dynamics.witnesses import sampled_regressor, verify, verify_drives
 from testbed.parameters.rules import Model
 from tests.helpers.robots import random_robot
@@ -71,22 +70,3 @@ def test_a_change_is_relative_to_the_largest_entry(tree: tb.Tree) -> None:
     vars(minimal)["lift"] = lift
     wanted = np.abs(lost).max() / np.abs(rows).max()
     assert verify(tree, minimal).change == pytest.approx(wanted, rel=1e-6)
-
-
-@given(trees((1, 5)), models)
-def test_sampled_states_begin_at_rest_and_a_tare_takes_that_off(
-    tree: tb.Tree, model: Model
-) -> None:
-    """Enough of them to see the whole space; the same for the same seed."""
-    channels = tree.n if model == "dynamic" else 6
-    rows = sampled_regressor(tree, model)
-    assert rows.shape[1] == 10 * tree.n
-    assert len(rows) >= 20 * tree.n
-    rest = tb.Motion(np.zeros(1), *np.zeros((3, 1, tree.n)))
-    still = parameter_regressor(tree, rest, model)[0]
-    np.testing.assert_allclose(rows[:channels], still, atol=1e-14)
-    tared = sampled_regressor(tree, model, tared=True)
-    moved = rows - np.tile(still, (len(rows) // channels, 1))
-    np.testing.assert_allclose(tared, moved, atol=1e-13)
-    np.testing.assert_array_equal(rows, sampled_regressor(tree, model, seed=0))
-    assert not np.array_equal(rows, sampled_regressor(tree, model, seed=1))

@@ -19,7 +19,7 @@ from testbed.arrays import Array
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.kernel import compiler, gram, numba_engine, numpy_engine
 from testbed.kernel.layout import Layout, independent_columns, layout
-from testbed.kernel.records import Question, Signals, Sums, blocks, products_wanted
+from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
@@ -196,18 +196,6 @@ def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.G
     assert independent_columns(np.array([[1.0, 1.0, 0.0], [0.0, 0.01, 1.0]]), [0, 1, 2]) == [0, 2]
     for size, wanted in ((1e-5, [0, 1]), (1e-7, [0])):
         assert independent_columns(np.array([[1.0, 1.0], [0.0, size]]), [0, 1]) == wanted
-
-
-@given(st.integers(0, 30), st.integers(1, 9))
-def test_blocks_are_all_rows_in_order(number: int, size: int) -> None:
-    empty = np.zeros((0, 1))
-    signals = Signals(empty, empty, empty, empty, empty, empty, 0.0, 0, 100, 7, number)
-    at = 0
-    for first, part in blocks(signals, size):
-        assert (first, part.start) == (at, 100 + 7 * at)
-        assert 0 < part.number <= size
-        at += part.number
-    assert at == number
 
 
 def test_warming_up_compiles_and_says_where_to() -> None:
