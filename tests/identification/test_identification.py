@@ -21,7 +21,7 @@ from testbed.identification.filters import (
     motion_taps,
     slope_weights,
 )
-from testbed.identification.period import FEWEST, period_of
+from testbed.identification.period import period_of
 from testbed.identification.predict import own_torque, predictions
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
@@ -293,5 +293,5 @@ def test_four_samples_may_repeat_and_three_may_not() -> None:
     """And what rests or goes on never does."""
     turning = np.array([[1.0], [-1.0]] * 10)
     assert period_of(turning) == 2
-    for odd in (turning[: FEWEST - 1], np.ones((20, 2)), np.arange(20.0)[:, None]):
+    for odd in (turning[:3], np.ones((20, 2)), np.arange(20.0)[:, None]):
         assert period_of(odd) is None
