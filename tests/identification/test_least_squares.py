@@ -58,6 +58,17 @@ def test_a_fit_of_some_channels_is_the_fit_of_their_rows(method: Method) -> None
         tb.fit(estimate.normal_equations, {"Mq": 1.0})
 
 
+def test_channels_weigh_as_their_own_residuals_say(puma: tb.Tree) -> None:
+    """However unlike their noise is: a poor channel does not spoil a good one."""
+    noise = np.random.default_rng(0).normal(size=(400, 6)) * [5.0, 0.5, 0.5, 0.1, 0.01, 1.0]
+    recording = plus(ideal(puma, 2.0), wrench=noise)
+    equations = tb.identify(puma, recording, settings=EXACT).normal_equations
+    found = tb.fit(equations)
+    free = equations.used - len(equations.unknowns) / 6
+    left = np.diagonal(equations.residual(found.values)) / free
+    np.testing.assert_allclose(np.diagonal(found.weights) * left, 1.0, atol=1e-5)
+
+
 def test_the_full_covariance_of_the_plate_is_worth_knowing() -> None:
     """Noise of which Fx and My hold the same, ten times larger than the rest."""
     tree = robot("puma")
