@@ -63,7 +63,7 @@ def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
     return int(np.linalg.matrix_rank(phi / np.where(scale > 0, scale, 1.0), tol=1e-8))
 
 
-@settings(max_examples=40)
+@settings(max_examples=25)
 @given(rngs, st.integers(1, 6), st.sets(st.sampled_from(KINDS), max_size=4))
 def test_without_noise_the_model_file_comes_back(
     rng: np.random.Generator, joints: int, some: set[str]

@@ -43,7 +43,7 @@ CASES: tuple[dict[str, Any], ...] = (
 )
 
 
-@settings(max_examples=14)
+@settings(max_examples=10)
 @given(rngs, st.sampled_from(CASES), st.sampled_from([EXACT, FILTERED]))
 def test_what_a_prediction_leaves_is_the_estimates_residual(
     rng: np.random.Generator, case: dict[str, Any], treated: tb.Settings
