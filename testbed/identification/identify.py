@@ -115,6 +115,8 @@ def identify(
         drives = drive_set(tree, minimal, settings.words)
     rows, warnings = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
+    if not minimal.names:
+        raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
     channels, tare = channels_of(tree, method), tare_of(tree, source)
 
     def begin(source: Source) -> Start:

@@ -162,7 +162,7 @@ def _columns(turn: Array, minimal: MinimalSet, *, whole: bool) -> tuple[list[int
     """
     lift = np.einsum("jab,jbn->jan", turn, minimal.lift.reshape(len(turn), 10, -1))
     lift = lift.reshape(10 * len(turn), -1)
-    needed = np.flatnonzero(np.abs(lift).max(axis=1) > TINY)
+    needed = np.flatnonzero(np.abs(lift).max(axis=1, initial=0.0) > TINY)
     if len(needed) > minimal.count and not whole:
         back = np.linalg.inv(turn)
         allowed = ~(np.abs(back) * minimal.known_zero[:, :, None] > TINY).any(axis=1).ravel()

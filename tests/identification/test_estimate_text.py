@@ -1,4 +1,4 @@
-"""An estimate printed, in a notebook, as a dictionary, as a data frame."""
+"""An estimate printed, in a notebook, as a dictionary, as a data frame: the same numbers."""
 
 from __future__ import annotations
 
@@ -11,53 +11,58 @@ import pytest
 
 import testbed as tb
 from testbed.errors import TestbedError
-from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.estimate_text import number_with_sigma
-from tests.helpers.ideal import ideal
-from tests.helpers.runs import noisy, robot
+from tests.helpers.refusals import refuses
+from tests.scenarios.scenarios import result
 
 
-def estimate_of(name: str, method: Method) -> Estimate:
-    tree = robot(name)
-    return tb.identify(tree, noisy(ideal(tree)), method)
+def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Warnings too, and safely; data frames by whichever package is there."""
+    for found in result("gantry").estimates.values():
+        found = replace(found, warnings=("<b>mind</b> this",))
+        lines = str(found).splitlines()
+        assert repr(found) == str(found)
+        for name, value, sigma, unit, line in zip(
+            found.names, found.values, found.sigma, found.units, lines[1:-1], strict=True
+        ):
+            assert line.startswith(name)
+            assert number_with_sigma(float(value), float(sigma)) in line
+            assert line.rstrip().endswith(unit)
+        assert "<b>mind</b> this" in lines[-1]
+        page = found._repr_html_()
+        assert page.count("<tr>") == len(found.names)
+        assert "&lt;b&gt;mind" in page
+        assert "+-" not in page
+        said = found.to_dict()
+        assert list(said) == list(found.names)
+        assert [each["value"] for each in said.values()] == found.values.tolist()
+        assert [each["unit"] for each in said.values()] == list(found.units)
+        monkeypatch.setitem(sys.modules, "pandas", None)
+        monkeypatch.setitem(sys.modules, "polars", None)
+        with refuses(TestbedError, "pandas"):
+            found.to_frame()
+        polars = ModuleType("polars")
+        polars.DataFrame = dict  # type: ignore[attr-defined]
+        monkeypatch.setitem(sys.modules, "polars", polars)
+        frame = found.to_frame()
+        assert list(frame) == ["name", "value", "sigma", "unit"]
+        np.testing.assert_array_equal(frame["sigma"], found.sigma)
+    assert ", ".join(result("gantry").estimates["external"].names[:3]) in repr(
+        tb.minimal_set(result("gantry").tree, "reaction")
+    )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["puma", "gantry", "random"])
-@pytest.mark.parametrize("method", METHODS)
-def test_every_parameter_is_a_line(name: str, method: Method) -> None:
-    found = replace(estimate_of(name, method), warnings=("<b>mind</b> this",))
-    lines = str(found).splitlines()
-    assert len(lines) == 1 + len(found.names) + 1
-    for k, line in enumerate(lines[1:-1]):
-        assert line.startswith(found.names[k])
-        assert number_with_sigma(float(found.values[k]), float(found.sigma[k])) in line
-        assert line.rstrip().endswith(found.units[k])
-    assert lines[-1] == "warning: <b>mind</b> this"
-    page = found._repr_html_()
-    assert page.count("<tr>") == len(found.names)
-    assert "&lt;b&gt;mind" in page
-    assert "+-" not in page
-
-
-def test_numbers_by_name() -> None:
-    found = estimate_of("puma", "external")
-    said = found.to_dict()
-    assert list(said) == list(found.names)
-    assert [each["value"] for each in said.values()] == found.values.tolist()
-    assert said["mbar1"]["unit"] == "kg"
-
-
-def test_a_data_frame_of_what_is_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither package is needed: what would be called is seen."""
-    found = estimate_of("puma", "external")
-    for package in ("pandas", "polars"):
-        monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(TestbedError, match="pip install pandas"):
-        found.to_frame()
-    polars = ModuleType("polars")
-    polars.DataFrame = dict  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "polars", polars)
-    frame = found.to_frame()
-    assert list(frame) == ["name", "value", "sigma", "unit"]
-    np.testing.assert_array_equal(frame["sigma"], found.sigma)
+def test_a_number_has_the_digits_that_its_sigma_has_to_say() -> None:
+    for value, sigma, wanted, short in (
+        (1.06104, 0.00094, "1.06104 +- 0.00094", "1.06104(94)"),
+        (-123.456, 12.0, "-123.5 +- 12.0", "-123.5(12.0)"),
+        (5.0, 1.0, "5.0 +- 1.0", "5.0(1.0)"),
+        (1.0, 1e-12, "1 +- 1e-12", "1 +- 1e-12"),
+        (2.5, 0.0, "2.5", "2.5"),
+        (1e-17, 1e-18, "0", "0"),
+    ):
+        assert (number_with_sigma(value, sigma), number_with_sigma(value, sigma, True)) == (
+            wanted,
+            short,
+        )
+    assert not any(digit in number_with_sigma(3.0, np.inf) for digit in "0123456789")

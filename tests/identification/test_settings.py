@@ -1,129 +1,144 @@
-"""Settings: checked where they are made, plain, and the same however they are written."""
+"""Settings and wishes: what makes no sense is refused where it is said, before hours of work."""
 
 from __future__ import annotations
 
-import ast
-import inspect
-from dataclasses import FrozenInstanceError, fields, replace
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, replace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
 
 import testbed as tb
-from testbed.errors import SettingsError, TestbedError, UnknownName
-from testbed.identification import settings as module
+from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.settings import Settings
+from testbed.identification.term_choice import choose_terms
+from testbed.identification.wishes import Wishes
+from testbed.parameters.prior import prior_of
 from testbed.robot.friction import LAWS, JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
-from tests.helpers.paths import ROOT
+from tests.helpers.measured import measured
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import noisy, robot
+from tests.helpers.strategies import wrong_numbers
 
-REFUSED: dict[str, tuple[dict[str, Any], str]] = {
-    "a cutoff of nothing": ({"cutoff": 0.0}, "cutoff is a positive frequency .* found 0"),
-    "a negative cutoff": ({"position_cutoff": -1}, "position_cutoff is a positive frequency"),
-    "an endless cutoff": ({"cutoff": np.inf}, "positive frequency"),
-    "a cutoff that is no number": ({"cutoff": np.nan}, "positive frequency"),
-    "a cutoff in words": ({"cutoff": "fast"}, "found 'fast'"),
-    "a cutoff that is true": ({"cutoff": True}, "found True"),
-    "a filter that biases": ({"position_cutoff": 6.0}, "less than twice cutoff = 5 Hz"),
-    "a negative deadband": ({"deadband": -0.1}, "deadband is a speed"),
-    "a deadband in words": ({"deadband": "slow"}, "deadband is a speed"),
-    "no deadband": ({"deadband": None}, "deadband is a speed"),
-    "a term that is not known": ({"terms": ("rotr",)}, "did you mean 'rotor'"),
-    "a term twice": ({"terms": ("rotor", "rotor")}, "names something twice"),
-    "a term for a list": ({"terms": "rotor"}, "terms is a list of names"),
-    "a number for a term": ({"terms": (3,)}, "found 3 in it"),
-    "unknown weights": ({"weights": "rows"}, "known: channels, full, a covariance"),
-    "weights that are negative": ({"weights": [[-1.0]]}, "positive definite"),
-    "weights askew": ({"weights": [[1.0, 0.5], [0.0, 1.0]]}, "not symmetric"),
-    "weights not square": ({"weights": [[1.0, 0.5]]}, "not a square matrix"),
-    "weights of words": ({"weights": [["a"]]}, "not a square matrix"),
-    "weights without end": ({"weights": [[np.inf]]}, "not a square matrix"),
-    "noise of another colour": ({"noise": "brown"}, "noise 'brown'.*known: ar, white"),
-    "a tare that is guessed": ({"tare": "guessed"}, "tare 'guessed'.*known: "),
-    "zeros in numbers": ({"zeros": 1}, "zeros is true, false or a list"),
-    "zeros by number": ({"zeros": [1, 2]}, "zeros is true, false or a list"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_makes_no_sense_is_refused_in_a_line(case: str) -> None:
-    given, said = REFUSED[case]
-    with pytest.raises(TestbedError, match=said) as caught:
-        Settings(**given)
-    assert isinstance(caught.value, SettingsError | UnknownName)
-    assert "\n" not in str(caught.value)
+NUMBERS = ("position_cutoff", "cutoff", "deadband", "reversal_reach")
+NAMED = ("noise", "weights", "tare", "drives", "engine")
+TWIN = JointLaw("viscous", "N m s/rad", "N s/m", lambda qd, qdd: qd)
+MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
+    ({"cutoff": 0.0}, "cutoff"),
+    ({"position_cutoff": 6.0}, "twice cutoff = 5 Hz"),  # it would bias the estimate
+    ({"terms": ("rotr",)}, "'rotor'"),
+    ({"terms": ("rotor", "rotor")}, "terms"),
+    ({"terms": ("viscous", TWIN)}, "terms"),
+    ({"terms": "rotor"}, "terms"),
+    ({"terms": (3,)}, "3"),
+    *(({"weights": given}, "weights") for given in ([[-1.0]], [[1, 0.5], [0, 1]], [[1.0, 0.5]])),
+    *(({"weights": given}, "weights") for given in ([["a"]], [[np.inf]], [[0.0]])),
+    ({"zeros": 1}, "zeros"),
+    ({"zeros": [1, 2]}, "zeros"),
+    ({"ridge": 1}, "ridge"),
+    ({"nuisances": ("skw",)}, "'skew'"),
+    ({"nuisances": ("skew", "skew")}, "nuisances"),
+    ({"nuisances": ("skew",), "noise": "white"}, "nuisances"),
+    ({"nuisances": ("skew",), "cutoff": "off"}, "nuisances"),
+    ({"noise": "white", "known": {"mass": 3.0}}, "known"),
+    *(({"span": s}, "span") for s in ([1.0], [2.0, 1.0], [1.0, 1.0], "ab", ["a", 2], [0, np.inf])),
+)
 
 
-def test_off_is_off_however_it_is_said() -> None:
-    none, off = (Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
-    assert none == off
-    assert (none.position_cutoff, none.cutoff) == ("off", "off")
-    assert (none.position_low_pass, none.row_low_pass) == (None, None)
-    numbers = Settings(position_cutoff=np.float64(40), cutoff=5)
-    assert numbers == Settings().fitted(1000.0)
-    assert (numbers.position_low_pass, numbers.row_low_pass) == (40.0, 5.0)
+@given(wrong_numbers)
+def test_what_is_no_number_is_refused_by_the_settings_name(wrong: Any) -> None:
+    for name in NUMBERS:
+        if wrong is not None or name == "deadband":  # elsewhere: the default
+            with refuses(SettingsError, name):
+                Settings(**{name: wrong})
 
 
-def test_filters_fit_the_sampling_rate() -> None:
+def test_what_makes_no_sense_is_refused_by_the_settings_name() -> None:
+    for given_settings, culprit in MEANINGLESS:
+        with refuses((SettingsError, UnknownName), culprit):  # type: ignore[arg-type]
+            Settings(**given_settings)
+    for name in NAMED:
+        with refuses(UnknownName, name, "'nonsense'"):
+            Settings(**{name: "nonsense"})  # type: ignore[arg-type]
+
+
+def test_filters_fit_the_sampling_rate_unless_they_are_said() -> None:
     for rate, position, rows in ((1000.0, 40.0, 5.0), (60.0, None, 5.0), (30.0, None, 3.0)):
         fitted = Settings().fitted(rate)
         assert (fitted.position_low_pass, fitted.row_low_pass) == (position, rows)
     asked = Settings(position_cutoff=10.0, cutoff=2.0)
     assert asked.fitted(30.0) == asked
+    none, off = (Settings(position_cutoff=v, cutoff=v) for v in (None, "off"))
+    assert none == off == off.fitted(30.0)
+    assert (off.position_low_pass, off.row_low_pass) == (None, None)
+    assert Settings(position_cutoff=np.float64(40), cutoff=5) == Settings().fitted(1000.0)
 
 
 def test_settings_are_values() -> None:
-    """Equal if they say the same, usable as keys, never changed; lists and arrays are taken."""
+    """Equal if they say the same, usable as keys, never changed."""
     covariance = np.diag([1.0, 2.0])
     one = Settings(zeros=["mb1x"], terms=["rotor"], weights=covariance.tolist())
     other = Settings(zeros=("mb1x",), terms=("rotor",), weights=covariance)  # type: ignore[arg-type]
     assert one == other
     assert hash(one) == hash(other)
     np.testing.assert_array_equal(one.covariance, covariance)
-    assert one.joined
-    assert not Settings().joined
+    assert (one.joined, Settings().joined) == (True, False)
+    assert (one.laws, Settings().laws) == ((LAWS[3],), LAWS[:2])
     with pytest.raises(FrozenInstanceError):
         one.deadband = 1.0  # type: ignore[misc]
     assert replace(one, deadband=1) == replace(other, deadband=1.0)
 
 
-def test_every_setting_says_what_it_is() -> None:
-    """A line below each field, with its unit; no guest is needed to read them."""
-    (found,) = (
-        node
-        for node in ast.parse(inspect.getsource(module)).body
-        if isinstance(node, ast.ClassDef) and node.name == "Settings"
-    )
-    said = [
-        first.target.id
-        for first, second in zip(found.body, found.body[1:], strict=False)
-        if isinstance(first, ast.AnnAssign)
-        and isinstance(first.target, ast.Name)
-        and isinstance(second, ast.Expr)
-    ]
-    assert said == [field.name for field in fields(Settings)]
-
-
-def test_terms_are_laws() -> None:
-    mine = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
-    assert Settings(terms=("rotor", mine)).laws == (LAWS[3], mine)
-    assert Settings().laws == LAWS[:2]
-
-
-def test_zeros_are_a_setting_that_an_argument_overrides() -> None:
+def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
     """Three bodies on a line: some of their parameters are zero in the model file."""
-    tree = tb.load_tree(ROOT / "models/puma562.xml")
-    recording = ideal(tree)
-    with_zeros = replace(EXACT, zeros=True)
-    counts = {
-        "none": len(tb.identify(tree, recording, settings=EXACT).names),
-        "all": len(tb.identify(tree, recording, settings=with_zeros).names),
-        "asked": len(tb.identify(tree, recording, settings=EXACT, zeros=True).names),
-        "refused": len(tb.identify(tree, recording, settings=with_zeros, zeros=False).names),
-        "some": len(tb.identify(tree, recording, zeros=["K3xy"], settings=EXACT).names),
-    }
-    assert counts["none"] == counts["refused"] > counts["some"] > counts["all"] == counts["asked"]
-    found = tb.identify(tree, recording, settings=with_zeros)
-    truth = true_values(tree, "external", zeros=True)
-    np.testing.assert_allclose(found.values, truth, rtol=1e-9)
+    recording, with_zeros = ideal(puma), replace(EXACT, zeros=True)
+    none, every, asked, refused, some = (
+        len(tb.identify(puma, recording, settings=settings, zeros=zeros).names)
+        for settings, zeros in (
+            (EXACT, None),
+            (with_zeros, None),
+            (EXACT, True),
+            (with_zeros, False),
+            (EXACT, ["K3xy"]),
+        )
+    )
+    assert none == refused > some > every == asked
+    found = tb.identify(puma, recording, settings=with_zeros)
+    np.testing.assert_allclose(found.values, true_values(puma, "external", zeros=True), rtol=1e-9)
+    light = replace(
+        puma, inertias=(tb.Inertia.about_centre(0.0, np.zeros(3), np.zeros((3, 3))),) * 3
+    )
+    for method in ("external", "internal"):
+        with refuses(SettingsError, "zeros"):  # nothing is left
+            tb.identify(light, recording, method, settings=with_zeros)
+
+
+def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> None:
+    tree = robot("ur5")
+    recording = noisy(ideal(tree))
+    estimate, prior, link = tb.identify(tree, recording), prior_of(tree), tree.joints[2].body
+    light = replace(prior, standard=prior.standard * (np.arange(tree.n) != 2)[:, None])
+    elsewhere = replace(estimate, gravity=np.array([0.0, 1.0, -9.76]))
+    wished = Wishes(known={f"mass/{link}": 2.0}, prior_error=0.3)
+    nowhere = Wishes(symmetric={"nowhere": ("xz",)}, prior_error=0.3)
+    five = replace(EXACT, weights=np.eye(5).tolist())
+    chosen, gantry = Wishes(prior_error="chosen"), robot("gantry")
+    short = measured(gantry, duration=0.8)
+    cases: tuple[tuple[type[Exception], str, Callable[[], object]], ...] = (
+        (SettingsError, "symmetric", lambda: Wishes(symmetric=["xz"])),  # type: ignore[arg-type]
+        (SettingsError, "centres_in_shapes", lambda: Wishes(centres_in_shapes=1)),  # type: ignore[arg-type]
+        (SettingsError, f"mass/{link}", lambda: tb.consistent(tree, [estimate], light, wished)),
+        (UnknownName, "nowhere", lambda: tb.consistent(tree, [estimate], prior, nowhere)),
+        (SettingsError, "prior", lambda: tb.consistent(tree, [estimate], prior, chosen)),
+        (SettingsError, "gravity", lambda: tb.payload(tree, estimate, elsewhere)),
+        (SettingsError, "5 channels", lambda: tb.identify(tree, recording, settings=five)),
+        (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
+        (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
+        (RecordingError, "rows", lambda: choose_terms(gantry, short, Settings())),
+    )
+    for kind, culprit, asked in cases:
+        with refuses(kind, culprit):
+            asked()

@@ -1,47 +1,63 @@
-"""The compiled kernel against the recursion of `dynamics`, which shares no code with it."""
+"""The compiled kernel, which makes the equations of every long recording, against witnesses."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import testbed as tb
 from benchmarks.robots import load, robots
 from testbed.arrays import Array
-from testbed.dynamics.motion import Motion
 from testbed.identification.filters import motion_taps, row_weights
-from testbed.kernel import numba_engine, numpy_engine
-from testbed.kernel.canonical import canonical
-from testbed.kernel.layout import Layout, layout
+from testbed.kernel import compiler, gram, numba_engine, numpy_engine
+from testbed.kernel.layout import Layout, independent_columns, layout
 from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, joint_terms
-from tests.helpers.robots import random_robot
+from tests.helpers.paths import ROOT
+from tests.helpers.strategies import rngs, trees
 
 SAMPLES = 700
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
+UNIT = np.array([[1.0], [0.0], [0.0]])
+models = st.sampled_from(MODELS)
+any_trees = trees((1, 9), bare=True)
 
 
-def some_tree(seed: int) -> tb.Tree:
-    return random_robot(np.random.default_rng(seed), 1 + seed % 9).tree()
-
-
-def some_signals(found: Layout, seed: int, encoders: bool, filtered: bool) -> Signals:
-    rng = np.random.default_rng(seed)
+def some_signals(
+    found: Layout, rng: np.random.Generator, encoders: bool, filtered: bool
+) -> Signals:
     n, rate = found.tree.n, 200.0
-    taps = motion_taps(rate, 40.0) if encoders else np.array([[1.0], [0.0], [0.0]])
+    taps = motion_taps(rate, 40.0) if encoders else UNIT
     weights = row_weights(rate, 5.0) if filtered else np.ones(1)
     reach, step = taps.shape[1] // 2 + len(weights) // 2, 7 if filtered else 1
     t = np.arange(SAMPLES)[:, None] / rate
-    size = rng.uniform(-1, 1, (3, n))
-    q = sum(s * np.sin((k + 1) * t + s) for k, s in enumerate(size))
+    q = sum(s * np.sin((k + 1) * t + s) for k, s in enumerate(rng.uniform(-1, 1, (3, n))))
     qd, qdd = rng.uniform(-2, 2, (2, 0 if encoders else SAMPLES, n))
     measured = rng.normal(size=(SAMPLES, found.width))
     count = (SAMPLES - 2 * reach - 1) // step + 1
-    return Signals(q, qd, qdd, measured, taps, weights, 0.0, 0, reach, step, count)
+    still = 0.5 if found.model == "dynamic" else 0.0
+    near = int(rng.integers(3)) * len(weights) // 4
+    return Signals(q, qd, qdd, measured, taps, weights, still, near, reach, step, count)
+
+
+def plain(found: Layout, q: Array, qd: Array, qdd: Array) -> Signals:
+    """Sensed kinematics, a row a sample."""
+    none = np.zeros((len(q), found.width))
+    return Signals(q, qd, qdd, none, UNIT, np.ones(1), 0.0, 0, 0, 1, len(q))
+
+
+def rows_of(found: Layout, signals: Signals) -> Array:
+    """All slots of all rows, (slots, rows)."""
+    return np.hstack(numba_engine.rows(found, signals, numba_engine.workspace(found, signals)))
 
 
 def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
@@ -51,32 +67,21 @@ def close(a: Array, b: Array, tolerance: float = 1e-12) -> None:
 
 def lower(found: Layout, sums: Sums) -> Array:
     """The lower triangles of the products."""
-    rows = found.rows
-    blocks = [
-        np.tril(sums.products[at : at + width**2].reshape(width, width)).ravel()
-        for width, at in zip(rows.group_width, rows.group_gram, strict=True)
-    ]
-    return np.concatenate(blocks)
+    sizes = zip(found.rows.group_width, found.rows.group_gram, strict=True)
+    squares = (sums.products[at : at + width**2].reshape(width, width) for width, at in sizes)
+    return np.concatenate([np.tril(square).ravel() for square in squares])
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("filtered", [False, True])
-@pytest.mark.parametrize("encoders", [False, True])
-@pytest.mark.parametrize("seed", range(9))
-def test_products_and_residuals_are_those_of_the_reference(
-    seed: int, encoders: bool, filtered: bool, model: Model
-) -> None:
-    """Random trees; joints that rest, own terms, joined channels among them."""
-    tree = some_tree(seed)
+def agree(tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]) -> None:
+    """Products, residuals and scores of both engines."""
+    encoders, filtered, joined = how
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
-    found = layout(tree, tb.minimal_set(tree, model), terms, joined=seed % 2 == 0)
-    signals = some_signals(found, seed, encoders, filtered)
-    reach = (seed % 3) * len(signals.weights) // 4
-    signals = signals._replace(deadband=0.5 if model == "dynamic" else 0.0, rest_reach=reach)
-    rng, work = np.random.default_rng(seed), numba_engine.workspace(found, signals)
-    fast = numba_engine.sweep(found, signals, products_wanted(found.width), work)
-    blocks = numpy_engine.rows(found, signals)
-    slow = numpy_engine.answer(found, signals, blocks, products_wanted(found.width))
+    found = layout(tree, tb.minimal_set(tree, model), terms, joined=joined)
+    signals = some_signals(found, rng, encoders, filtered)
+    work, wanted = numba_engine.workspace(found, signals), products_wanted(found.width)
+    fast = numba_engine.sweep(found, signals, wanted, work)
+    made = numpy_engine.rows(found, signals)
+    slow = numpy_engine.answer(found, signals, made, wanted)
     np.testing.assert_array_equal(fast.used, slow.used)
     tolerance = 1e-11 if encoders else 1e-12  # differences magnify rounding by the rate squared
     close(lower(found, fast), lower(found, slow), tolerance)
@@ -85,67 +90,68 @@ def test_products_and_residuals_are_those_of_the_reference(
     weights = rng.normal(size=(found.width, found.width))
     question = Question(factors, weights, 1 if filtered else 16)
     fast = numba_engine.sweep(found, signals, question, work)
-    slow = numpy_engine.answer(found, signals, blocks, question)
+    slow = numpy_engine.answer(found, signals, made, question)
     close(fast.moments, slow.moments, tolerance)
     close(fast.scores, slow.scores, tolerance)
+    assert len(gram.sweep.signatures) == 1  # compiled once for every robot
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("seed", range(40))
-def test_rows_are_the_minimal_regressor(seed: int, model: Model) -> None:
-    """Known zeros, too; columns that are combined in the lift are combined in the basis."""
-    tree = some_tree(seed)
-    rng = np.random.default_rng(seed)
+@settings(max_examples=40)
+@given(any_trees, models, rngs, st.tuples(st.booleans(), st.booleans(), st.booleans()))
+def test_compiled_and_plain_engine_say_the_same(
+    tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
+) -> None:
+    """Encoders or sensed kinematics, filtered or not, channels joined; joints that rest."""
+    agree(tree, model, rng, how)
+
+
+@pytest.mark.nightly
+def test_the_kernel_is_right_on_processors_without_wide_vectors(tmp_path: Path) -> None:
+    """Compiled anew, for AVX2 only, with its own tiles."""
+    from llvmlite import binding
+
+    narrow = ",".join(
+        ("+" if present and not name.startswith(("avx512", "evex", "avx10")) else "-") + name
+        for name, present in binding.get_host_cpu_features().items()
+    )
+    code = (
+        "import numpy as np, tests.kernel.test_kernel as t\n"
+        "from tests.helpers.robots import random_robot\n"
+        "assert not t.compiler.WIDE\n"
+        "for k in range(16):\n"
+        "    rng = np.random.default_rng(k)\n"
+        "    tree = random_robot(rng, 1 + k % 7).tree()\n"
+        "    t.agree(tree, t.MODELS[k % 2], rng, (k % 4 > 1, k % 8 > 3, k > 7))\n"
+    )
+    own = {"NUMBA_CPU_FEATURES": narrow, "NUMBA_CPU_NAME": "generic"}
+    environment = os.environ | own | {"XDG_CACHE_HOME": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, env=environment)
+
+
+@settings(max_examples=40)
+@given(any_trees, models, st.booleans(), rngs)
+def test_rows_are_the_minimal_regressor(
+    tree: tb.Tree, model: Model, zeros: bool, rng: np.random.Generator
+) -> None:
+    """Each channel's columns, then its measurement; none stands twice."""
     q, qd, qdd = rng.uniform(-2, 2, (3, 100, tree.n))
-    for zeros in (False, True):
-        minimal = tb.minimal_set(tree, model, zeros=zeros)
-        expected = tb.regressor(tree, Motion(np.arange(100.0), q, qd, qdd), minimal)
-        found = layout(tree, minimal)
-        one = np.array([[1.0], [0.0], [0.0]])
-        signals = Signals(
-            q, qd, qdd, np.zeros((100, found.width)), one, np.ones(1), 0.0, 0, 0, 1, 100
-        )
-        blocks = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
-        z = np.hstack(blocks)
-        scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))
-        for c, columns in enumerate(found.channels):
-            at = found.rows.start[c]
-            got = z[at : at + len(columns)].T @ found.basis[columns]
-            assert np.abs(got - expected[:, c]).max(initial=0.0) <= 5e-15 * scale
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_canonical_frames_lean_about_x_only(seed: int) -> None:
-    """Put together again, the links give the tree's own rotations and offsets."""
-    tree = some_tree(seed)
-    found = canonical(tree)
-    rests: list[tuple[Array, Array]] = []
-    for link in found.links:
-        c, s = link.lean
-        lean = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
-        co, si = np.cos(link.turn), np.sin(link.turn)
-        turn = np.array([[co, -si, 0], [si, co, 0], [0, 0, 1.0]])
-        rotation, origin = rests[link.parent] if link.parent >= 0 else (found.bedplate, 0.0)
-        rests.append((rotation @ lean @ turn, origin + rotation @ link.offset))
-    places: list[tuple[Array, Array]] = []
-    for j, joint in enumerate(tree.joints):
-        carrier = places[joint.parent] if joint.parent >= 0 else (np.eye(3), np.zeros(3))
-        own = (carrier[0] @ joint.rotation, carrier[1] + carrier[0] @ joint.offset)
-        places.append(own)
-        np.testing.assert_allclose(rests[found.place[j]][0], own[0] @ found.frames[j], atol=1e-13)
-        np.testing.assert_allclose(rests[found.place[j]][1], own[1], atol=1e-13)
-        np.testing.assert_allclose(found.frames[j][:, 2], joint.axis, atol=1e-15)
-
-
-def test_every_robot_uses_the_same_compiled_code() -> None:
-    from testbed.kernel.gram import sweep
-
-    assert len(sweep.signatures) <= 1
-    tree = replace(some_tree(3))
-    found = layout(tree, tb.minimal_set(tree, "reaction"))
-    signals = some_signals(found, 3, True, True)
-    numba_engine.sweep(found, signals, products_wanted(6), numba_engine.workspace(found, signals))
-    assert len(sweep.signatures) == 1
+    minimal = tb.minimal_set(tree, model, zeros=zeros)
+    expected = tb.regressor(tree, tb.Motion(np.arange(100.0), q, qd, qdd), minimal)
+    found = layout(tree, minimal)
+    z = rows_of(found, plain(found, q, qd, qdd))
+    scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))
+    for c, columns in enumerate(found.channels):
+        at = found.rows.start[c]
+        got = z[at : at + len(columns)].T @ found.basis[columns]
+        assert np.abs(got - expected[:, c]).max(initial=0.0) <= 5e-15 * scale
+        assert len(set(columns.tolist())) == len(columns)
+        assert found.rows.unknown[at : at + len(columns)].tolist() == columns.tolist()
+        assert found.rows.measured[c] == at + len(columns)
+    # of one body each, in whole tiles: the speed that a person is promised
+    assert ((np.abs(found.theta).max(axis=1) > 0).sum(axis=0) == 1).all()
+    widths = np.array([len(columns) + 1 for columns in found.channels])
+    np.testing.assert_array_equal(found.rows.width, -(-widths // 4) * 4)
+    assert 64 <= found.rows.block <= 320
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -157,9 +163,7 @@ def test_rows_are_those_of_pinocchio(name: str, model: Model) -> None:
     q, qd, qdd = rng.uniform(-2, 2, (3, 64, tree.n))
     minimal = tb.minimal_set(tree, model)
     found = layout(tree, minimal)
-    one = np.array([[1.0], [0.0], [0.0]])
-    signals = Signals(q, qd, qdd, np.zeros((64, found.width)), one, np.ones(1), 0.0, 0, 0, 1, 64)
-    (z,) = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
+    z = rows_of(found, plain(found, q, qd, qdd))
     floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
     robot = pin.buildModelFromXML(urdf, *floating)
     data, root = robot.createData(), len(floating)
@@ -177,3 +181,23 @@ def test_rows_are_those_of_pinocchio(name: str, model: Model) -> None:
             at = found.rows.start[c]
             row = z[at : at + len(own), sample] @ found.basis[own] @ minimal.standard_matrix
             assert np.abs(row - theirs[c]).max() <= 5e-15 * np.abs(theirs).max()
+
+
+@given(rngs)
+def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.Generator) -> None:
+    """But for columns that nearly depend on earlier ones: these come last."""
+    rank, count = int(rng.integers(1, 6)), int(rng.integers(6, 12))
+    matrix = rng.normal(size=(rank, count))
+    picked = independent_columns(matrix, rng.permutation(count).tolist())
+    assert len(set(picked)) == len(picked) == rank == np.linalg.matrix_rank(matrix[:, picked])
+    units = np.eye(rank)[:, rng.integers(0, rank, 40)]
+    first = {tuple(column): 39 - k for k, column in enumerate(units.T[::-1])}
+    assert independent_columns(units, range(40)) == sorted(first.values())
+    assert independent_columns(np.array([[1.0, 1.0, 0.0], [0.0, 0.01, 1.0]]), [0, 1, 2]) == [0, 2]
+    for size, wanted in ((1e-5, [0, 1]), (1e-7, [0])):
+        assert independent_columns(np.array([[1.0, 1.0], [0.0, size]]), [0, 1]) == wanted
+
+
+def test_warming_up_compiles_and_says_where_to() -> None:
+    assert numba_engine.warm_up() == str(compiler.settings.CACHE_DIR)
+    assert len(gram.sweep.signatures) == 1
