@@ -16,9 +16,9 @@ from testbed.identification.drive_findings import identify_drives
 from testbed.identification.predict import own_torque
 from testbed.recordings.recording import Recording
 from testbed.robot.shafts import with_shafts
+from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.robots import random_robot
-from tests.parameters.test_joint_terms import X, Y, Z, chain
 
 WRIST = {"motor": {"j1": 1.0, "j2": 1.0}}
 DIFFERENTIAL = {"left": {"j1": 0.5, "j2": 0.5}, "right": {"j1": 0.5, "j2": -0.5}}
