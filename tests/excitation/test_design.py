@@ -316,6 +316,7 @@ def test_a_row_counts_where_its_joint_moves_and_so_do_all_within_its_filters_rea
         np.testing.assert_array_equal(found[k], (speed > 0.2).all(axis=0))
 
 
+@pytest.mark.slow
 def test_a_search_may_end_early_is_steered_by_what_is_known_and_names_what_forbids_it() -> None:
     asked = wish("puma", starts=50)
     calls: list[tuple[int, int]] = []

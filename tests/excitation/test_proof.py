@@ -79,6 +79,7 @@ def test_jets_bound_how_forces_change(tree: tb.Tree, rng: np.random.Generator) -
     assert (curved(wrench[:, 3:]).max(axis=1) <= slack * bounds.moment).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("haste", [1.0, 10.0])
 def test_efforts_and_plate_are_proven_as_tightly_as_they_are(haste: float, puma: tb.Tree) -> None:
     """With friction of either sign, the most of a fine grid, and hardly more.

@@ -135,6 +135,7 @@ def test_joints_and_links_of_any_name_roots_that_float_and_impossible_bodies(
     assert (tree.inertias[0].mass, tree.joints[0].coulomb > 0) == (1.0, True)
 
 
+@pytest.mark.slow
 def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path) -> None:
     """To the last digits."""
     path = REAL / "icub_description/robots/icub_reduced.urdf"
@@ -188,6 +189,7 @@ def test_followers_grippers_loops_and_stiff_joints_are_held(tmp_path: Path) -> N
     np.testing.assert_allclose(limits_of(tb.load_tree(endless)).high, np.pi)
 
 
+@pytest.mark.slow
 def test_bodies_of_which_some_touch_in_every_posture_are_left_out_by_name(tmp_path: Path) -> None:
     """A ball that slides between two posts too near for it; the rest stays watched."""
     path = tmp_path / "slot.xml"

@@ -106,6 +106,7 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
     assert set(stored["metrics"]) == set(ALWAYS_JUDGED)
 
 
+@pytest.mark.slow
 def test_scales_of_errors_never_are_rounding_nor_the_friction_itself() -> None:
     units = ("kg", "kg", "kg m", "kg m", "N m")
     truth = np.array([40.0, 0.0, -2.0, 0.001, 1e-15])
@@ -132,6 +133,7 @@ def test_scales_of_errors_never_are_rounding_nor_the_friction_itself() -> None:
     assert made.metrics[name] == np.abs(errors.relative[estimate.minimal.count :])[rubs].max()
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(trees((2, 4)))
 def test_better_data_have_better_scores(tree: tb.Tree) -> None:
@@ -396,6 +398,7 @@ def test_growth_passes_through_the_estimates_of_parts_and_ends_at_the_whole() ->
         assert not untold[-1].any()
 
 
+@pytest.mark.slow
 def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -435,6 +438,7 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
         assert (seen[-1].motion.duration, seen[-1].seed) == (taken, 8)
 
 
+@pytest.mark.slow
 def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_the_seed() -> None:
     run: Run = result("bodies")
     metrics = run.metrics

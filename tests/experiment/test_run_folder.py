@@ -94,6 +94,7 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
     np.testing.assert_array_equal(recording.measured("wrench"), run.recording.measured("wrench"))
 
 
+@pytest.mark.slow
 def test_a_run_folder_takes_nothing_else_along_and_goes_only_for_the_same_or_by_force(
     tmp_path: Path,
 ) -> None:
@@ -318,6 +319,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     assert all(name in line for name in found.predicted.names[:3])
 
 
+@pytest.mark.slow
 def test_random_motions_are_proven_keep_clear_and_frequencies_are_within_the_band() -> None:
     """Where the best candidate would hit a box, another one is run, or a smaller one."""
     free = asked("puma", "motion.candidates=5")

@@ -81,6 +81,7 @@ def levels_by_orthonormal_rows(rows: Array) -> Array:
     return np.where(outside, np.where(inside, COMBINED, NEVER), ALONE)
 
 
+@pytest.mark.slow
 @given(st.one_of(trees((1, 7)), trees((1, 7), bare=True)), st.booleans())
 def test_the_map_is_that_of_the_row_space(tree: tb.Tree, zeros: bool) -> None:
     """A unit parameter is outside of it, has a part in it, or is in it, told by a dense basis."""

@@ -71,6 +71,7 @@ def hold(tree: Tree, zeros: bool | list[str] = False, change: float = UNCHANGED)
     assert drives.holds, drives
 
 
+@pytest.mark.slow
 @example(691, 12, False)  # these four have a first axis close to the vertical: large lifts
 @example(815, 12, False)
 @example(1727, 12, False)
@@ -82,6 +83,7 @@ def test_three_witnesses_agree_on_random_trees(seed: int, most: int, floats: boo
     hold(replace(tree, gravity=OFF) if floats else tree)
 
 
+@pytest.mark.slow
 @given(trees(bare=True))
 def test_three_witnesses_agree_where_bodies_have_zeros_and_zeros_tell_nothing_new(
     tree: Tree,
