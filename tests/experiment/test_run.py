@@ -41,7 +41,6 @@ from testbed.robot.friction import friction_torque
 from testbed.robot.inertia import NOTHING
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
-from tests.helpers.strategies import trees
 from tests.scenarios.scenarios import result
 
 Row = tuple[str, str, float, float, float]  # name, unit, value, sigma, truth
@@ -131,20 +130,6 @@ def test_scales_of_errors_never_are_rounding_nor_the_friction_itself() -> None:
     estimate, errors = made.estimates["internal"], made.score.errors["internal"]
     rubs = [k for k, term in enumerate(estimate.joint_terms) if term.kind != "offset"]
     assert made.metrics[name] == np.abs(errors.relative[estimate.minimal.count :])[rubs].max()
-
-
-@pytest.mark.slow
-@settings(max_examples=3)
-@given(trees((2, 4)))
-def test_better_data_have_better_scores(tree: tb.Tree) -> None:
-    """A tenth of the noise is a tenth of every error; sigmas go with them."""
-    perfect = ideal(tree)
-    coarse, fine = (
-        run_of(tree, noisy(perfect, size=size), experiment()).metrics for size in (0.01, 0.001)
-    )
-    for metric, value in coarse.items():
-        same = metric.endswith(("_z", "to_external"))
-        assert fine[metric] == pytest.approx(value if same else value / 10, rel=0.01), metric
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
