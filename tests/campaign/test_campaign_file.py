@@ -84,7 +84,7 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     moved, model = tmp_path / "experiments/table6.toml", tmp_path / "models/puma562.xml"
 
     def known(*words: str, path: Path = moved, methods: tuple[str, ...] = ("external",)) -> str:
-        return run_hash(tb.Experiment.load(path, words), methods)  # type: ignore[arg-type]
+        return run_hash(tb.Experiment.load(path, words), methods)
 
     here = known(path=ROOT / "experiments/table6.toml")
     assert known("name=other", "claim=none") == known("motion.duration=60") == here  # its default

@@ -322,11 +322,11 @@ def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_
     many = Bundle("base.toml", {"a": 1}, ("external",), False, "code", runs)
     single, apart = replace(many, runs=runs[:1]), list[Bundle]()
     came = ([Outcome("run 0", "done")], 2.5)
-    assert engine._answer(answer := Answer(came), single, apart) is came  # type: ignore[arg-type]
+    assert engine._answer(answer := Answer(came), single, apart) is came
     assert answer.released
-    assert engine._answer(Answer(killed), many, apart) is None  # type: ignore[arg-type]
+    assert engine._answer(Answer(killed), many, apart) is None
     assert apart == [replace(many, runs=(run,)) for run in runs]
-    (outcome,), _ = engine._answer(Answer(killed), single, [])  # type: ignore[arg-type, misc]
+    (outcome,), _ = engine._answer(Answer(killed), single, [])  # type: ignore[misc]
     assert (outcome.run, outcome.status) == ("run 0", "killed")
     for wrong, kind, culprit in (
         (Answer(ExperimentError("other files")), ExperimentError, "other files"),
@@ -337,7 +337,7 @@ def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_
         (Answer(None, "lost"), SchedulerLost, "scheduler"),
     ):
         with refuses(kind, culprit):
-            engine._answer(wrong, many, [])  # type: ignore[arg-type]
+            engine._answer(wrong, many, [])
 
 
 # summary

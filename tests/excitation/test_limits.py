@@ -114,8 +114,8 @@ def test_terms_of_efforts_and_plate_are_shares_of_limits(
         inside = [s * wrench[channel] - 0.9 * HALF[axis] * wrench[2] for s in (1, -1)]
         wanted += [each / (PRESSURE * HALF[axis]) for each in inside]
     np.testing.assert_allclose(plate.values(here), wanted, atol=1e-12)
-    names = ("plate Fx", "plate Fz", "plate Mx", "plate My")
-    names += ("centre of pressure along x", "centre of pressure along y")
+    names = ["plate Fx", "plate Fz", "plate Mx", "plate My"]
+    names += [f"centre of pressure along {axis}" for axis in "xy"]
     assert plate.labels == tuple(name for name in names for _ in "+-")
     for term in (effort, plate):
         slopes = slopes_by_differences(motion, lambda m, t=term: t.values(Computed(tree, m)))  # type: ignore[misc]

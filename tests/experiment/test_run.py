@@ -92,7 +92,7 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
             friction = [abs(share) for share in shares[model.count :] if share is not None]
             expected["internal_rms_relative_error"] = rms(told)
             expected["friction_max_relative_error"] = max(friction)
-    dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("dynamic", "reaction"))  # type: ignore[arg-type]
+    dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("dynamic", "reaction"))
     s = np.linalg.lstsq(reaction.matrix.T, dynamic.matrix.T, rcond=None)[0].T
     by_plate = (s @ np.array(stored["external"]["values"])).tolist()
     shared = [
@@ -254,14 +254,11 @@ def test_parameters_that_are_told_apart_poorly_are_named_the_closest_first() -> 
 def test_errors_that_sigma_does_not_tell_are_named_and_laid_on_their_method() -> None:
     run = judged_run("puma")
     assert run.score is not None
-    for method, index, cause in (
-        ("internal", [1, 3], "torque constant"),
-        ("external", [1, 3], "plate"),
-    ):
+    for method, cause in zip(METHODS, ("plate", "torque constant"), strict=True):
         estimate, errors = run.estimates[method], run.score.errors[method]
         assert list(systematic_errors(estimate, errors)) == []
         z = np.zeros(len(errors.z))
-        z[index] = 6.0, -40.0
+        z[[1, 3]] = 6.0, -40.0
         off = replace(estimate, values=errors.truth + z * estimate.sigma)
         wrong = replace(errors, z=z, relative=np.where(z == 0, 0.0, 0.1))
         (found,) = systematic_errors(off, wrong)

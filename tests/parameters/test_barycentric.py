@@ -85,7 +85,7 @@ def levels_by_orthonormal_rows(rows: Array) -> Array:
 @given(st.one_of(trees((1, 7)), trees((1, 7), bare=True)), st.booleans())
 def test_the_map_is_that_of_the_row_space(tree: tb.Tree, zeros: bool) -> None:
     """A unit parameter is outside of it, has a part in it, or is in it, told by a dense basis."""
-    torques, plate = (tb.minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))  # type: ignore[arg-type]
+    torques, plate = (tb.minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
     tared = tb.minimal_set(tree, "reaction", zeros=zeros, tared=True)
     rows = [torques.matrix, plate.matrix, tared.matrix, beside_a_pedestal(tree, tared)]
     seen = identifiability(tree, None, zeros)
