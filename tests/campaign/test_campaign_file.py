@@ -1,20 +1,27 @@
-"""A campaign's file: what it means, what is refused, and by what a run is known."""
+"""A campaign's file: which runs it means, by what each is known, and what is refused."""
 
 from __future__ import annotations
 
 import shutil
+from itertools import product
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+import testbed as tb
+from testbed.arrays import Array
 from testbed.campaign import run_identity
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import places_of
+from testbed.campaign.conduct import Supply, places_of
+from testbed.campaign.points import Choice, cells_of, sampled
 from testbed.campaign.run_identity import run_hash
 from testbed.errors import ExperimentError
-from testbed.experiment.experiment import Experiment
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.paths import ROOT
+from tests.helpers.refusals import refuses
 
 LEVELS = """
 [[factor]]
@@ -25,93 +32,131 @@ name = "plain"
 name = "late"
 set = ['measurement.fault=[{kind="plate_delay",delay=1e-3}]']
 """
+SPANS = [(0.5, 2.5, False), (1e-2, 1e2, True), (-3.0, -1.0, False)]
 
 
-def test_a_level_goes_where_it_is_asked_for(tmp_path: Path) -> None:
+def test_a_level_goes_where_it_is_asked_for_and_cells_share_seeds_unless_told(
+    tmp_path: Path,
+) -> None:
     campaign = Campaign.load(campaign_file(tmp_path, 2, NOISES + LEVELS))
     assert campaign.factors == ("noise", "who")
-    assert [cell.levels for cell in campaign.cells] == [
-        (0.5, "plain"), (0.5, "late"), (2.0, "plain"), (2.0, "late"),
-    ]  # fmt: skip
+    crossed = [(0.5, "plain"), (0.5, "late"), (2.0, "plain"), (2.0, "late")]
+    assert [cell.levels for cell in campaign.cells] == crossed
     run = campaign.experiment(3, 1)
-    assert run.measurement.force_noise == 2.0
-    assert run.measurement.moment_noise == 0.4
+    assert (run.measurement.force_noise, run.measurement.moment_noise) == (2.0, 0.4)
     assert [fault.kind for fault in run.measurement.fault] == ["plate_delay"]
     assert run.seed == campaign.experiment(0, 1).seed != campaign.experiment(3, 0).seed
     assert run.identification.engine == "numpy"  # the file's own word comes after the default
     assert not run.expect
-
-
-def test_cells_have_seeds_of_their_own_where_that_is_asked_for(tmp_path: Path) -> None:
     file = campaign_file(tmp_path, 3, NOISES, more="common_seeds = false\nseed = 5")
-    campaign = Campaign.load(file)
-    seeds = [campaign.experiment(cell, k).seed for cell in range(2) for k in range(3)]
-    assert seeds == list(range(5, 11))
+    own = Campaign.load(file)
+    assert [own.experiment(c, k).seed for c in range(2) for k in range(3)] == list(range(5, 11))
 
 
-@pytest.mark.parametrize(
-    ("factors", "said"),
-    [
-        ('[[factor]]\nname = "x"\nset = ["seed=$"]\n', "one of values, level and range"),
-        ('[[factor]]\nname = "x"\nvalues = [1.0]\n', "levels with names have a set each"),
-        ('[[factor]]\nname = "x"\nset = ["a=$"]\nrange = [2.0, 1.0]\n', "range is empty"),
-        ('[[factor]]\nname = "x"\nset = ["a=$"]\nrange = [0.0, 1.0]\nlog = true\n', "logarithm"),
-        ('[[factor]]\nname = "x"\nset = ["measurement.nois=$"]\nvalues = [1.0]\n', "unknown key"),
-        ('[[factor]]\nname = "x"\nset = ["seed=$*2"]\nvalues = ["u"]\n', "is no number"),
-        ('[stop]\nfigure = "beauty"\nstandard_error = 0.1\n', "unknown figure 'beauty'"),
-        ("[sampling]\npoint = 3\n", "did you mean 'points'"),
-    ],
-)
-def test_what_is_not_understood_is_said(tmp_path: Path, factors: str, said: str) -> None:
-    with pytest.raises(ExperimentError, match=said):
-        Campaign.load(campaign_file(tmp_path, 1, factors))
+def test_what_is_not_understood_is_named(tmp_path: Path) -> None:
+    head = '[[factor]]\nname = "x"\n'
+    twenty = ", ".join(f"{k}.0" for k in range(20))
+    for factors, replicates, culprit in (
+        (head + 'set = ["seed=$"]', 1, "values"),
+        (head + "values = [1.0]", 1, "set"),
+        (head + 'set = ["a=$"]\nrange = [2.0, 1.0]', 1, "range"),
+        (head + 'set = ["a=$"]\nrange = [0.0, 1.0]\nlog = true', 1, "log"),
+        (head + 'set = ["measurement.nois=$"]\nvalues = [1.0]', 1, "nois"),
+        (head + 'set = ["seed=$*2"]\nvalues = ["u"]', 1, "u"),
+        ("[sampling]\npoint = 3", 1, "points"),
+        (NOISES + NOISES, 1, "noise"),
+        (head + f'set = ["measurement.force_noise=$"]\nvalues = [{twenty}]', 1_000_000, "runs"),
+    ):
+        with refuses(ExperimentError, culprit):
+            Campaign.load(campaign_file(tmp_path, replicates, factors))
+    stop = '[stop]\nfigure = "beauty"\nstandard_error = 0.1'
+    with pytest.raises(ExperimentError, match="'beauty'"):  # all that could be meant are listed
+        Campaign.load(campaign_file(tmp_path, 1, stop))
 
 
-def test_two_factors_of_one_name_and_too_many_runs_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match="two factors have one name"):
-        Campaign.load(campaign_file(tmp_path, 1, NOISES + NOISES))
-    values = ", ".join(f"{k}.0" for k in range(20))
-    factor = f'[[factor]]\nname = "x"\nset = ["measurement.force_noise=$"]\nvalues = [{values}]'
-    file = campaign_file(tmp_path, 1_000_000, factor)
-    with pytest.raises(ExperimentError, match="more than"):
-        Campaign.load(file)
-
-
-def loaded(path: Path, *words: str) -> Experiment:
-    return Experiment.load(path, words)
-
-
-def test_a_hash_is_of_all_that_determines_a_run_and_of_nothing_else(tmp_path: Path) -> None:
-    (tmp_path / "experiments").mkdir()
-    (tmp_path / "models").mkdir()
-    moved = tmp_path / "experiments/table6.toml"
-    shutil.copy(ROOT / "experiments/table6.toml", moved)
-    model = shutil.copy(ROOT / "models/puma562.xml", tmp_path / "models")
-    here = run_hash(loaded(ROOT / "experiments/table6.toml"), ["external"])
-    assert run_hash(loaded(moved, "name=other", "claim=none"), ["external"]) == here
-    assert run_hash(loaded(moved, "motion.duration=60"), ["external"]) == here  # the default
-    others = {
-        run_hash(loaded(moved), ["external", "internal"]),
-        run_hash(loaded(moved, "seed=1"), ["external"]),
-        run_hash(loaded(moved, "identification.engine=compiled"), ["external"]),
-    }
-    Path(model).write_text(Path(model).read_text().replace('"6.3"', '"6.4"'))
-    others.add(run_hash(loaded(moved), ["external"]))
-    assert len(others | {here}) == 5
-
-
-def test_another_version_of_the_code_makes_other_runs(
+def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Or results would be taken for others, or made twice."""
+    for part in ("experiments/table6.toml", "models/puma562.xml"):
+        (tmp_path / part).parent.mkdir()
+        shutil.copy(ROOT / part, tmp_path / part)
+    moved, model = tmp_path / "experiments/table6.toml", tmp_path / "models/puma562.xml"
+
+    def known(*words: str, path: Path = moved, methods: tuple[str, ...] = ("external",)) -> str:
+        return run_hash(tb.Experiment.load(path, words), methods)
+
+    here = known(path=ROOT / "experiments/table6.toml")
+    assert known("name=other", "claim=none") == known("motion.duration=60") == here  # its default
+    others = {known(methods=("external", "internal")), known("seed=1")}
+    others.add(known("identification.engine=compiled"))
     campaign = Campaign.load(campaign_file(tmp_path))
     before = set(places_of(campaign))
+    model.write_text(model.read_text().replace('"6.3"', '"6.4"'))
+    others.add(known())
+    assert len(others | {here}) == 5
     monkeypatch.setattr(run_identity, "code_version", lambda: "another")
     assert before.isdisjoint(places_of(campaign))
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "experiments/campaigns").glob("*.toml")))
-def test_what_ships_can_be_carried_out(path: Path) -> None:
-    campaign = Campaign.load(path)
-    assert len(places_of(campaign)) == campaign.runs
-    assert campaign.tables.claim
-    assert path.stem == campaign.tables.name
+def test_what_ships_can_be_carried_out() -> None:
+    for path in sorted((ROOT / "experiments/campaigns").glob("*.toml")):
+        campaign = Campaign.load(path)
+        assert len(places_of(campaign)) == campaign.runs
+        assert campaign.tables.claim
+        assert path.stem == campaign.tables.name
+
+
+# points and bundles
+
+
+def unit(points: Array) -> Array:
+    """Points back in the unit cube."""
+    found = np.empty_like(points)
+    for k, (low, high, log) in enumerate(SPANS):
+        x, a, b = (np.log(v) if log else v for v in (points[:, k], low, high))
+        found[:, k] = (x - a) / (b - a)
+    return found
+
+
+@given(st.integers(0, 1000), st.sampled_from(["random", "latin_hypercube", "sobol"]))
+def test_sampled_points_fill_their_ranges_evenly_and_a_seed_makes_the_same(
+    seed: int, method: str
+) -> None:
+    points = sampled(method, SPANS, 64, seed)
+    np.testing.assert_array_equal(points, sampled(method, SPANS, 64, seed))
+    assert (points != sampled(method, SPANS, 64, seed + 1)).any()
+    there = unit(points)
+    assert points.shape == (64, 3)
+    assert ((there >= 0) & (there <= 1)).all()
+    if method != "random":  # every slice of every range has one
+        slices = np.sort(np.floor(64 * there).astype(int), axis=0)
+        np.testing.assert_array_equal(slices, np.outer(np.arange(64), [1, 1, 1]))
+    if method == "sobol":
+        quarters = np.floor(4 * there[:, :2]).astype(int)
+        assert (np.bincount(4 * quarters[:, 0] + quarters[:, 1], minlength=16) == 4).all()
+
+
+def test_crossed_factors_meet_every_point_once_in_the_order_of_the_file() -> None:
+    a = [Choice(0, x, (f"a={x}",)) for x in (1.0, 2.0)]
+    c = [Choice(2, x, (f"c={x}",)) for x in ("u", "v", "w")]
+    points = [[Choice(1, y, (f"b={y}",)), Choice(3, -y, (f"d={-y}",))] for y in (0.1, 0.2)]
+    cells = cells_of([a, c], points)
+    wanted = {(x, y, z, -y) for x, z, y in product((1.0, 2.0), "uvw", (0.1, 0.2))}
+    assert {cell.levels for cell in cells} == wanted
+    assert len(cells) == len(wanted)
+    for cell in cells:
+        assert cell.words == tuple(f"{k}={v}" for k, v in zip("abcd", cell.levels, strict=True))
+    assert cells_of([], []) == cells_of([], [[]])
+
+
+def test_bundles_are_never_empty_and_hold_all_runs_once(tmp_path: Path) -> None:
+    """Whatever a run is expected to take."""
+    campaign = Campaign.load(campaign_file(tmp_path, 20, NOISES))
+    order = [(run, place.cell, place.replicate) for run, place in places_of(campaign).items()]
+    for seconds in (1e-9, 0.1, 1e9, np.inf):
+        supply, seen = Supply(campaign, list(order), [seconds]), []
+        while (bundle := supply.take(2)) is not None:
+            assert bundle.runs
+            seen += [run for run, _ in bundle.runs]
+        assert seen == [run for run, _, _ in order]

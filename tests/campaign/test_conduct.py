@@ -4,28 +4,45 @@ from __future__ import annotations
 
 import errno
 import math
+import random
 import shutil
 import statistics
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.stats import binomtest
 
+from benchmarks.campaign import kills
+from testbed.arrays import Array
 from testbed.campaign import campaign_folder
-from testbed.campaign.bundle import Bundle, Outcome
+from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder
-from testbed.campaign.conduct import Standing, Supply, conduct, places_of
-from testbed.errors import ExperimentError
+from testbed.campaign.campaign_summary import binomial_bounds, pooled, read_campaign, summarise
+from testbed.campaign.cluster import DaskEngine, SchedulerLost, local_workers
+from testbed.campaign.conduct import InThisProcess, Standing, conduct, places_of
+from testbed.campaign.summary_files import changes, write_summary
+from testbed.errors import ExperimentError, TestbedError
+from testbed.experiment import evaluate
+from testbed.experiment import simulate as simulation
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
+from tests.helpers.refusals import refuses
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.filterwarnings("default")  # Dask's own, while it shuts down
 
 
 def table(folder: Path) -> bytes:
     return (folder / "results.parquet").read_bytes()
 
 
-def rows(folder: Path) -> list[dict[str, object]]:
-    found: list[dict[str, object]] = pq.read_table(folder / "results.parquet").to_pylist()
+def rows(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
     return found
 
 
@@ -34,30 +51,11 @@ def campaign(tmp_path: Path) -> Campaign:
     return Campaign.load(campaign_file(tmp_path, 20, NOISES))
 
 
-@pytest.mark.slow
-def test_bundles_and_their_order_do_not_show(tmp_path: Path, campaign: Campaign) -> None:
-    tables = set()
-    for seed, size in enumerate((None, 1, 3, 7)):
-        conduct(campaign, tmp_path / f"r{seed}", Odd(size=size, seed=seed))
-        tables.add(table(tmp_path / f"r{seed}"))
-    assert len(tables) == 1
-    found = rows(tmp_path / "r0")
-    assert [row["run"] for row in found] == list(places_of(campaign))
-    assert [(row["replicate"], row["cell"]) for row in found[:3]] == [(0, 0), (0, 1), (1, 0)]
-    assert [row["factor/noise"] for row in found[:2]] == [0.5, 2.0]
-
-
-@pytest.mark.slow
-def test_what_is_there_is_not_done_again(tmp_path: Path, campaign: Campaign) -> None:
-    whole, parts = Odd(), [Odd(), Odd(), Odd()]
-    conduct(campaign, tmp_path / "whole", whole)
-    for engine, limit in zip(parts, (5, 17, None), strict=True):
-        conduct(campaign, tmp_path / "parts", engine, limit)
-    assert [len(engine.asked) for engine in parts] == [5, 12, 23]
-    assert table(tmp_path / "parts") == table(tmp_path / "whole")
-    again = Odd()
-    conduct(campaign, tmp_path / "parts", again)
-    assert again.asked == []
+@pytest.fixture
+def whole(tmp_path: Path, campaign: Campaign) -> bytes:
+    """The table of a campaign that nothing disturbed."""
+    conduct(campaign, tmp_path / "whole", Odd())
+    return table(tmp_path / "whole")
 
 
 class Killed(BaseException):
@@ -77,24 +75,7 @@ def dying(after: int) -> Odd:
     return Odd(work, size=2, seed=after)
 
 
-@pytest.mark.slow
-def test_ended_at_any_moment_it_goes_on(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No tidying up: as after kill -9. Table and new rows may then hold the same runs."""
-    conduct(campaign, tmp_path / "whole", Odd())
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
-    for after in range(1, 12, 2):
-        with monkeypatch.context() as patch:
-            patch.setattr(CampaignFolder, "compact", _unfinished(after))
-            with pytest.raises(Killed):
-                conduct(campaign, tmp_path / f"r{after}", dying(after))
-        conduct(campaign, tmp_path / f"r{after}", Odd())
-        assert table(tmp_path / f"r{after}") == table(tmp_path / "whole")
-        assert not list((tmp_path / f"r{after}" / "new").iterdir())
-
-
-def _unfinished(after: int):  # type: ignore[no-untyped-def]
+def unfinished(after: int) -> Callable[[CampaignFolder], None]:
     """Compaction that ends before new rows are removed, or is not begun at all."""
     once = CampaignFolder.compact
 
@@ -109,193 +90,307 @@ def _unfinished(after: int):  # type: ignore[no-untyped-def]
     return compact
 
 
-def test_failures_are_rows_and_are_not_tried_again_but_killed_runs_are(
+@pytest.mark.slow
+def test_ended_at_any_moment_it_goes_on(
+    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No tidying up: as after kill -9. Table and new rows may then hold the same runs."""
+    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
+    for after in range(1, 12, 2):
+        with monkeypatch.context() as patch:
+            patch.setattr(CampaignFolder, "compact", unfinished(after))
+            with pytest.raises(Killed):
+                conduct(campaign, tmp_path / f"r{after}", dying(after))
+        conduct(campaign, tmp_path / f"r{after}", Odd())
+        assert table(tmp_path / f"r{after}") == whole
+        assert not list((tmp_path / f"r{after}" / "new").iterdir())
+
+
+@pytest.mark.slow
+def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
+    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for room in (3, 8):
+        left = [room]
+
+        class Full(pq.ParquetWriter):  # type: ignore[misc]
+            """A writer that finds the disk full after some tables, and leaves half of one."""
+
+            def write_table(self, table: object, left: list[int] = left) -> None:
+                left[0] -= 1
+                if left[0] < 0:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                super().write_table(table)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(pq, "ParquetWriter", Full)
+            with refuses(ExperimentError, "No space left on device"):
+                conduct(campaign, tmp_path / "r", Odd(size=2))
+        conduct(campaign, tmp_path / "r", Odd(size=2))
+        assert table(tmp_path / "r") == whole
+        shutil.rmtree(tmp_path / "r")
+
+
+@pytest.mark.slow
+def test_bundles_their_order_and_parts_do_not_show(
+    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is there is not done again; progress counts; files of few rows do not pile up."""
+    parts = [Odd(size=1), Odd(size=3, seed=1), Odd(seed=2)]
+    for engine, limit in zip(parts, (5, 17, None), strict=True):
+        conduct(campaign, tmp_path / "parts", engine, limit)
+    assert [len(engine.asked) for engine in parts] == [5, 12, 23]
+    assert table(tmp_path / "parts") == whole
+    conduct(campaign, tmp_path / "parts", again := Odd())
+    assert again.asked == []
+    found = rows(tmp_path / "whole")
+    assert [row["run"] for row in found] == list(places_of(campaign))
+    assert [(row["replicate"], row["cell"]) for row in found[:3]] == [(0, 0), (0, 1), (1, 0)]
+    assert [row["factor/noise"] for row in found[:2]] == [0.5, 2.0]
+    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
+    seen: list[tuple[Standing, int]] = []
+
+    def look(standing: Standing) -> None:
+        seen.append((standing, len(list((tmp_path / "r/new").glob("*.parquet")))))
+
+    conduct(campaign, tmp_path / "r", Odd(size=1), progress=look)
+    assert [each.done for each, _ in seen] == list(range(1, 41))
+    assert {(each.total, each.failed) for each, _ in seen} == {(40, 0)}
+    assert all(each.rate > 0 and files <= max(4, each.done / 2) for each, files in seen)
+
+
+def test_failed_runs_are_rows_killed_ones_are_tried_again_others_are_kept_apart(
     tmp_path: Path, campaign: Campaign
 ) -> None:
     names = list(places_of(campaign))
+    bad = {names[3]: "failed", names[8]: "killed"}
 
     def work(bundle: Bundle) -> tuple[list[Outcome], float]:
         found, seconds = made_up(bundle)
-        bad = {names[3]: "failed", names[8]: "killed"}
-        return [
-            Outcome(o.run, bad[o.run], "because") if o.run in bad else o  # type: ignore[arg-type]
-            for o in found
-        ], seconds
+        marked = [replace(o, status=bad.get(o.run, o.status)) for o in found]  # type: ignore[arg-type]
+        return [Outcome(o.run, o.status, "because") if o.run in bad else o for o in marked], seconds
 
-    folder = conduct(campaign, tmp_path / "r", Odd(work))
+    standings: list[Standing] = []
+    folder = conduct(campaign, tmp_path / "r", Odd(work), progress=standings.append)
+    assert (standings[-1].done, standings[-1].total, standings[-1].failed) == (40, 40, 2)
     assert [error for _, error in folder.failures()] == ["because", "because"]
-    assert all(isinstance(row["warnings"], list) for row in rows(tmp_path / "r"))
     assert folder.failures()[0][0].startswith("testbed run ")
     assert len(rows(tmp_path / "r")) == 40
-    again = Odd()
-    folder = conduct(campaign, tmp_path / "r", again)
+    folder = conduct(campaign, tmp_path / "r", again := Odd())
     assert again.asked == [names[8]]
     assert len(folder.failures()) == 1
+    before = table(tmp_path / "r")
+    one = Campaign.load(campaign_file(tmp_path, 20, NOISES.replace("[0.5, 2.0]", "[2.0]")))
+    for asked, count in ((one, 20), (campaign, 40)):  # rows not asked for any more, and again
+        conduct(asked, tmp_path / "r", again := Odd())
+        assert again.asked == []
+        assert len(rows(tmp_path / "r")) == count
+    assert table(tmp_path / "r") == before
 
 
 @pytest.mark.slow
 def test_a_rule_for_stopping_looks_at_whole_rounds_alone(tmp_path: Path) -> None:
     """Which runs there are does not depend on bundles; more are made where more are needed."""
-    stop = '[stop]\nfigure = "external_rms_relative_error"\nstandard_error = 0.01\nround = 4\n'
+    name = "external_rms_relative_error"
+    stop = f'[stop]\nfigure = "{name}"\nstandard_error = 0.01\nround = 4\n'
     campaign = Campaign.load(campaign_file(tmp_path, 60, NOISES + stop))
-    tables = set()
-    for seed, size in enumerate((None, 1, 5)):
+    for seed, size in enumerate((None, 5)):
         conduct(campaign, tmp_path / f"r{seed}", Odd(size=size, seed=seed))
-        tables.add(table(tmp_path / f"r{seed}"))
-    assert len(tables) == 1
+    assert table(tmp_path / "r0") == table(tmp_path / "r1")
     for cell in (0, 1):
-        column = "metric/external_rms_relative_error"
-        values = [float(str(r[column])) for r in rows(tmp_path / "r0") if r["cell"] == cell]
+        values = [r[f"metric/{name}"] for r in rows(tmp_path / "r0") if r["cell"] == cell]
+        ends = range(4, len(values) + 1, 4)
         assert len(values) % 4 == 0
-        sizes = [_standard_error(values[:k]) for k in range(4, len(values) + 1, 4)]
+        sizes = [statistics.stdev(values[:k]) / math.sqrt(k) for k in ends]
         assert all(size > 0.01 for size in sizes[:-1])
         assert sizes[-1] <= 0.01 or len(values) == 60
-
-
-def _standard_error(values: list[float]) -> float:
-    return statistics.stdev(values) / math.sqrt(len(values))
-
-
-def test_rows_that_are_not_asked_for_any_more_are_kept_apart(tmp_path: Path) -> None:
-    both = Campaign.load(campaign_file(tmp_path, 3, NOISES))
-    one = Campaign.load(campaign_file(tmp_path, 3, NOISES.replace("[0.5, 2.0]", "[2.0]")))
-    conduct(both, tmp_path / "r", Odd())
-    before = table(tmp_path / "r")
-    conduct(one, tmp_path / "r", second := Odd())
-    assert second.asked == []
-    assert [row["cell"] for row in rows(tmp_path / "r")] == [0, 0, 0]
-    assert pq.read_table(tmp_path / "r/earlier.parquet").num_rows == 3
-    conduct(both, tmp_path / "r", third := Odd())
-    assert third.asked == []
-    assert table(tmp_path / "r") == before
-
-
-@pytest.mark.slow
-def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    conduct(campaign, tmp_path / "whole", Odd(size=2))
-    for room in range(3, 12, 2):
-        with monkeypatch.context() as patch:
-            patch.setattr(pq, "ParquetWriter", _with_room_for(room))
-            with pytest.raises(ExperimentError, match="No space left on device; what was written"):
-                conduct(campaign, tmp_path / "r", Odd(size=2))
-        conduct(campaign, tmp_path / "r", Odd(size=2))
-        assert table(tmp_path / "r") == table(tmp_path / "whole")
-        shutil.rmtree(tmp_path / "r")
-
-
-def _with_room_for(tables: int) -> type[pq.ParquetWriter]:
-    """A writer that finds the disk full after some tables, and leaves half of one."""
-    left = [tables]
-
-    class Full(pq.ParquetWriter):  # type: ignore[misc]
-        def write_table(self, table: object) -> None:
-            left[0] -= 1
-            if left[0] < 0:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            super().write_table(table)
-
-    return Full
 
 
 def test_a_folder_is_written_by_one_command_and_by_no_other_kind(
     tmp_path: Path, campaign: Campaign
 ) -> None:
-    class Nested(Odd):
-        def answers(self, supply):  # type: ignore[no-untyped-def]
-            with pytest.raises(ExperimentError, match="another command is writing"):
+    """Who is refused it leaves no file open."""
+    with campaign_folder.own_folder(tmp_path / "r", campaign.tables):
+        before = len(list(Path("/dev/fd").iterdir()))
+        for _ in range(5):
+            with refuses(ExperimentError, str(tmp_path / "r")):
                 conduct(campaign, tmp_path / "r", Odd())
-            return super().answers(supply)
-
-    conduct(campaign, tmp_path / "r", Nested())
+        assert len(list(Path("/dev/fd").iterdir())) == before
     (tmp_path / "letters").mkdir()
     (tmp_path / "letters/to-mum.txt").write_text("dear")
-    with pytest.raises(ExperimentError, match="is no campaign's folder: it holds to-mum.txt"):
-        conduct(campaign, tmp_path / "letters", Odd())
-    with pytest.raises(ExperimentError, match="is a file"):
-        conduct(campaign, tmp_path / "letters/to-mum.txt", Odd())
+    for place in ("letters", "letters/to-mum.txt"):
+        with refuses(ExperimentError, "to-mum.txt"):
+            conduct(campaign, tmp_path / place, Odd())
 
 
 @pytest.mark.slow
 def test_real_runs_give_the_same_bits_in_any_bundles_and_recordings_are_kept(
     tmp_path: Path,
 ) -> None:
+    """On local workers of Dask, too; a run that cannot be leaves the others alone."""
     factors = NOISES + (
-        '[[factor]]\nname = "load"\n[[factor.level]]\nname = "none"\n[[factor.level]]\n'
-        'name = "Stribeck"\nset = [\'simulation.effect=[{kind="stribeck_friction"}]\']\n'
-        '[[factor.level]]\nname = "hopeless"\nset = ["simulation.bandwidth=400.0"]\n'
+        '[[factor]]\nname = "load"\n[[factor.level]]\nname = "none"\n'
         '[[factor.level]]\nname = "wrong"\nset = ["robot.lock.nobody=0.0"]\n'
     )
-    file = campaign_file(tmp_path, 2, factors, more='recordings = "keep"')
-    campaign = Campaign.load(file)
-    for size in (None, 1):
-        conduct(campaign, tmp_path / f"r{size}", Odd(real, size=size))
-    assert table(tmp_path / "rNone") == table(tmp_path / "r1")
-    found = rows(tmp_path / "r1")
-    assert {row["factor/load"] for row in found if row["status"] == "failed"} >= {"wrong"}
-    done = [str(row["run"]) for row in found if row["status"] == "done"]
-    assert len(done) >= 8
-    for run in done:
-        kept = [tmp_path / name / f"recordings/{run}.parquet" for name in ("r1", "rNone")]
-        assert kept[0].read_bytes() == kept[1].read_bytes()
-
-
-def test_progress_counts_runs_that_are_there_and_those_without_a_result(
-    tmp_path: Path, campaign: Campaign
-) -> None:
-    bad = list(places_of(campaign))[3]
-
-    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
-        found, seconds = made_up(bundle)
-        return [Outcome(o.run, "failed", "no") if o.run == bad else o for o in found], seconds
-
-    seen: list[Standing] = []
-    conduct(campaign, tmp_path / "r", Odd(work), progress=seen.append)
-    assert (seen[-1].done, seen[-1].total, seen[-1].failed) == (40, 40, 1)
-    assert [each.done for each in seen] == sorted({each.done for each in seen})
-    assert all(each.rate > 0 for each in seen)
+    campaign = Campaign.load(campaign_file(tmp_path, 2, factors, more='recordings = "keep"'))
+    conduct(campaign, tmp_path / "alone", InThisProcess())
+    conduct(campaign, tmp_path / "single", Odd(real, size=1))
+    with local_workers(2) as engine:
+        conduct(campaign, tmp_path / "local", engine)
+    assert table(tmp_path / "alone") == table(tmp_path / "single") == table(tmp_path / "local")
+    found = rows(tmp_path / "alone")
+    assert {r["factor/load"]: r["status"] for r in found} == {"none": "done", "wrong": "failed"}
+    for run in [row["run"] for row in found if row["status"] == "done"]:
+        kept = [(tmp_path / n / f"recordings/{run}.parquet") for n in ("alone", "single", "local")]
+        assert len({path.read_bytes() for path in kept}) == 1
 
 
 @pytest.mark.slow
-def test_files_of_few_rows_do_not_pile_up(
-    tmp_path: Path, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+def test_a_kill_at_a_random_moment_costs_nothing() -> None:
+    """Kill -9 of a worker; of the command and the scheduler, too: python -m benchmarks campaign."""
+    assert kills("worker", 1, 20, random.Random(1).randrange(1000))["same_table"] == 1
+
+
+# a bundle on a worker
+
+
+@pytest.fixture
+def bundle(tmp_path: Path) -> Bundle:
+    kept: list[Bundle] = []
+
+    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
+        kept.append(bundle)
+        return made_up(bundle)
+
+    conduct(Campaign.load(campaign_file(tmp_path, 1, NOISES)), tmp_path / "r", Odd(work))
+    return kept[0]
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_says_why(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors that are none of testbed's with their kind; without memory, it may be tried again."""
+    with refuses(ExperimentError, "testbed"):
+        carry_out_bundle(replace(bundle, code="another"))
+    (run, words), *rest = bundle.runs
+    wrong = (("0" * len(run), words), (run, (*words, "seed=many")), *rest)
+    (first, second, *_), seconds = carry_out_bundle(replace(bundle, runs=wrong))
+    assert (first.status, second.status, "seed" in second.error) == ("failed", "failed", True)
+    assert (first.run, first.metrics, first.recording, seconds > 0) == (
+        wrong[0][0],
+        None,
+        None,
+        True,
+    )
+
+    def raising(error: Exception) -> Callable[..., Any]:
+        def work(*_: object, **__: object) -> None:
+            raise error
+
+        return work
+
+    for error, status, said in (
+        (ExperimentError("no plate"), "failed", "no plate"),
+        (ZeroDivisionError("by nothing"), "failed", "ZeroDivisionError: by nothing"),
+        (MemoryError("none left"), "killed", "MemoryError: none left"),
+    ):
+        for module, name in ((evaluate, "evaluate"), (simulation, "simulate_motions")):
+            with monkeypatch.context() as patch:
+                patch.setattr(module, name, raising(error))
+                outcomes, _ = carry_out_bundle(bundle)
+            assert {(each.status, each.error) for each in outcomes} == {(status, said)}
+
+
+class Answer:
+    """A future that has ended."""
+
+    def __init__(self, result: Any, status: str = "finished") -> None:
+        self.status, self._result, self.released = status, result, False
+
+    def result(self) -> Any:
+        if isinstance(self._result, Exception):
+            raise self._result
+        return self._result
+
+    def release(self) -> None:
+        self.released = True
+
+
+def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_apart() -> None:
+    killed = distributed.scheduler.KilledWorker("task", None, 3)
+    engine = DaskEngine(None, lambda each: ([], 0.0))
+    runs = tuple((f"run {k}", (f"seed={k}",)) for k in range(3))
+    many = Bundle("base.toml", {"a": 1}, ("external",), False, "code", runs)
+    single, apart = replace(many, runs=runs[:1]), list[Bundle]()
+    came = ([Outcome("run 0", "done")], 2.5)
+    assert engine._answer(answer := Answer(came), single, apart) is came
+    assert answer.released
+    assert engine._answer(Answer(killed), many, apart) is None
+    assert apart == [replace(many, runs=(run,)) for run in runs]
+    (outcome,), _ = engine._answer(Answer(killed), single, [])  # type: ignore[misc]
+    assert (outcome.run, outcome.status) == ("run 0", "killed")
+    for wrong, kind, culprit in (
+        (Answer(ExperimentError("other files")), ExperimentError, "other files"),
+        (Answer(KeyError("x")), ExperimentError, "KeyError"),
+        (Answer(distributed.client.FutureCancelledError("k", "r")), SchedulerLost, "scheduler"),
+        (Answer(distributed.comm.CommClosedError("gone")), SchedulerLost, "scheduler"),
+        (Answer(None, "cancelled"), SchedulerLost, "scheduler"),
+        (Answer(None, "lost"), SchedulerLost, "scheduler"),
+    ):
+        with refuses(kind, culprit):
+            engine._answer(wrong, many, [])
+
+
+# summary
+
+
+def test_a_summary_is_of_the_tables_numbers_and_a_comparison_of_what_changed(
+    tmp_path: Path,
 ) -> None:
-    """They go into the table when there are as many rows in them as in it: half of all at most."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
-    seen: list[tuple[int, int]] = []
+    """Bias, spread, exact bounds of coverage; tables for other programs hold the same."""
+    for inside, runs in ((0, 5), (5, 5), (190, 200)):
+        wanted = binomtest(inside, runs).proportion_ci(0.95, "exact")
+        assert binomial_bounds(inside, runs) == pytest.approx((wanted.low, wanted.high), abs=1e-9)
+    campaign = Campaign.load(campaign_file(tmp_path, 25, NOISES))
+    conduct(campaign, tmp_path / "r", Odd())
+    summary, found = summarise(read_campaign(tmp_path / "r")), rows(tmp_path / "r")
 
-    def look(standing: Standing) -> None:
-        seen.append((standing.done, len(list((tmp_path / "r/new").glob("*.parquet")))))
+    def columns(cell: int | None, name: str) -> list[Array]:
+        here = [row for row in found if cell in (None, row["cell"])]
+        k = here[0]["external/names"].index(name)
+        return [
+            np.array([r[f"external/{c}"][k] for r in here]) for c in ("values", "truth", "sigma")
+        ]
 
-    conduct(campaign, tmp_path / "r", Odd(size=1), progress=look)
-    assert len(seen) == 40
-    assert all(files <= max(4, done / 2) for done, files in seen)
+    assert len(summary.parameters) == 2 * 2
+    for each in (*summary.parameters, *pooled(summary.parameters)):
+        value, truth, sigma = columns(None if each.cell < 0 else each.cell, each.parameter)
+        assert each.runs == len(value) == (50 if each.cell < 0 else 25)
+        assert each.bias == pytest.approx(np.mean(value - truth), rel=1e-9)
+        assert each.rms == pytest.approx(np.sqrt(np.mean((value - truth) ** 2)))
+        if each.cell >= 0:
+            assert each.spread == pytest.approx(np.std(value - truth, ddof=1))
+        assert each.inside == np.sum(np.abs(value - truth) < 1.96 * sigma)
+    files = write_summary(summary, tmp_path)
+    shares = [row["coverage"] for row in pq.read_table(files[0]).to_pylist()]
+    assert shares == [p.coverage for p in summary.parameters]
+    assert {(each.ratio, each.sigmas) for each in changes(summary, summary)} == {(1.0, 0.0)}
+    name = "external_rms_relative_error"
+
+    def worse(bundle: Bundle) -> tuple[list[Outcome], float]:
+        outcomes, seconds = made_up(bundle)
+        three = [replace(o, metrics={name: 3 * (o.metrics or {})[name]}) for o in outcomes]
+        return three, seconds
+
+    conduct(campaign, tmp_path / "worse", Odd(worse))
+    told = list(changes(summary, summarise(read_campaign(tmp_path / "worse"))))
+    of_error = [each for each in told if abs(each.ratio - 3.0) < 1e-9]
+    assert len(of_error) == 2
+    assert all(each.sigmas > 3 for each in of_error)
 
 
-def test_a_command_that_is_refused_a_folder_leaves_no_file_open(
-    tmp_path: Path, campaign: Campaign
-) -> None:
-    own = Path("/dev/fd")
-    if not own.is_dir():
-        pytest.skip("this system does not list open files")
-    with campaign_folder.own_folder(tmp_path / "r", campaign.tables):
-        before = len(list(own.iterdir()))
-        for _ in range(5):
-            with (
-                pytest.raises(ExperimentError, match="another command is writing"),
-                campaign_folder.own_folder(tmp_path / "r", campaign.tables),
-            ):
-                pass
-        assert len(list(own.iterdir())) == before
-
-
-@pytest.mark.parametrize("seconds", [1e-9, 0.1, 1e9, math.inf])
-def test_bundles_are_never_empty_and_hold_all_runs_once(seconds: float, campaign: Campaign) -> None:
-    """Whatever a run is expected to take."""
-    order = [(run, place.cell, place.replicate) for run, place in places_of(campaign).items()]
-    supply, seen = Supply(campaign, list(order), [seconds]), []
-    while (bundle := supply.take(2)) is not None:
-        assert bundle.runs
-        seen += [run for run, _ in bundle.runs]
-    assert seen == [run for run, _, _ in order]
+def test_a_folder_without_a_readable_table_is_said(tmp_path: Path) -> None:
+    for content in (None, "not a table"):
+        if content:
+            (tmp_path / "results.parquet").write_text(content)
+        with refuses(TestbedError, str(tmp_path)):
+            read_campaign(tmp_path)

@@ -1,192 +1,229 @@
-"""An experiment file for any robot is what the reader of such files takes, and says what is so."""
+"""An experiment for any robot: what `new` writes is read back, goes with its size, and runs."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import InertiaError, TestbedError
+from testbed.errors import ExperimentError, InertiaError, LoopError, TestbedError
 from testbed.excitation.limits import limits_of
-from testbed.experiment.assumptions import DRY
+from testbed.experiment.assumptions import DRY, assumptions
 from testbed.experiment.evaluate import robot_of
+from testbed.experiment.experiment import run_name
 from testbed.experiment.motions import motion_of
 from testbed.experiment.new_experiment import new_experiment
-from testbed.robot.load import nearest_bodies
-from tests.helpers.paths import GOLDEN, REAL, ROOT
+from testbed.experiment.robot_found import find_robot
+from testbed.experiment.simulate import simulate
+from testbed.robot.load import mimic_joints, nearest_bodies
+from tests.helpers.paths import REAL, ROOT
+from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
 
+ARM = """<mujoco model="arm"><worldbody><body name="upper" pos="0 0 {l}">
+  <joint name="turn" axis="0 0 1"/>
+  <inertial pos="0 {l} 0" mass="{m}" diaginertia="{i} {i} {i}"/>
+  <body name="fore" pos="{l} 0 {l}"><joint name="lift" axis="0 1 0" range="-60 60"/>
+  <inertial pos="{l} 0 0" mass="{m}" diaginertia="{i} {i} {i}"/>
+  </body></body></worldbody></mujoco>"""
+TIP = """<body name="tip" pos=".5 0 0"><joint name="bend" axis="0 1 0"/>
+  <geom size=".1"/></body></body></body>"""
 
-def written(model: Path, folder: Path) -> tb.Experiment:
+
+def arm(folder: Path, length: float = 1.0, mass: float = 1.0, *changes: tuple[str, str]) -> Path:
+    text = ARM.format(l=length / 2, m=mass, i=mass * length**2 / 20)
+    for change in changes:
+        text = text.replace(*change)
+    (folder / "arm.xml").write_text(text)
+    return folder / "arm.xml"
+
+
+def written(model: Path, folder: Path, *, tried: bool = False) -> tb.Experiment:
     file = folder / "new.toml"
-    file.write_text(new_experiment(model, folder, tried=False), encoding="utf-8")
+    file.write_text(new_experiment(model, folder, tried=tried), encoding="utf-8")
     return tb.Experiment.load(file)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(MODELS))
-def test_what_it_says_is_the_model_s(name: str, tmp_path: Path) -> None:
+def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
+    """Counts, limits, friction; defaults in comments may be taken as they stand."""
     experiment = written(MODELS[name], tmp_path)
-    assert Path(experiment.model) == MODELS[name].resolve()
     tree, own = robot_of(experiment), tb.load_tree(MODELS[name])
     text = (tmp_path / "new.toml").read_text()
     for model in ("dynamic", "reaction"):
         assert re.search(rf"\b{tb.minimal_set(own, model).count}\b", text.splitlines()[0])
-    limits = limits_of(own)
-    assert experiment.motion.max_velocity == pytest.approx(
-        dict(zip(own.names, limits.velocity, strict=True)), rel=1e-5
-    )
+    limits = dict(zip(own.names, limits_of(own).velocity, strict=True))
+    assert experiment.motion.max_velocity == pytest.approx(limits, rel=1e-5)
     for joint, before in zip(tree.joints, own.joints, strict=True):
         assert joint.coulomb > 0 or joint.viscous > 0  # a robot without friction is no test
         if before.coulomb or before.viscous:
             assert (joint.coulomb, joint.viscous) == (before.coulomb, before.viscous)
+    (tmp_path / "shown.toml").write_text(text.replace("# gravity", "gravity"))
+    shown = tb.Experiment.load(tmp_path / "shown.toml")
+    np.testing.assert_allclose(robot_of(shown).gravity, tree.gravity)
+    for line in re.findall(r"^# ((?:ex|in)ternal.*)", text, re.MULTILINE):
+        tomllib.loads(line)
+    gains = np.array(list(experiment.measurement.torque_constant_error.values()))
+    np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
     motion_of(experiment, tree)  # proven
 
 
-def test_every_default_that_it_shows_is_one(tmp_path: Path) -> None:
-    """Lines in comments are taken as they stand: the experiment stays the same."""
-    text = new_experiment(MODELS["puma"], tmp_path, tried=False)
-    (tmp_path / "new.toml").write_text(text)
-    shown = text.replace("# gravity", "gravity")
-    (tmp_path / "shown.toml").write_text(shown)
-    as_is, with_shown = (tb.Experiment.load(tmp_path / f"{n}.toml") for n in ("new", "shown"))
-    np.testing.assert_allclose(robot_of(as_is).gravity, robot_of(with_shown).gravity)
-    for line in text.splitlines():
-        if line.startswith("# external") or line.startswith("# internal"):
-            tomllib.loads(line[2:])
+@pytest.mark.parametrize(("length", "mass"), [(0.05, 20.0), (20.0, 0.05)])
+def test_assumptions_go_with_the_robots_size_and_it_runs(
+    length: float, mass: float, tmp_path: Path
+) -> None:
+    """Weights go by mass; where gravity outweighs inertia, moments by mass times length."""
+    usual = assumptions(tb.load_tree(arm(tmp_path)))
+    path = arm(tmp_path, length, mass)
+    found, least = assumptions(tb.load_tree(path)), 0.5 * mass * min(length, 1.0)
+    most = 3 * mass * max(length, length**2)
+    assert found.force_noise / usual.force_noise >= 0.5 * mass
+    assert least <= found.moment_noise / usual.moment_noise <= most
+    assert least <= found.torque_noise / usual.torque_noise <= most
+    short = {"motion.duration=2", "motion.candidates=1", "simulation.warm_up=0.5"}
+    written(path, tmp_path)
+    recording = simulate(tb.Experiment.load(tmp_path / "new.toml", sorted(short)))
+    assert np.isfinite(recording.position).all()
 
 
-def test_joints_of_any_name_and_roots_that_float(tmp_path: Path) -> None:
-    (tmp_path / "odd.xml").write_text("""<mujoco><worldbody><body name="b"><freejoint/>
-      <geom size=".1"/><body name="c" pos="0 0 .2">
+def test_assumptions_of_the_puma_are_those_of_what_ships_and_scale_with_mass(puma: tb.Tree) -> None:
+    found = assumptions(puma)
+    assert (found.force_noise, found.moment_noise, found.torque_noise) == (0.5, 0.1, 0.5)
+    assert (found.step, found.clearance, found.joints) == (5e-4, None, {})
+    heavy = puma.without_friction()
+    tenth = [tb.Inertia(0.1 * i.mass, 0.1 * i.first_moment, 0.1 * i.tensor) for i in puma.inertias]
+    one, ten = assumptions(replace(heavy, inertias=tuple(tenth))), assumptions(heavy)
+    for name in ("force_noise", "moment_noise", "torque_noise"):
+        assert getattr(ten, name) == pytest.approx(10 * getattr(one, name), rel=1e-9)
+    for joint in puma.names:
+        for key in ("coulomb", "viscous"):
+            assert ten.joints[joint][key] == pytest.approx(10 * one.joints[joint][key], rel=0.06)
+
+
+def test_friction_is_assumed_from_the_load_within_the_whole_range(tmp_path: Path) -> None:
+    """Of a pendulum between 0 and 1 rad the rms of m g l sin q is 0.522 m g l."""
+    mass, reach = 100.0, 0.01
+    (tmp_path / "pendulum.urdf").write_text(f"""<robot name="pendulum"><link name="base"/>
+      <link name="bob"><inertial><origin xyz="0 0 {-reach}"/><mass value="{mass}"/>
+      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial></link>
+      <joint name="swing" type="revolute"><parent link="base"/><child link="bob"/>
+      <axis xyz="0 1 0"/><limit lower="0" upper="1" effort="1000" velocity="1"/></joint></robot>""")
+    load = mass * 9.81 * reach * np.sqrt(0.5 - np.sin(2.0) / 4)
+    found = robot_of(written(tmp_path / "pendulum.urdf", tmp_path)).joints[0].coulomb
+    assert found == pytest.approx(DRY * load, rel=0.1)
+
+
+def test_joints_and_links_of_any_name_roots_that_float_and_impossible_bodies(
+    tmp_path: Path,
+) -> None:
+    name = 'l (1) = "a.b"'
+    quoted = name.replace('"', "&quot;")
+    (tmp_path / "odd.xml").write_text(f"""<mujoco><worldbody><body name="b"><freejoint/>
+      <geom size=".1"/><body name='{quoted}' pos="0 0 .2">
       <joint name="a b.&quot;c&quot; = 0" axis="0 1 0"/>
-      <geom size=".1" pos=".1 0 .1"/></body></body></worldbody></mujoco>""")
+      <inertial mass="1" pos=".1 0 0" diaginertia="1 1 9"/></body></body></worldbody></mujoco>""")
     experiment = written(tmp_path / "odd.xml", tmp_path)
     assert experiment.weld_root
     tree = robot_of(experiment)
     assert tree.names == ('a b."c" = 0',)
-    assert tree.joints[0].coulomb > 0
+    assert list(experiment.robot.repair) == [name]
+    assert (tree.inertias[0].mass, tree.joints[0].coulomb > 0) == (1.0, True)
 
 
-def test_followers_are_held(tmp_path: Path) -> None:
-    text = MODELS["gantry"].read_text()
-    tree = tb.load_tree(MODELS["gantry"])
-    last, first = tree.names[-1], tree.names[0]
-    k = text.index(f'name="{last}"')
-    head = text.index(">", k) + 1
-    (tmp_path / "mimic.urdf").write_text(f'{text[:head]}<mimic joint="{first}"/>{text[head:]}')
-    experiment = written(tmp_path / "mimic.urdf", tmp_path)
-    assert experiment.robot.lock_mimic
-    assert robot_of(experiment).n == tree.n - 1
-
-
-def test_what_is_no_robot_is_refused(tmp_path: Path) -> None:
-    for name, text in (("no.urdf", "<robot/>"), ("no.txt", "hello")):
-        (tmp_path / name).write_text(text)
-        with pytest.raises(TestbedError):
-            new_experiment(tmp_path / name, tmp_path)
-
-
-def test_golden_robots_have_one(tmp_path: Path) -> None:
-    for file in sorted((GOLDEN / "robots").glob("*.urdf"))[:6]:
-        experiment = written(file, tmp_path)
-        assert set(experiment.motion.max_acceleration) == set(robot_of(experiment).names)
-
-
-FOLLOWER = """<link name="counterweight"><inertial><mass value="1"/>
-<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
-<joint name="parallel" type="revolute"><parent link="link1"/><child link="counterweight"/>
-<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="2"/>
-<mimic joint="shoulder" multiplier="-1"/></joint></robot>"""
-
-
-def test_grippers_are_held_with_their_fingers_and_arms_are_not(tmp_path: Path) -> None:
-    panda = written(REAL / "panda_description/urdf/panda.urdf", tmp_path)
-    assert panda.robot.lock == {"panda_finger_joint1": 0.0}
-    assert robot_of(panda).n == 7
-    text = (ROOT / "models/puma562.urdf").read_text().replace("</robot>", FOLLOWER)
-    (tmp_path / "arm.urdf").write_text(text)
-    arm = written(tmp_path / "arm.urdf", tmp_path)
-    assert arm.robot.lock == {}  # the shoulder is followed, and carries the elbow
-    assert robot_of(arm).names == ("waist", "shoulder", "elbow")
-
-
+@pytest.mark.slow
 def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path) -> None:
-    """To the last digits; every word of them is also told, the first few by name."""
+    """To the last digits."""
     path = REAL / "icub_description/robots/icub_reduced.urdf"
-    said: list[str] = []
-    (tmp_path / "new.toml").write_text(new_experiment(path, tmp_path, tried=False, say=said.append))
-    experiment = tb.Experiment.load(tmp_path / "new.toml")
+    experiment = written(path, tmp_path)
     found = nearest_bodies(path, weld_root=experiment.weld_root)
     assert set(experiment.robot.repair) == set(found.bodies)
-    assert len(found.bodies) == len(found.flaws) > 3
-    assert sum("link '" in line for line in said) == 3
-    assert f"and {len(found.bodies) - 3} more" in said[-1]
+    assert len(found.bodies) > 3
     tree, own = robot_of(experiment), tb.load_tree(path, weld_root=experiment.weld_root)
     for a, b in zip(tree.inertias, own.inertias, strict=True):
         np.testing.assert_allclose(a.pseudo, b.pseudo, rtol=1e-12, atol=1e-15)
-    (tmp_path / "again.toml").write_text(experiment.as_toml())
-    again = tb.Experiment.load(tmp_path / "again.toml").robot.bodies
-    for name, body in experiment.robot.bodies.items():
-        np.testing.assert_array_equal(again[name].pseudo, body.pseudo)
-    bare = experiment.model_copy(
-        update={"robot": experiment.robot.model_copy(update={"repair": {}})}
-    )
-    with pytest.raises(InertiaError, match="`testbed new`"):
-        robot_of(bare)
+    bare = experiment.robot.model_copy(update={"repair": {}})
+    with pytest.raises(InertiaError):
+        robot_of(experiment.model_copy(update={"robot": bare}))
     with pytest.raises(InertiaError):
         new_experiment(path, tmp_path, strict=True)
 
 
-def test_repaired_links_may_have_any_name(tmp_path: Path) -> None:
-    name = 'l (1) = "a.b"'
-    (
-        tmp_path / "odd.xml"
-    ).write_text(f"""<mujoco><worldbody><body name='{name.replace('"', "&quot;")}'>
-      <joint axis="0 1 0"/><inertial mass="1" pos=".1 0 0" diaginertia="1 1 9"/></body>
-      </worldbody></mujoco>""")
-    experiment = written(tmp_path / "odd.xml", tmp_path)
-    assert list(experiment.robot.repair) == [name]
-    assert robot_of(experiment).inertias[0].mass == 1.0
+def test_followers_grippers_loops_and_stiff_joints_are_held(tmp_path: Path) -> None:
+    """A joint that is merely slow stays, and so does one that is followed and carries more."""
+    panda = written(REAL / "panda_description/urdf/panda.urdf", tmp_path)
+    assert (panda.robot.lock, robot_of(panda).n) == ({"panda_finger_joint1": 0.0}, 7)
+    text, tree = MODELS["gantry"].read_text(), tb.load_tree(MODELS["gantry"])
+    head = text.index(">", text.index(f'name="{tree.names[-1]}"')) + 1
+    mimic = f'{text[:head]}<mimic joint="{tree.names[0]}"/>{text[head:]}'
+    (tmp_path / "mimic.urdf").write_text(mimic)
+    assert robot_of(written(tmp_path / "mimic.urdf", tmp_path)).n == tree.n - 1
+    for damping, held in (("1e9", {"turn"}), ("1e2", set())):
+        change = ('name="turn"', f'name="turn" damping="{damping}"')
+        assert set(find_robot(arm(tmp_path, 1.0, 1.0, change), None).lock) == held
+    with_tip = ("</body></body></worldbody>", TIP + "</worldbody>")
+    weld = '<equality><weld body1="upper" body2="tip"/></equality></mujoco>'
+    loop = arm(tmp_path, 1.0, 1.0, with_tip, ("</mujoco>", weld))
+    with pytest.raises(LoopError) as refused:
+        tb.load_tree(loop)
+    assert set(refused.value.joints) == {"lift", "bend"}
+    assert set(written(loop, tmp_path).robot.lock) == {"lift", "bend"}
+    coupled = (
+        '<tendon><fixed name="t"><joint joint="turn" coef="1"/><joint joint="lift" coef="-2"/>'
+        '</fixed></tendon><equality><tendon tendon1="t"/></equality></mujoco>'
+    )
+    path = arm(tmp_path, 1.0, 1.0, with_tip, ("</mujoco>", coupled))
+    assert mimic_joints(path) == ("turn",)
+    led = tb.load_tree(path, lock={"lift": 0.5})
+    posed = tb.load_tree(arm(tmp_path, 1.0, 1.0, with_tip), lock={"lift": 0.5, "turn": 1.0})
+    np.testing.assert_allclose(led.joints[0].rotation, posed.joints[0].rotation, atol=1e-12)
+    moved = '<body name="hand" mocap="true"/></worldbody>'
+    weld = '<equality><weld body1="hand" body2="fore"/></equality></mujoco>'
+    mocap = arm(tmp_path, 1.0, 1.0, ("</worldbody>", moved), ("</mujoco>", weld))
+    assert tb.load_tree(mocap).names == ("turn", "lift")  # what a program moves welds nothing
+    endless = arm(tmp_path, 1.0, 1.0, ("-60 60", "-1e16 1e16"))
+    np.testing.assert_allclose(limits_of(tb.load_tree(endless)).high, np.pi)
 
 
-def test_a_robot_without_mass_is_no_experiment(tmp_path: Path) -> None:
-    text = '<robot><link name="a"/><link name="b"/><joint name="j" type="continuous">'
-    path = tmp_path / "r.urdf"
-    path.write_text(f'{text}<parent link="a"/><child link="b"/></joint></robot>')
-    with pytest.raises(TestbedError, match="no link that moves has a mass"):
-        new_experiment(path, tmp_path)
+@pytest.mark.slow
+def test_bodies_of_which_some_touch_in_every_posture_are_left_out_by_name(tmp_path: Path) -> None:
+    """A ball that slides between two posts too near for it; the rest stays watched."""
+    path = tmp_path / "slot.xml"
+    path.write_text("""<mujoco><worldbody><geom size=".25" pos="-.4 0 .5"/>
+      <body name="mast"><joint name="a" axis="0 0 1" range="-9 9"/><geom size=".1" pos="0 0 -.5"/>
+      <body name="ball" pos="0 0 .5"><joint name="slide" type="slide" axis="1 0 0" range="-.3 .3"/>
+      <geom size=".2"/></body></body>
+      <body name="post"><joint name="b" axis="0 0 1" range="-9 9"/><geom size=".25" pos=".4 0 .5"/>
+      </body></worldbody></mujoco>""")
+    said = written(path, tmp_path, tried=True).excitation
+    pairs = {frozenset(pair) for pair in said.exclude}
+    assert pairs
+    assert pairs <= {frozenset(("ball", other)) for other in ("plate", "post")}
+    assert said.clearance != "off"
 
 
-def test_friction_is_assumed_from_the_load_of_postures_within_the_whole_range(
-    tmp_path: Path,
-) -> None:
-    """Of a light pendulum between 0 and 1 rad the rms of m g l sin q is 0.522 m g l."""
-    mass, arm = 100.0, 0.01
-    (tmp_path / "pendulum.urdf").write_text(f"""<robot name="pendulum"><link name="base"/>
-      <link name="bob"><inertial><origin xyz="0 0 {-arm}"/><mass value="{mass}"/>
-      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial></link>
-      <joint name="swing" type="revolute"><parent link="base"/><child link="bob"/>
-      <axis xyz="0 1 0"/><limit lower="0" upper="1" effort="1000" velocity="1"/></joint></robot>""")
-    experiment = written(tmp_path / "pendulum.urdf", tmp_path)
-    load = mass * 9.81 * arm * np.sqrt(0.5 - np.sin(2.0) / 4)
-    assert robot_of(experiment).joints[0].coulomb == pytest.approx(DRY * load, rel=0.1)
-
-
-def test_assumed_errors_of_torque_constants_alternate(tmp_path: Path) -> None:
-    for name in MODELS:
-        said = written(MODELS[name], tmp_path).measurement.torque_constant_error
-        gains = np.array(list(said.values()))
-        np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
+def test_what_is_no_robot_or_does_not_run_is_refused(tmp_path: Path) -> None:
+    massless = (
+        '<robot><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/></joint></robot>'
+    )
+    for name, text in (("no.urdf", "<robot/>"), ("no.txt", "hello"), ("r.urdf", massless)):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(TestbedError):
+            new_experiment(tmp_path / name, tmp_path)
+    text = (ROOT / "models/puma562.xml").read_text()
+    (tmp_path / "clipped.xml").write_text(text.replace("<force name", '<force cutoff="50" name'))
+    with refuses(ExperimentError, "unfiltered"):
+        new_experiment(tmp_path / "clipped.xml", tmp_path)
 
 
 def test_a_run_is_named_for_the_robot_where_the_file_says_nothing(tmp_path: Path) -> None:
-    text = (ROOT / "models/puma562.xml").read_text()
-    for name, wanted in (("robot", "puma562"), ("mine", "mine")):
-        model = tmp_path / f"{name}.xml"
-        model.write_text(text)
-        assert written(model, tmp_path).name == wanted
+    assert run_name(Path("sawyer/robot.xml"), "MuJoCo Model") == "sawyer"
+    assert run_name(Path("ur5_gripper.urdf"), "ur5") == "ur5_gripper"
+    assert run_name(Path("robot.xml"), "puma562") == "puma562"
+    exact = new_experiment(arm(tmp_path), tmp_path, tried=False, exact_torque_constants=True)
+    assert "torque_constant_error" not in tomllib.loads(exact)["measurement"]

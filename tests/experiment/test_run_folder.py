@@ -1,105 +1,376 @@
-"""A run folder holds all that a run needs: it can be moved, and its model's file may go."""
+"""Files of a run and of a motion: what was written is what is read, and nothing else passes."""
 
 from __future__ import annotations
 
+import json
 import shutil
+import tomllib
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import ExperimentError
+from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.limit_terms import PlateTerm
+from testbed.excitation.proof import prove
+from testbed.experiment.earlier_estimate import prior_covariance
+from testbed.experiment.evaluate import robot_of
+from testbed.experiment.excite import Excitation, excite, frequencies_of
+from testbed.experiment.experiment import RecordingTables
+from testbed.experiment.motion_file import MotionFile, read_motion
+from testbed.experiment.motions import QUIET_PLATE, motion_of, plate_noise_of, rules_of
+from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, read_result
+from testbed.experiment.results import identified_as_json
 from testbed.experiment.run_folder import check_folder, read_run, write_recorded, write_run
+from testbed.experiment.trajectory_file import write_trajectory
+from testbed.experiment.write_motion import write_motion
+from testbed.identification.estimate import METHODS
+from testbed.identification.stated import Stated
+from testbed.identification.validate import validate
+from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.load_shapes import load_shapes
+from tests.helpers.measured import measured
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import MODELS, robot, run_of
+from tests.scenarios.scenarios import result
 
 CUBE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 4 3\nf 1 2 4\nf 2 3 4\n"
-INERTIA = '<inertial mass="2" pos="0.1 0 0.2" diaginertia="0.1 0.2 0.15"/>'
-MJCF = f"""<mujoco model="one"><compiler meshdir="../shapes"/>
-<include file="parts/assets.xml"/><worldbody><body name="arm">{INERTIA}
-<joint name="j" axis="0 1 0" range="-90 90"/><geom type="mesh" mesh="cube"/></body></worldbody>
-</mujoco>"""
-ASSETS = '<mujoco><asset><mesh name="cube" file="cube.obj"/></asset></mujoco>'
 URDF = """<robot name="one"><link name="base"/><link name="arm">
 <inertial><origin xyz="0.1 0 0.2"/><mass value="2"/>
 <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.2" iyz="0" izz="0.15"/></inertial>
 <visual><geometry><mesh filename="package://maker/shapes/cube.obj"/></geometry></visual></link>
 <joint name="j" type="revolute"><parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
 <limit lower="-1.5" upper="1.5" effort="100" velocity="2"/></joint></robot>"""
+MJCF = """<mujoco model="one"><compiler meshdir="../shapes"/>
+<asset><mesh name="cube" file="cube.obj"/></asset><worldbody><body name="arm">
+<inertial mass="2" pos="0.1 0 0.2" diaginertia="0.1 0.2 0.15"/>
+<joint name="j" axis="0 1 0" range="-90 90"/><geom type="mesh" mesh="cube"/></body></worldbody>
+</mujoco>"""
 
 
-def written(folder: Path, language: str) -> Path:
-    """A model with a mesh, an include or a package, in folders of their own."""
-    home = folder / "maker/models"
-    (home / "parts").mkdir(parents=True)
+def experiment(folder: Path, text: str) -> tb.Experiment:
+    """Of a model with a mesh, in folders of their own, beside a file that is nobody's business."""
+    model = folder / ("maker/models/one." + ("xml" if text is MJCF else "urdf"))
+    model.parent.mkdir(parents=True)
     (folder / "maker/shapes").mkdir()
     (folder / "maker/shapes/cube.obj").write_text(CUBE)
-    (home / "parts/assets.xml").write_text(ASSETS)
-    path = home / f"one.{language}"
-    path.write_text(MJCF if language == "xml" else URDF)
-    return path
-
-
-def experiment(folder: Path, language: str, name: str = "one") -> tb.Experiment:
-    model = written(folder, language)
+    (folder / "maker/shapes/key.txt").write_text("secret")
+    model.write_text(text)
     path = folder / "e.toml"
     path.write_text(
-        f'name = "{name}"\nmodel = "{model.relative_to(folder)}"\n[motion]\nduration = 3.0\n'
+        f'name = "one"\nmodel = "{model.relative_to(folder)}"\n[motion]\nduration = 3.0\n'
         "candidates = 1\n[measurement]\nrate = 200.0\n[simulation]\nbandwidth = 30.0\n"
     )
     return tb.Experiment.load(path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("language", ["xml", "urdf"])
-def test_a_run_folder_can_be_moved_and_its_model_may_go(language: str, tmp_path: Path) -> None:
-    asked = experiment(tmp_path / "here", language)
+@pytest.mark.parametrize("text", [MJCF, URDF], ids=["mjcf", "urdf"])
+def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Path) -> None:
+    """And carried out again from it, to the bit."""
+    asked = experiment(tmp_path / "here", text)
     run = tb.carry_out(asked)
     looks = load_shapes(asked.model, run.tree)
-    assert any(shape.kind == "mesh" for shape in looks.shapes)
     write_run(run, tmp_path / "run")
+    assert {path.name for path in (tmp_path / "run").iterdir()} == {
+        *("experiment.toml", "model", "recording.parquet", "result.json"),
+    }
     shutil.rmtree(tmp_path / "here")
     (tmp_path / "run").rename(tmp_path / "there")
     again = read_run(tmp_path / "there")
+    assert again.experiment is not None
     for method, estimate in run.estimates.items():
         np.testing.assert_array_equal(again.estimates[method].values, estimate.values)
-    assert again.experiment is not None
     found = load_shapes(again.experiment.model, again.tree)
-    assert found.warnings == looks.warnings == ()
+    assert any(shape.kind == "mesh" for shape in found.shapes)
     for one, other in zip(found.shapes, looks.shapes, strict=True):
         np.testing.assert_array_equal(one.vertices, other.vertices)
-    path = tmp_path / "there/experiment.toml"
-    np.testing.assert_array_equal(
-        tb.simulate(tb.Experiment.load(path)).measured("wrench"), run.recording.measured("wrench")
-    )
+    recording = tb.simulate(tb.Experiment.load(tmp_path / "there/experiment.toml"))
+    np.testing.assert_array_equal(recording.measured("wrench"), run.recording.measured("wrench"))
 
 
-def test_what_a_model_names_besides_shapes_and_models_is_not_taken_along(tmp_path: Path) -> None:
-    asked = experiment(tmp_path / "here", "urdf")
-    secret = tmp_path / "here/maker/shapes/key.txt"
-    secret.write_text("secret")
+@pytest.mark.slow
+def test_a_run_folder_takes_nothing_else_along_and_goes_only_for_the_same_or_by_force(
+    tmp_path: Path,
+) -> None:
+    """Without a result, as where the identification was interrupted, it is read all the same."""
+    asked, place = experiment(tmp_path / "here", URDF), tmp_path / "run"
+    recording = tb.simulate(asked)
+    write_recorded(asked, recording, place)
+    assert set(read_run(place).estimates) == {"external", "internal"}
+    check_folder(place, asked)
+    other = asked.model_copy(update={"seed": 4})
+    with refuses(ExperimentError, "--force"):
+        check_folder(place, other)
+    check_folder(place, other, force=True)
+    (place / "notes.txt").write_text("mine")
+    with refuses(ExperimentError, "notes.txt"):
+        check_folder(place, asked, force=True)
     model = Path(asked.model)
     model.write_text(model.read_text().replace("cube.obj", "key.txt"))
-    write_recorded(asked, tb.simulate(asked), tmp_path / "run")
-    assert not list((tmp_path / "run").rglob("key.txt"))
+    write_recorded(asked, recording, tmp_path / "other")
+    assert not list((tmp_path / "other").rglob("key.txt"))
+    copied = Path(tb.Experiment.load(place / "experiment.toml").model)
+    copied.write_text(copied.read_text() + "\n<!-- changed -->")
+    with pytest.raises(ExperimentError):
+        read_run(place)
+    copied.unlink()
+    with refuses(ExperimentError, copied.name):
+        read_run(place)
+    with refuses(ExperimentError, "made"):
+        write_run(run_of(robot("gantry")), tmp_path / "none")
+    assert not (tmp_path / "none").exists()
 
 
-def test_an_older_run_goes_only_for_the_same_experiment_or_by_force(tmp_path: Path) -> None:
-    asked = experiment(tmp_path / "here", "urdf")
-    write_recorded(asked, tb.simulate(asked), tmp_path / "run")
-    check_folder(tmp_path / "run", asked)
-    other = asked.model_copy(update={"seed": 4})
-    with pytest.raises(ExperimentError, match="--force"):
-        check_folder(tmp_path / "run", other)
-    check_folder(tmp_path / "run", other, force=True)
-    (tmp_path / "run/notes.txt").write_text("mine")
-    with pytest.raises(ExperimentError, match=r"holds notes\.txt"):
-        check_folder(tmp_path / "run", asked, force=True)
+# results
 
 
-def test_a_run_without_a_result_is_read_all_the_same(tmp_path: Path) -> None:
-    """As it stands where the identification was interrupted."""
-    asked = experiment(tmp_path / "here", "xml")
-    write_recorded(asked, tb.simulate(asked), tmp_path / "run")
-    assert not (tmp_path / "run/result.json").exists()
-    assert set(read_run(tmp_path / "run").estimates) == {"external", "internal"}
+SAID = ["identification.zeros=true", "identification.cutoff=6", "robot.lock.waist=0.5"]
+HELD = ModelFile(MODELS["puma"], lock={"waist": 0.4, "elbow": None})
+SPOILED: list[tuple[tuple[Any, ...], Any]] = [
+    (("external",), "good"),
+    (("external",), None),
+    (("external", "names"), KeyError),
+    (("internal", "covariance"), KeyError),
+    (("external", "nuisances"), KeyError),
+    (("settings",), KeyError),
+    (("settings",), [1]),
+    (("settings", "identification", "cutof"), 3),
+    (("settings", "identification", "cutoff"), -3),
+    (("model",), "puma.xml"),
+    (("model",), KeyError),
+    (("model", "sha256"), KeyError),
+    (("model", "sha256"), "0" * 64),
+    (("model", "path"), "/"),
+    (("model", "path"), "a\0b.xml"),
+    (("model", "path"), "x" * 100_000),
+    (("model", "lock"), {"nobody": 0.0}),
+    (("external", "values", 0), float("nan")),
+    (("external", "covariance", 0, 0), float("inf")),
+    (("external", "values", 0), 10**400),
+    (("external", "values", 0), "1.0"),
+    (("external", "values"), [1.0]),
+    (("external", "covariance"), [[1.0]]),
+    (("external", "covariance", 0), [1.0]),
+    (("external", "gravity"), [0.0, -9.81]),
+    (("external", "residual", 0), -1.0),
+]
+NO_JSON = [b"", b"\xff\xfe\x00", b"PAR1", b'{"external": ', b"[" * 100_000, b"[]", b"3", b"{}"]
+NO_JSON += [b'{"external": {"names": ' + b"9" * 10_000 + b"}}", b" " * (LARGEST_RESULT + 1)]
+
+
+def test_a_result_validates_to_the_same_bits_and_what_is_none_is_refused(tmp_path: Path) -> None:
+    """The model may have moved, but is the same; settings can be overridden."""
+    tree, tables = HELD.tree(), RecordingTables.of(SAID)
+    recording, other = measured(tree, 1, duration=12), measured(tree, 2, duration=9)
+    estimates = [tb.identify(tree, recording, m, settings=tables.identification) for m in METHODS]
+    content = json.loads(json.dumps(identified_as_json(estimates, HELD, tables)))
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content))
+    kept = read_result(path)
+    assert kept.settings == tables.identification
+    for estimate, said in zip(estimates, kept.estimates, strict=True):
+        one, two = (
+            validate(own, other, each, settings=kept.settings)
+            for own, each in ((tree, estimate), (kept.tree, said))
+        )
+        np.testing.assert_array_equal(one.ratio, two.ratio)
+    changed = read_result(path, settings=["identification.deadband=0.1"]).settings
+    assert (changed.deadband, changed.cutoff) == (0.1, 6)
+    path.write_text(json.dumps(content | {"model": content["model"] | {"path": "gone.xml"}}))
+    assert read_result(path, MODELS["puma"]).tree.n == 1
+    for model, culprit in ((None, "--model"), (MODELS["ur5"], "SHA-256")):
+        with refuses(TestbedError, culprit):
+            read_result(path, model)
+    for keys, value in SPOILED:
+        spoiled: Any = deepcopy(content)
+        here = spoiled
+        for key in keys[:-1]:
+            here = here[key]
+        if value is KeyError:
+            del here[keys[-1]]
+        else:
+            here[keys[-1]] = value
+        path.write_text(json.dumps(spoiled))
+        with pytest.raises((TestbedError, OSError)) as error:
+            read_result(path)
+        assert "\n" not in str(error.value), keys
+    for text in NO_JSON:
+        path.write_bytes(text)
+        with pytest.raises((TestbedError, OSError)) as error:
+            read_result(path)
+        assert "\n" not in str(error.value), text[:20]
+    path.unlink()
+    for nothing in (tmp_path, tmp_path / "nowhere"):
+        with refuses(TestbedError, str(nothing)):
+            read_result(nothing)
+
+
+# motions
+
+
+def asked(name: str = "puma", *words: str) -> tb.Experiment:
+    quick = ("excitation.starts=1", "excitation.harmonics=4", "motion.duration=10")
+    return tb.Experiment.of_model(MODELS[name], [*quick, *words])
+
+
+@pytest.mark.slow
+def test_a_designed_motion_comes_back_from_its_file_and_is_proven_again(tmp_path: Path) -> None:
+    """With its limits; under other limits, for other joints or at a poor rate it is refused."""
+    found: Excitation = result("motion")
+    assert found.gain is not None
+    assert found.gain > 1.2  # a random motion would have told less
+    file = tmp_path / "motion.toml"
+    write_motion(file, found)
+    back = read_motion(file)
+    motion = back.motion_for(found.tree)
+    np.testing.assert_array_equal(motion.coefficients, found.design.motion.coefficients)
+    assert back.motion.fundamental == found.design.motion.fundamental
+    kept, text = found.rules.limits, file.read_text()
+    for j, table in enumerate(tomllib.loads(text)["limits"].values()):
+        assert table["position"] == [kept.low[j], kept.high[j]]
+        assert table["velocity"] == kept.velocity[j]
+        assert table.get("effort", np.inf) == kept.effort[j]
+    word = f'motion.file="{file}"'
+    for name, kind, words, culprit in (
+        ("puma", InfeasibleMotion, ["motion.max_velocity={waist=0.2}"], "velocity of 'waist'"),
+        ("puma", InfeasibleMotion, ["measurement.full_scale=[5,5,5,5,5,5]"], "plate"),
+        ("puma", ExperimentError, ["measurement.rate=5", "simulation.bandwidth=2"], "rate"),
+        ("ur5", ExperimentError, [], "waist"),
+    ):
+        other = asked(name, word, *words)
+        with pytest.raises(kind, match=culprit):
+            motion_of(other, robot_of(other))
+    run = asked("puma", word, "motion.duration=2", "simulation.step=1e-3")
+    recording = tb.simulate(run)
+    wanted = motion_of(run, found.tree).at(recording.time + 0.5e-3)
+    assert np.abs(recording.position - wanted.q).max() < 5e-3
+    for change, culprit in (
+        (("fundamental = ", "fundamental = -"), "fundamental"),
+        (("\noffset", "\nofffset"), "'offfset'"),
+        (("sine = [", "sine = [0.1, "), "sine"),
+        (("[joint", "joint = ["), "motion.toml"),
+        (("cosine = [", 'cosine = ["x", '), "cosine"),
+        (("model = ", 'model = "a\\u0000" #'), "model"),
+    ):
+        file.write_text(text.replace(*change, 1))
+        with pytest.raises(ExperimentError, match=culprit):
+            read_motion(file)
+    still = Fourier.of(0.1, np.zeros((2, 5)))
+    with pytest.raises(ExperimentError, match=r"waist.*robot\.lock"):
+        MotionFile(file, MODELS["puma"], still, ("waist", "shoulder")).motion_for(robot("puma"))
+    start = write_trajectory(tmp_path / "samples.csv", found, 500.0).start
+    with (tmp_path / "samples.csv").open() as opened:
+        head = opened.readline().strip().split(",")
+        values = dict(zip(head, np.loadtxt(opened, delimiter=",").T, strict=True))
+    time = values["time"]
+    assert (time[0], time[-1]) == pytest.approx((-start.duration, 10 + start.duration))
+    inside = (time >= 0) & (time <= 10)
+    for j, name in enumerate(found.tree.names):
+        q, qd, qdd = (values[f"{kind}/{name}"] for kind in ("position", "velocity", "acceleration"))
+        assert np.abs([qd[0], qd[-1], qdd[0], qdd[-1]]).max() < 1e-9
+        np.testing.assert_allclose(np.gradient(q, time)[1:-1], qd[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.gradient(qd, time)[1:-1], qdd[1:-1], atol=5e-3)
+        own = found.design.motion.at(time[inside]).q[:, j]
+        np.testing.assert_allclose(q[inside], own, atol=1e-12)
+    for ending, rate in ((".txt", 100.0), (".csv", 1e7)):
+        with pytest.raises(ExperimentError):
+            write_trajectory(tmp_path / f"none{ending}", found, rate)
+        assert not (tmp_path / f"none{ending}").exists()
+
+
+@pytest.mark.slow
+def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path) -> None:
+    """Predicted before anything has run; stated by the estimate of a simulated run.
+
+    A few parameters are told by a constant load alone, such as mb*1x of an upright first axis.
+    """
+    found: Excitation = result("motion")
+    write_motion(tmp_path / "motion.toml", found)
+    words = ["motion.duration=20", "measurement.force_noise=0.5", "measurement.moment_noise=0.1"]
+    file = f'motion.file="{tmp_path / "motion.toml"}"'
+    run = asked("puma", file, "simulation.friction=false", *words)
+    again = excite(asked("puma", *words))
+    np.testing.assert_allclose(again.design.motion.sine, found.design.motion.sine, atol=1e-6)
+    promised = again.predicted.sigma
+    ratio = tb.identify(found.tree, tb.simulate(run), "external").sigma / promised
+    assert ratio.min() > 0.85
+    assert np.quantile(ratio, 0.75) == pytest.approx(1, abs=0.1)
+    names, rng = tb.minimal_set(found.tree, "reaction").names, np.random.default_rng(0)
+    root = rng.normal(size=(len(names), len(names)))
+    covariance, order = root @ root.T, rng.permutation(len(names))
+    shuffled, moved = tuple(names[k] for k in order), covariance[np.ix_(order, order)]
+    down, nothing = np.array([0, 0, -9.81]), np.zeros(len(names))
+    stated = Stated("external", shuffled, nothing, moved, down, np.ones(6), {})
+    kept = KeptResult(found.tree, tb.Settings(), (stated,))
+    np.testing.assert_array_equal(prior_covariance(kept, asked()), covariance)
+    with refuses(TestbedError, "internal"):
+        prior_covariance(kept, asked("puma", "excitation.instrument=joints"))
+    blind = replace(found.predicted, relative=found.predicted.relative * np.inf)
+    assert replace(found, random_predicted=blind).gain is None
+    poor = replace(found.predicted, relative=found.predicted.relative * 1e4)
+    assert found.warnings == ()
+    (line,) = replace(found, predicted=poor).warnings
+    assert all(name in line for name in found.predicted.names[:3])
+
+
+@pytest.mark.slow
+def test_random_motions_are_proven_keep_clear_and_frequencies_are_within_the_band() -> None:
+    """Where the best candidate would hit a box, another one is run, or a smaller one."""
+    free = asked("puma", "motion.candidates=5")
+    tree = robot_of(free)
+    box = "excitation.obstacle=[{centre=[0.5, 0.0, 1.0], size=[0.3, 0.3, 0.3]}]"
+    boxed = asked("puma", "motion.candidates=5", box)
+    rules = rules_of(boxed, tree, designed=False)
+    assert prove(motion_of(boxed, tree), rules).holds
+    assert not prove(motion_of(free, tree), rules).holds
+    everywhere = "excitation.obstacle=[{centre=[0.0, 0.0, 1.0], size=[4.0, 4.0, 4.0]}]"
+    with refuses(InfeasibleMotion, "excitation.clearance"):
+        motion_of(asked("puma", "motion.candidates=2", everywhere), tree)
+    bare = asked("gantry", box)
+    with pytest.raises(ExperimentError):  # no shapes that could keep clear
+        motion_of(bare, robot_of(bare))
+    area = asked("puma", "excitation.pressure_area=[0.3, 0.2]", "excitation.clearance=off")
+    terms = rules_of(area, tree, designed=False).terms
+    (plate,) = (term for term in terms if isinstance(term, PlateTerm))
+    assert {label[:-1] for label in plate.labels} == {"centre of pressure along "}
+    words = ("measurement.force_noise=2.0", "measurement.moment_noise=0.3")
+    assert plate_noise_of(asked("puma", *words)).tolist() == [2.0] * 3 + [0.3] * 3
+    none = plate_noise_of(asked("puma", "measurement.force_noise=0.0"))
+    np.testing.assert_array_equal(none, QUIET_PLATE)
+    for low, high, most in ((0.1, 1.6, 8), (0.2, 1.0, 5), (0.05, 0.5, 3)):
+        band = f"excitation.lowest_frequency={low}", f"excitation.highest_frequency={high}"
+        many = f"excitation.harmonics={most}"
+        for fundamental, count in frequencies_of(asked("puma", *band, many, "motion.duration=40")):
+            assert low <= fundamental
+            assert fundamental * count <= high * (1 + 1e-9)
+            assert 3 <= count <= most
+    with refuses(ExperimentError, "highest_frequency"):
+        frequencies_of(asked("puma", "excitation.highest_frequency=0.2"))
+
+
+@pytest.mark.slow
+def test_a_run_from_rest_to_rest_is_recorded_whole_and_counts_in_its_middle() -> None:
+    """Against the same experiment under way, whose periodic part is the same motion."""
+    words = ["motion.fundamental=0.5", "motion.duration=4.9", "simulation.friction=false"]
+    words += ["measurement.rate=1000", "simulation.step=1e-3", "motion.candidates=2"]
+    resting = tb.Experiment.of_model(MODELS["puma"], [*words, "motion.at_rest=true"])
+    recording = tb.simulate(resting)
+    under_way = tb.simulate(tb.Experiment.of_model(MODELS["puma"], words))
+    step, lead = 1 / recording.rate, -recording.time[0]
+    assert recording.time[-1] == pytest.approx(4.0 + lead - step)  # two periods come nearest
+    assert recording.facts["counted"] == [0.0, 4.0]
+    speed = np.abs(np.gradient(recording.position, step, axis=0)).max(axis=1)
+    assert max(speed[:20].max(), speed[-20:].max()) < 5e-3 * speed.max()
+    inner = (recording.time >= 1.0) & (recording.time < 4.0)
+    same = np.searchsorted(under_way.time, recording.time[inner] - step / 2)
+    gap = np.abs(recording.position[inner] - under_way.position[same]).max(axis=0)
+    assert (gap < 1e-3 * np.ptp(under_way.position, axis=0)).all()
+    part = recording.part(*np.searchsorted(recording.time, [-step / 2, 4 - step / 2]))
+    found, alone = (tb.identify(robot_of(resting), each) for each in (recording, part))
+    assert (np.abs(found.values - alone.values) < 1e-3 * alone.sigma).all()

@@ -1,0 +1,162 @@
+"""Barycentric and standard parameters, bodies before the data, and what is told of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.arrays import Array, skew
+from testbed.dynamics.witnesses import sampled_regressor
+from testbed.parameters.barycentric import (
+    COMPONENTS,
+    STANDARD,
+    on_standard,
+    to_barycentric,
+    to_standard,
+)
+from testbed.parameters.entries import dense_rows, static_entries
+from testbed.parameters.identifiability import ALONE, COMBINED, INSTRUMENTS, NEVER, identifiability
+from testbed.parameters.prior import THINNEST, Prior, prior_of
+from testbed.parameters.pseudo_inertia import matrices
+from testbed.parameters.regroup import regroup
+from testbed.robot.inertia import NOTHING, SMALL, Inertia
+from tests.helpers.robots import Robot
+from tests.helpers.strategies import rngs, robots, trees
+
+
+@given(robots(), rngs)
+def test_barycentric_parameters_are_sums_over_what_is_carried(
+    robot: Robot, rng: np.random.Generator
+) -> None:
+    """[FRS96] eqs. (3)-(5), and one to one with the standard ones, in Pinocchio's order."""
+    tree = robot.tree()
+    theta, reach = tb.barycentric(tree), tree.reach
+    for i in range(tree.n):
+        total, moment = 0.0, tree.inertias[i].first_moment.copy()
+        tensor = tree.inertias[i].tensor.copy()
+        for k in range(tree.n):
+            mass = tree.inertias[k].mass * reach[i, k]
+            total += mass
+            if k == i or not mass:
+                continue
+            first = tree.chain(k)[tree.chain(k).index(i) + 1]  # the child towards k
+            l = tree.joints[first].offset
+            moment += mass * l
+            tensor -= mass * skew(l) @ skew(l)
+        wanted = [total, *moment, *tensor[np.triu_indices(3)]]
+        np.testing.assert_allclose(theta[i], wanted, rtol=1e-13, atol=1e-13)
+    rows, parameters = rng.normal(size=(3, 10 * tree.n)), rng.normal(size=(tree.n, 10))
+    back = to_standard(tree, to_barycentric(tree, parameters))
+    np.testing.assert_allclose(back, parameters, rtol=0, atol=1e-12)
+    said = rows @ to_barycentric(tree, parameters).ravel()
+    np.testing.assert_allclose(on_standard(tree, rows) @ parameters.ravel(), said, atol=1e-11)
+    model = pin.buildModelFromXML(robot.urdf())
+    for k, name in enumerate(tree.names):
+        theirs = model.inertias[model.getJointId(name)].toDynamicParameters()
+        np.testing.assert_allclose(tb.standard(tree)[k], theirs, rtol=0, atol=1e-12)
+
+
+# the map
+
+
+def beside_a_pedestal(tree: tb.Tree, tared: tb.MinimalSet) -> Array:
+    """What is told with an unknown mass and two moments on the plate, (k, 3 + 10 n)."""
+    bodies = regroup(tree, "reaction", tree.gravity)
+    entries = static_entries(tree, tree.gravity) if tree.gravity.any() else []
+    static = np.where(tared.known_zero.ravel(), 0.0, dense_rows(tree, bodies, entries))
+    own = np.eye(3)[: len(static)]
+    return np.block([[np.zeros((tared.count, 3)), tared.matrix], [own, static]])
+
+
+def levels_by_orthonormal_rows(rows: Array) -> Array:
+    basis = np.linalg.qr(rows.T)[0]
+    inside = np.linalg.norm(basis, axis=1) > 1e-9
+    outside = np.linalg.norm(np.eye(len(basis)) - basis @ basis.T, axis=0) > 1e-9
+    return np.where(outside, np.where(inside, COMBINED, NEVER), ALONE)
+
+
+@pytest.mark.slow
+@given(st.one_of(trees((1, 7)), trees((1, 7), bare=True)), st.booleans())
+def test_the_map_is_that_of_the_row_space(tree: tb.Tree, zeros: bool) -> None:
+    """A unit parameter is outside of it, has a part in it, or is in it, told by a dense basis."""
+    torques, plate = (tb.minimal_set(tree, m, zeros=zeros) for m in ("dynamic", "reaction"))
+    tared = tb.minimal_set(tree, "reaction", zeros=zeros, tared=True)
+    rows = [torques.matrix, plate.matrix, tared.matrix, beside_a_pedestal(tree, tared)]
+    seen = identifiability(tree, None, zeros)
+    for found, told in zip(seen, rows, strict=True):
+        others = told.shape[1] - 10 * tree.n
+        standard = np.hstack([told[:, :others], on_standard(tree, told[:, others:])])
+        assert found.count == len(told)
+        for table, own in ((found.standard, standard), (found.barycentric, told)):
+            wanted = levels_by_orthonormal_rows(own)[others:]
+            np.testing.assert_array_equal(table.ravel(), wanted)
+    by_torques, by_plate, by_tared, _ = (each.standard for each in seen)
+    assert (by_plate >= np.maximum(by_torques, by_tared)).all()  # it sees whatever others see
+    if not zeros:
+        size = np.abs(sampled_regressor(tree, "dynamic")).max(axis=0)
+        never = seen[0].barycentric.ravel() == NEVER
+        np.testing.assert_array_equal(size < 1e-9 * max(size.max(), 1e-9), never)
+
+
+def test_the_map_of_the_puma(puma: tb.Tree) -> None:
+    """Torques tell Izz of link 1 in combination only; an unknown pedestal hides what weighs."""
+    seen = {each.instrument: each for each in identifiability(puma)}
+    assert [seen[name].count for name in INSTRUMENTS] == [15, 20, 19, 22]
+    torques, plate = (
+        dict(zip(STANDARD, seen[name].standard[0], strict=True)) for name in INSTRUMENTS[:2]
+    )
+    assert {name: level for name, level in torques.items() if level != NEVER} == {"Izz": COMBINED}
+    found = (plate["mx"], plate["Ixz"], plate["m"], plate["mz"])
+    assert found == (ALONE, ALONE, COMBINED, NEVER)
+    mbar = [seen[name].barycentric[0, COMPONENTS.index("mbar")] for name in INSTRUMENTS[1:]]
+    assert mbar == [ALONE, NEVER, COMBINED]
+
+
+# bodies before the data
+
+
+def central(prior: Prior, body: int) -> Array:
+    """Second moments about the mass centre, (3, 3) [kg m^2]."""
+    found = matrices(prior.standard[body])
+    return np.asarray(found[:3, :3] - np.outer(found[:3, 3], found[:3, 3]) / found[3, 3])
+
+
+def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: tb.Tree) -> None:
+    """Possible ones as they are; points get a size, no matter stays none, no mass a usual one."""
+    spread = np.diag([0.02, 0.03, 0.04])
+    thick = tuple(Inertia.about_centre(2.0 + 2 * k, [0.1, 0.2, 0.3], spread) for k in range(3))
+    point = Inertia.about_centre(2.0, [0.0, 0.3, 0.4], np.zeros((3, 3)))
+    here = Inertia.about_centre(3.0, np.zeros(3), np.zeros((3, 3)))
+    odd = Inertia(0.0, np.array([0.1, 0.0, 0.0]), np.diag([0.1, 0.2, 0.25]))
+    as_they_are = [2.0, 4.0, 6.0]
+    for bodies, masses, massive, named in (
+        (thick, as_they_are, (0, 1, 2), ()),
+        ((point, here, thick[2]), [2.0, 3.0, 6.0], (0, 1, 2), (0, 1)),
+        ((thick[0], NOTHING, thick[2]), [2.0, 0.0, 6.0], (0, 2), (1,)),
+        ((thick[0], odd, thick[1]), [2.0, 3.0, 4.0], (0, 1, 2), (1,)),
+        ((NOTHING,) * 3, [1.0, 1.0, 1.0], (0, 1, 2), ()),
+    ):
+        tree = replace(puma, inertias=bodies)
+        found = prior_of(tree)
+        np.testing.assert_allclose(found.standard[:, 0], masses, rtol=1e-9)
+        assert found.massive == massive
+        assert bool(found.warnings) == (bodies is not thick)
+        assert all(any(puma.joints[k].body in line for line in found.warnings) for k in named)
+        for k in massive:
+            sizes = np.linalg.eigvalsh(central(found, k))
+            assert sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0
+        for k, body in enumerate(bodies):
+            if body in thick:
+                np.testing.assert_allclose(found.standard[k], tb.standard(tree)[k], atol=1e-12)
+    found = prior_of(replace(puma, inertias=(point, here, thick[2])))
+    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in puma.joints))
+    for k, away in ((0, 0.5), (1, reach)):  # a tenth of its distance, or of the robot's lengths
+        radius = np.sqrt(np.trace(central(found, k)) / found.standard[k, 0])
+        assert radius == pytest.approx(SMALL * away, rel=1e-6)
+    np.testing.assert_allclose(found.standard[0, :4], [2.0, 0.0, 0.6, 0.8], atol=1e-9)
