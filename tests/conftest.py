@@ -31,7 +31,7 @@ from tests.helpers.paths import GOLDEN, ROOT
 hypothesis.settings.register_profile(
     "suite", deadline=None, derandomize=True, max_examples=20, database=None
 )
-hypothesis.settings.register_profile("nightly", deadline=None, max_examples=500)
+hypothesis.settings.register_profile("nightly", deadline=None, max_examples=100)
 hypothesis.settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "suite"))
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 import testbed as tb
 from testbed.dynamics.drive_set import drive_set
@@ -19,7 +19,7 @@ from testbed.robot.tree import Joint, Kind
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 
 X, Y, Z = np.eye(3)
 WRIST = {"motor": {"j1": 1.0, "j2": 1.0}}
@@ -66,7 +66,7 @@ def test_terms_of_single_joints_are_asked_for_by_name() -> None:
         tb.Settings(terms=("glue/j1",))
 
 
-@settings(max_examples=10)
+@few(10)
 @given(rngs)
 def test_what_a_shaft_takes_is_found_and_foretold(rng: np.random.Generator) -> None:
     """Dry and viscous friction and inertia act on the joints by the shaft's power."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -18,7 +18,7 @@ from testbed.parameters.rules import Model
 from testbed.robot.visuals.shapes import poses_at_zero
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.robots import Robot, random_states
-from tests.helpers.strategies import rngs, robots, trees
+from tests.helpers.strategies import few, rngs, robots, trees
 
 WITNESS = 1e-12  # relative to the largest entry
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
@@ -36,7 +36,7 @@ def near(found: Array, wanted: Array) -> bool:
     return bool(np.abs(found - wanted).max() <= WITNESS * np.abs(wanted).max(initial=1.0))
 
 
-@settings(max_examples=40)
+@few(40)
 @given(robots((1, 10)), rngs)
 def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: np.random.Generator) -> None:
     """The pedestal's weight included, under any gravity."""
@@ -101,7 +101,7 @@ def test_regressors_times_parameters_are_the_forces(
 
 
 @given(trees((3, 3)), rngs, st.integers(0, 2900))
-@settings(max_examples=5)
+@few(5)
 def test_a_sample_has_the_same_forces_whatever_comes_with_it(
     tree: tb.Tree, rng: np.random.Generator, first: int
 ) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -14,12 +14,12 @@ from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.witnesses import sampled_regressor, verify, verify_drives
 from testbed.parameters.rules import Model
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 models: st.SearchStrategy[Model] = st.sampled_from(["dynamic", "reaction"])
 
 
-@settings(max_examples=10)
+@few(10)
 @given(rngs, models)
 def test_the_right_set_is_confirmed_and_another_robots_is_not(
     rng: np.random.Generator, model: Model

@@ -8,7 +8,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
@@ -20,7 +20,7 @@ from testbed.excitation.samples import Samples
 from testbed.robot.rotations import about
 from testbed.robot.visuals.shapes import Kind, Shape
 from tests.helpers.shapes import GREY, ball
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 SIZES: dict[Kind, int] = {"box": 3, "ellipsoid": 3, "cylinder": 2, "capsule": 2, "mesh": 0}
 
@@ -41,7 +41,7 @@ def balls_on(tree: tb.Tree, rng: np.random.Generator) -> list[Shape]:
     return [ball(j, rng.uniform(0.02, 0.05), 0.1 * rng.normal(size=3)) for j in range(-1, tree.n)]
 
 
-@settings(max_examples=8)
+@few(8)
 @given(trees((2, 6)), rngs)
 def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences_do(
     tree: tb.Tree, rng: np.random.Generator
@@ -77,7 +77,7 @@ def test_bounds_of_how_fast_bodies_near_each_other_are_no_idle_ones(puma: tb.Tre
     assert (most / np.maximum(bound, 1e-12)).max() > 0.3
 
 
-@settings(max_examples=5)
+@few(5)
 @given(trees((2, 4)), rngs)
 def test_shapes_that_are_passed_over_are_not_the_nearest(
     tree: tb.Tree, rng: np.random.Generator
@@ -111,7 +111,7 @@ def test_shapes_that_are_passed_over_are_not_the_nearest(
         np.testing.assert_allclose(DistanceMeter(collision).measure(q).values, wanted, atol=1e-6)
 
 
-@settings(max_examples=4)
+@few(4)
 @given(trees((3, 5)), rngs)
 def test_what_is_not_measured_again_would_not_have_mattered(
     tree: tb.Tree, rng: np.random.Generator

@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
@@ -31,7 +31,7 @@ from testbed.parameters.rules import Model
 from tests.helpers.differences import samples_of, slopes_by_differences
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.strategies import rngs, seeds, trees
+from tests.helpers.strategies import few, rngs, seeds, trees
 
 PLATE = np.repeat([0.5, 0.1], 3)
 ALL = Pipeline(rate=1.0, span=1.0, band=np.inf, resting=0.0, reach=0.0)
@@ -58,7 +58,7 @@ def test_a_motion_is_what_its_series_says_and_its_derivatives_are_exact(
     np.testing.assert_array_equal(now.t, times)
 
 
-@settings(max_examples=5)
+@few(5)
 @given(trees((3, 3)), rngs, st.sampled_from([(), (4,), (2, 3)]))
 def test_unknowns_of_a_search_are_a_motion_and_its_slopes_pulled_back(
     tree: tb.Tree, rng: np.random.Generator, lead: tuple[int, ...]
@@ -91,7 +91,7 @@ def test_unknowns_of_a_search_are_a_motion_and_its_slopes_pulled_back(
         assert (ever.max(axis=0) <= allowed * (1 + 1e-9)).all()
 
 
-@settings(max_examples=6)
+@few(6)
 @given(trees((2, 5)), rngs, st.sampled_from(MODELS))
 def test_forces_of_rows_and_their_slopes_are_the_recursions(
     tree: tb.Tree, rng: np.random.Generator, model: Model
@@ -183,7 +183,7 @@ class Ball:
         return Point(self.value(x), self.limits(x), x, slope, rows)
 
 
-@settings(max_examples=8)
+@few(8)
 @given(seeds)
 def test_a_search_ends_where_another_solver_does_and_is_inside_all_the_way(seed: int) -> None:
     ball, zero = Ball(seed), np.zeros(6)

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
@@ -25,7 +25,7 @@ from testbed.excitation.slack import slack
 from tests.helpers.differences import samples_of, slopes_by_differences
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 INF = np.inf
 EFFORT = np.array([30.0, INF, 50.0, 70.0])
@@ -85,7 +85,7 @@ def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
             PlateRange(wrench, half)
 
 
-@settings(max_examples=8)
+@few(8)
 @given(trees((4, 4)), rngs)
 def test_terms_of_efforts_and_plate_are_shares_of_limits(
     tree: tb.Tree, rng: np.random.Generator
@@ -132,7 +132,7 @@ def test_terms_of_efforts_and_plate_are_shares_of_limits(
     np.testing.assert_allclose(plate.curvatures(bounds), np.repeat(of_plate, 2, axis=0), rtol=1e-12)
 
 
-@settings(max_examples=8)
+@few(8)
 @given(trees((2, 5)), rngs)
 def test_random_motions_go_to_the_nearest_limit_and_no_further(
     tree: tb.Tree, rng: np.random.Generator

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -23,7 +23,7 @@ from testbed.excitation.rest_to_rest import RestToRest, Start, start_of
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.shapes import ball
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 
 def random_series(rng: np.random.Generator, n: int, harmonics: int, size: float = 0.5) -> Fourier:
@@ -41,7 +41,7 @@ def rules(tree: tb.Tree, limits: Limits, margin: float = 1.0, **more: object) ->
     return replace(plain, **more)  # type: ignore[arg-type]
 
 
-@settings(max_examples=10)
+@few(10)
 @given(trees((3, 3)), rngs, st.integers(1, 8))
 def test_largest_values_between_samples_are_within_the_bound(
     tree: tb.Tree, rng: np.random.Generator, harmonics: int
@@ -57,7 +57,7 @@ def test_largest_values_between_samples_are_within_the_bound(
             assert most * (1 - 1e-12) <= 1.0 - left[f"{kind} of '{name}'"] <= most * 1.001
 
 
-@settings(max_examples=6)
+@few(6)
 @given(trees((5, 5)), rngs)
 def test_jets_bound_how_forces_change(tree: tb.Tree, rng: np.random.Generator) -> None:
     """Second differences of forces, in every span of time."""
@@ -131,7 +131,7 @@ def test_bodies_that_meet_between_samples_are_found() -> None:
 # from rest to rest
 
 
-@settings(max_examples=5)
+@few(5)
 @given(trees((3, 3)), rngs)
 def test_a_start_is_at_rest_joins_the_motion_and_tells_its_largest_acceleration(
     tree: tb.Tree, rng: np.random.Generator

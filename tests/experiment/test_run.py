@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -41,6 +41,7 @@ from testbed.robot.friction import friction_torque
 from testbed.robot.inertia import NOTHING
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
+from tests.helpers.strategies import few
 from tests.scenarios.scenarios import result
 
 Row = tuple[str, str, float, float, float]  # name, unit, value, sigma, truth
@@ -454,7 +455,7 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
     assert wrong_bodies(bare, 0.3, rng).inertias == bare.inertias
 
 
-@settings(max_examples=4)
+@few(4)
 @given(st.sampled_from(METHODS), st.integers(0, 9))
 def test_an_estimate_does_not_know_the_truth(method: Method, seed: int) -> None:
     """Falsified truth moves the score and nothing else: the wall between estimator and judge."""

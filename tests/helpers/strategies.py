@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import hypothesis
 import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
@@ -15,6 +16,18 @@ import testbed as tb
 from testbed.recordings.recording import Recording
 from tests.helpers.measured import measured
 from tests.helpers.robots import Robot, random_robot, random_states, with_zeros
+
+
+def few(examples: int) -> hypothesis.settings:
+    """So many examples of a law that is dear; in the nightly run times more, as of all laws.
+
+    Args:
+        examples: In the suite.
+    """
+    return hypothesis.settings(
+        max_examples=examples * hypothesis.settings.default.max_examples // 20
+    )
+
 
 seeds: SearchStrategy[int] = st.integers(0, 2**32 - 1)
 """Of a random generator; what is drawn from it is of general position."""

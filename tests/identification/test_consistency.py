@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -37,7 +36,7 @@ from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 
 
 def prior_for(tree: tb.Tree, seed: int = 7, error: float = 0.3) -> Prior:
@@ -327,7 +326,7 @@ def random_bodies(tree: tb.Tree, rng: np.random.Generator, thin: bool) -> Array:
 
 
 @pytest.mark.slow
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(rngs, st.integers(2, 6), st.sampled_from(METHODS))
 def test_robots_are_possible_and_mirrored_ones_are_not(
     rng: np.random.Generator, joints: int, method: Method

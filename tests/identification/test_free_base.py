@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -23,7 +22,7 @@ from testbed.robot.free_base import FREE, coordinates, on_free_base
 from tests.helpers.humanoid import G1, humanoid, squatting
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
-from tests.helpers.strategies import robots
+from tests.helpers.strategies import few, robots
 
 
 def rank_by_pinocchio(model: pin.Model, states: int) -> int:
@@ -80,7 +79,7 @@ def small(tree: tb.Tree, rng: np.random.Generator) -> Fourier:
     return Fourier(0.1, np.zeros(tree.n), *(size * rng.normal(size=(2, tree.n, 8))))
 
 
-@hypothesis.settings(max_examples=2)
+@few(2)
 @given(robots((3, 3)))
 def test_predictions_are_the_grounds_wrench(robot: Robot) -> None:
     """Weight and all, along a motion that the estimate has not seen."""

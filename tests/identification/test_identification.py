@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -30,7 +30,7 @@ from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 
 KINDS = tuple(law.kind for law in LAWS)
 NAMED = {"coulomb": "coulomb", "viscous": "viscous", "rotor": "rotor_inertia"}
@@ -63,7 +63,7 @@ def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
     return int(np.linalg.matrix_rank(phi / np.where(scale > 0, scale, 1.0), tol=1e-8))
 
 
-@settings(max_examples=25)
+@few(25)
 @given(rngs, st.integers(1, 6), st.sets(st.sampled_from(KINDS), max_size=4))
 def test_without_noise_the_model_file_comes_back(
     rng: np.random.Generator, joints: int, some: set[str]

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -35,7 +34,7 @@ from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.strategies import motions, trees
+from tests.helpers.strategies import few, motions, trees
 
 SMALL = 1e-6
 ALL = {each.kind: each for each in (*TESTED, *NUISANCES)}
@@ -222,7 +221,7 @@ def test_what_the_fault_does_is_undone() -> None:
 
 
 @given(trees((2, 5)).flatmap(lambda tree: motions(tree, 80).map(lambda motion: (tree, motion))))
-@hypothesis.settings(max_examples=6)
+@few(6)
 def test_what_is_imitated_is_so_on_any_motion(pair: tuple[tb.Tree, tb.Motion]) -> None:
     """A constant that parameters show, by least squares, is held; else the estimate is singular."""
     tree, motion = pair

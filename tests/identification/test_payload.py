@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +21,7 @@ from tests.helpers.measured import measured
 from tests.helpers.plates import LOAD, loaded, mass_of, resting
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import ROBOTS, robot
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 
 def ten() -> Array:
@@ -104,7 +103,7 @@ def test_what_does_not_belong_together_is_refused() -> None:
         payload(tree, one, one, "wrist")
 
 
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(st.sampled_from(ROBOTS), st.integers(0, 99))
 def test_poses_at_rest_weigh(name: str, seed: int) -> None:
     """Robot and payload within sigmas of a tenth of a kilogram."""

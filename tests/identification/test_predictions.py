@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -26,7 +26,7 @@ from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import noisy, without
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 from tests.identification.test_validation import witness
 
 FILTERED = tb.Settings(position_cutoff=20.0, cutoff=5.0, deadband=0.05)
@@ -43,7 +43,7 @@ CASES: tuple[dict[str, Any], ...] = (
 )
 
 
-@settings(max_examples=10)
+@few(10)
 @given(rngs, st.sampled_from(CASES), st.sampled_from([EXACT, FILTERED]))
 def test_what_a_prediction_leaves_is_the_estimates_residual(
     rng: np.random.Generator, case: dict[str, Any], treated: tb.Settings
@@ -68,7 +68,7 @@ def test_what_a_prediction_leaves_is_the_estimates_residual(
             np.testing.assert_array_equal(ours[method], theirs[method])
 
 
-@settings(max_examples=5)
+@few(5)
 @given(rngs)
 def test_without_noise_both_methods_foretell_what_happened(rng: np.random.Generator) -> None:
     """The internal wrench takes from the external estimate what joint torques cannot tell."""
@@ -92,7 +92,7 @@ def test_without_noise_both_methods_foretell_what_happened(rng: np.random.Genera
     np.testing.assert_allclose(friction(motion.qd, estimates["internal"]), expected, atol=1e-7)
 
 
-@settings(max_examples=5)
+@few(5)
 @given(rngs)
 def test_parameters_have_the_estimates_minimal_ones(rng: np.random.Generator) -> None:
     """And those of the others that are nearest."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -26,7 +25,7 @@ from tests.helpers.measured import measured
 from tests.helpers.plates import mass_of
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import noisy, robot, run_of
-from tests.helpers.strategies import rngs, settings
+from tests.helpers.strategies import few, rngs, settings
 
 
 def scores(tree: tb.Tree, estimate: Estimate) -> Array:
@@ -36,7 +35,7 @@ def scores(tree: tb.Tree, estimate: Estimate) -> Array:
 
 
 @pytest.mark.slow
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(
     st.sampled_from(["puma", "gantry"]), settings, st.sampled_from(METHODS),
     st.sampled_from([0.0, 0.98]),

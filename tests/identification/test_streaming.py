@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
@@ -36,7 +36,7 @@ from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import noisy, robot
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 
 FILTERED = Settings(position_cutoff=20.0, cutoff=5.0)
 TREATED = [(method, settings) for method in METHODS for settings in (EXACT, FILTERED)]
@@ -263,7 +263,7 @@ def test_what_does_not_count_changes_nothing(name: str, tmp_path: Path) -> None:
         Recording.load(tmp_path / "wrong.parquet")
 
 
-@settings(max_examples=10)
+@few(10)
 @given(rngs)
 def test_what_is_looked_at_does_not_depend_on_the_windows(rng: np.random.Generator) -> None:
     """Samples evenly spread over all; how noisy the encoders are; what repeats."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
@@ -23,7 +23,7 @@ from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 SAMPLES = 700
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
@@ -96,7 +96,7 @@ def agree(tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool
     assert len(gram.sweep.signatures) == 1  # compiled once for every robot
 
 
-@settings(max_examples=40)
+@few(40)
 @given(any_trees, models, rngs, st.tuples(st.booleans(), st.booleans(), st.booleans()))
 def test_compiled_and_plain_engine_say_the_same(
     tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
@@ -128,7 +128,7 @@ def test_the_kernel_is_right_on_processors_without_wide_vectors(tmp_path: Path) 
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, env=environment)
 
 
-@settings(max_examples=40)
+@few(40)
 @given(any_trees, models, st.booleans(), rngs)
 def test_rows_are_the_minimal_regressor(
     tree: tb.Tree, model: Model, zeros: bool, rng: np.random.Generator

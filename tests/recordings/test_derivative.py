@@ -7,7 +7,6 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -19,7 +18,7 @@ from testbed.recordings.importing.foreign_units import UNITS, factor
 from tests.helpers.ideal import ideal
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.strategies import seeds
+from tests.helpers.strategies import few, seeds
 
 JOINTS = robot("ur5").names
 N = len(JOINTS)
@@ -75,7 +74,7 @@ def cure(folder: Path, text: str) -> dict[str, dict[str, Any]]:
     return found
 
 
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(
     seed=seeds,
     wrong=st.fixed_dictionaries(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import hypothesis
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -28,7 +27,7 @@ from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.readers.ros_messages import numbers_of
 from tests.helpers.foreign_files import EPOCH, FORMATS, SINGLE, some_log, write_c3d
 from tests.helpers.refusals import is_message, refuses
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs
 
 STAMPS = 2.4e-7
 """Spacing of doubles at seconds since 1970 [s]."""
@@ -211,7 +210,7 @@ def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
 POLYGON, DIAGNOSTIC = "geometry_msgs/msg/Polygon", "diagnostic_msgs/msg/DiagnosticStatus"
 
 
-@hypothesis.settings(max_examples=4)
+@few(4)
 @given(version=st.sampled_from([1, 2]), rng=rngs)
 def test_ros_messages_are_numbers_by_their_paths(
     version: int, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory

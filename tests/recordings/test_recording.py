@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -39,7 +38,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.riding import riding
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
-from tests.helpers.strategies import trees
+from tests.helpers.strategies import few, trees
 
 SIZE = 130
 """Samples of a row group."""
@@ -80,7 +79,7 @@ def same(one: Recording, other: Recording) -> None:
     np.testing.assert_array_equal(one.tare, other.tare)
 
 
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(tree=trees((1, 4)), senses=st.booleans(), lacks=st.sampled_from(["torque", "wrench", ""]))
 def test_a_recording_comes_back_bit_for_bit_with_units(
     tree: tb.Tree, senses: bool, lacks: str, tmp_path_factory: pytest.TempPathFactory

@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT
 from tests.helpers.robots import random_robot
+from tests.helpers.strategies import few
 from tests.helpers.work import counted_calls
 
 MASS = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
@@ -267,7 +267,7 @@ def texts(draw: st.DrawFn, plain: str) -> str:
 
 
 @given(st.data(), st.sampled_from(NUMBERS), st.integers(0, 2), st.integers(0, 5))
-@hypothesis.settings(max_examples=150)
+@few(150)
 @pytest.mark.slow
 def test_a_number_is_read_as_it_stands_or_refused_by_name(
     data: st.DataObject, place: Place, owner: int, seed: int

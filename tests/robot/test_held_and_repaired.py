@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -29,7 +28,7 @@ from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
-from tests.helpers.strategies import rngs, robots
+from tests.helpers.strategies import few, rngs, robots
 
 PANDA = REAL / "panda_description/urdf/panda.urdf"
 FORMS = ("urdf", "xml")
@@ -268,7 +267,7 @@ def set_link(text: str, name: str, mass: float, moments: tuple[float, ...]) -> s
 
 
 @given(robots((1, 6)), rngs)
-@hypothesis.settings(max_examples=8)
+@few(8)
 def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
     robot: Robot, rng: np.random.Generator
 ) -> None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from testbed.robot.visuals.triangles import triangles
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import rngs, seeds, trees
+from tests.helpers.strategies import few, rngs, seeds, trees
 
 SINGLE = 1e-6  # meshes are kept in single precision
 
@@ -121,7 +120,7 @@ def volume(shape: Shape) -> float:
 
 
 @given(seeds)
-@hypothesis.settings(max_examples=10)
+@few(10)
 def test_both_languages_show_what_was_written(seed: int) -> None:
     """A person checks a robot by looking at it: what is shown must be what the file says."""
     with TemporaryDirectory() as folder:
@@ -200,7 +199,7 @@ def test_shapes_move_as_mujoco_moves_them(seed: int, tmp_path: Path) -> None:
 
 
 @given(seeds)
-@hypothesis.settings(max_examples=5)
+@few(5)
 def test_shapes_of_held_bodies_stay_where_they_are_held(seed: int) -> None:
     """A gripper that is held open is shown open, on the link that carries it."""
     with TemporaryDirectory() as folder:
@@ -348,7 +347,7 @@ def shape(kind: Kind, rng: np.random.Generator) -> Shape:
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(rng=rngs)
-@hypothesis.settings(max_examples=4)
+@few(4)
 def test_triangles_cover_a_shape_and_bounds_hold_it(kind: Kind, rng: np.random.Generator) -> None:
     """Clearances are measured on these triangles: a hole would hide a collision."""
     made = shape(kind, rng)

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -28,7 +27,7 @@ from tests.helpers.paths import GOLDEN, REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
-from tests.helpers.strategies import robots, seeds
+from tests.helpers.strategies import few, robots, seeds
 
 MODELS = {
     "puma.xml": ROOT / "models/puma562.xml",
@@ -90,7 +89,7 @@ def test_what_is_written_is_read_and_the_rest_is_as_it_was(
 
 
 @given(robots((2, 6)), seeds)
-@hypothesis.settings(max_examples=8)
+@few(8)
 @pytest.mark.slow
 def test_a_written_robot_is_the_same_to_all_readers(robot: Robot, seed: int) -> None:
     """An identified robot goes back to its users: MuJoCo and Pinocchio compute its torques."""

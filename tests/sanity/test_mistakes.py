@@ -6,7 +6,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -32,7 +31,7 @@ from testbed.sanity.mistakes import (
 from testbed.sanity.plate_map import quarter_turns
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
-from tests.helpers.strategies import rngs, trees
+from tests.helpers.strategies import few, rngs, trees
 
 JOINTS = ("elbow", "waist", "shoulder")
 """Of a PUMA, in the mapping's own order."""
@@ -79,7 +78,7 @@ def test_a_mapping_with_its_cures_makes_the_positions_right(
         np.testing.assert_allclose(mapped(raw, cured["position"]), wanted, atol=1e-4)
 
 
-@hypothesis.settings(max_examples=8)
+@few(8)
 @given(rng=rngs, turned=st.booleans())
 def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, turned: bool) -> None:
     """The mapping with the lines makes of the file what the map makes of the recording."""

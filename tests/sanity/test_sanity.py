@@ -28,7 +28,7 @@ from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.riding import riding
 from tests.helpers.runs import robot, without
-from tests.helpers.strategies import seeds
+from tests.helpers.strategies import few, seeds
 
 Spoil = Callable[[tb.Recording], tb.Recording]
 
@@ -177,7 +177,7 @@ def test_torques_that_are_none_and_exchanged_joints_are_refused() -> None:
         check_sanity(tree, replace(both, wrench=alien.measured("wrench"))).require()
 
 
-@hypothesis.settings(max_examples=4)
+@few(4)
 @given(seed=seeds, name=st.sampled_from(["tx40", "ur5", "puma", "gantry", "random"]))
 @hypothesis.example(seed=0, name="tx40")
 def test_rough_masses_alone_refuse_nothing(seed: int, name: str) -> None:
@@ -196,7 +196,7 @@ def test_rough_masses_alone_refuse_nothing(seed: int, name: str) -> None:
 
 
 @pytest.mark.slow
-@hypothesis.settings(max_examples=2)
+@few(2)
 @given(seed=seeds, sense=st.sampled_from([1.0, -1.0]))
 def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: float) -> None:
     tree, recording = right("ur5")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from tests.helpers.paths import ROOT
 from tests.helpers.plants import PUMA, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot
-from tests.helpers.strategies import robots
+from tests.helpers.strategies import few, robots
 
 SPEEDS = np.array([-1.0, -0.3, -0.1, 0.1, 0.3, 1.0])
 STEP = 2.5e-4
@@ -137,7 +136,7 @@ def test_no_push_at_the_joints_reaches_the_plate(robot: tuple[Tree, Path]) -> No
     assert np.abs(truth.friction).max() > 1.0
 
 
-@hypothesis.settings(max_examples=4)
+@few(4)
 @given(robot=robots((4, 4)))
 def test_a_payload_is_the_same_body_for_tree_and_plant(
     robot: Robot, tmp_path_factory: pytest.TempPathFactory

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.plants import PUMA, run, sensed, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
-from tests.helpers.strategies import rngs, robots
+from tests.helpers.strategies import few, rngs, robots
 
 WITNESS = 1e-12
 
@@ -43,7 +42,7 @@ def written(text: str, form: str = "xml") -> Iterator[Path]:
         yield path
 
 
-@hypothesis.settings(max_examples=4)
+@few(4)
 @given(robot=robots((1, 6)), form=st.sampled_from(["urdf", "xml"]))
 def test_any_robot_gets_a_plate_that_feels_its_motion(robot: Robot, form: str) -> None:
     """Witness: the vector equations along the motion that MuJoCo has made, and the tare."""
@@ -60,7 +59,7 @@ def test_any_robot_gets_a_plate_that_feels_its_motion(robot: Robot, form: str) -
     assert np.abs(true.torque - true.friction - forces).max() <= WITNESS * np.abs(forces).max()
 
 
-@hypothesis.settings(max_examples=4)
+@few(4)
 @given(rng=rngs)
 def test_friction_never_reaches_the_plate_wherever_its_sensor_sits(
     rng: np.random.Generator, puma: tb.Tree, plant: Plant
@@ -113,7 +112,7 @@ def test_a_plant_that_is_not_the_robot_that_was_read_is_refused(
         check_plant(other, puma, PUMA)
 
 
-@hypothesis.settings(max_examples=5)
+@few(5)
 @given(robot=robots((4, 4)), friction=st.sampled_from([0.0, 0.01, 1.0]), joint=st.integers(0, 3))
 def test_on_a_light_robot_a_weak_spring_is_named_and_strong_friction_is_not(
     robot: Robot, friction: float, joint: int

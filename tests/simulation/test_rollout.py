@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,7 +23,7 @@ from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.plants import PUMA, run, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
-from tests.helpers.strategies import rngs, robots
+from tests.helpers.strategies import few, rngs, robots
 
 INSTANTS = Sampling(500.0, 2, False, 0.2)
 
@@ -34,7 +33,7 @@ def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
     return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
 
 
-@hypothesis.settings(max_examples=6)
+@few(6)
 @given(robot=robots((2, 6)), rng=rngs)
 def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     robot: Robot, rng: np.random.Generator

@@ -15,7 +15,6 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -33,7 +32,7 @@ from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
-from tests.helpers.strategies import robots, seeds
+from tests.helpers.strategies import few, robots, seeds
 
 pytestmark = pytest.mark.slow
 
@@ -137,7 +136,7 @@ def check(listing: Listing, urdf: str, seed: int = 0) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 @given(robot=robots((1, 4)), numbers=st.booleans(), seed=seeds)
-@hypothesis.settings(max_examples=3)
+@few(3)
 def test_equations_of_any_tree_compute_what_pinocchio_does(
     form: Form, robot: Robot, numbers: bool, seed: int
 ) -> None:

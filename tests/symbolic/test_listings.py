@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import resource
 
-import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +21,7 @@ from testbed.symbolic.polynomial import same
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
-from tests.helpers.strategies import trees
+from tests.helpers.strategies import few, trees
 
 SECTIONS = dict(
     re.findall(r"\[(\w+)\]\n(.*?)(?=\n\[|\Z)", (GOLDEN / "equations.txt").read_text(), re.DOTALL)
@@ -105,7 +104,7 @@ def test_the_printed_reduced_equation_lacks_a_factor_of_two(puma: tb.Tree) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize("form", FORMS)
 @given(tree=trees((1, 4)))
-@hypothesis.settings(max_examples=4)
+@few(4)
 def test_its_own_listings_read_back_as_equal(form: Form, tree: tb.Tree) -> None:
     """To the last digit, oblique axes included: what is printed is what is computed."""
     text = write_equations(equations(tree, COMPARABLE, form), "paper")
