@@ -111,7 +111,8 @@ def types(thing: Any) -> dict[str, str]:
 
 def types_of(kind: type) -> dict[str, Any]:
     """Types of the fields that a class itself adds."""
-    return vars(kind).get("__annotations__", {})
+    found: dict[str, Any] = vars(kind).get("__annotations__", {})
+    return found
 
 
 def described(thing: Any) -> list[str]:

@@ -46,8 +46,8 @@ def test_every_example_runs_anywhere(tmp_path: Path) -> None:
     scripts = {path.name: path.read_text() for path in (ROOT / "examples").glob("*.py")}
     for path in (ROOT / "examples").glob("*.ipynb"):
         cells = json.loads(path.read_text())["cells"]
-        code = ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
-        scripts[path.name] = "\n".join(code)
+        lines = ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+        scripts[path.name] = "\n".join(lines)
     assert len(scripts) >= 7
     for name, code in scripts.items():
         path = ROOT / "examples" / name  # a notebook has no place that it could ask for
