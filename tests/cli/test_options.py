@@ -144,8 +144,8 @@ def test_of_an_option_and_a_setting_the_option_counts() -> None:
 def test_a_joint_that_follows_is_held_where_it_is_told_to_be(place: Path) -> None:
     path = place / "mimic.urdf"
     for how in ({"lock_mimic": True}, {"settings": ["robot.lock_mimic=true"]}):
-        assert dict(Reading(**how).model_file(path).lock) == {"follows": None}  # type: ignore[arg-type]
-        placed = Reading(**how, lock=["follows=0.5"])  # type: ignore[arg-type]
+        assert dict(Reading(**how).model_file(path).lock) == {"follows": None}
+        placed = Reading(**how, lock=["follows=0.5"])
         assert dict(placed.model_file(path).lock) == {"follows": 0.5}
     assert not Reading(settings=["robot.lock_mimic=false"]).model_file(path).lock
 
