@@ -132,6 +132,13 @@ def test_a_command_does_what_it_is_asked_to(name: str, told: Told, out: Path) ->
     assert [each for each in written if not (out / each).exists()] == []
 
 
+def test_a_plan_counts_the_runs_that_are_asked_for(told: Told, place: Path) -> None:
+    """Two cells of two replicates, of which a limit leaves three."""
+    everything = command_line("campaign", "quick.toml", "--dry-run", cwd=place).stdout
+    for text, runs in ((everything, 4), (told("campaign, plan").stdout, 3)):
+        assert re.findall(r"(\d+) (?:cells|replicates|runs)", text) == ["2", "2", str(runs)]
+
+
 def test_every_command_is_here_and_helps_with_an_example() -> None:
     known = {command.name or command.callback.__name__: command.callback  # type: ignore[union-attr]
              for command in app.registered_commands}  # fmt: skip

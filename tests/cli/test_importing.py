@@ -65,11 +65,7 @@ def test_a_mistake_in_a_mapping_is_refused_with_its_cure(
     """By every command that takes it; imported unchecked, by the next."""
     mapping = altered(tmp_path, old, new)
     words = ("import", mapping, "--out", "x.parquet", *MODEL)
-    for refusing in (
-        words,
-        ("report", mapping, *MODEL),
-        ("view", mapping, *MODEL, "--save", "x.rrd"),
-    ):
+    for refusing in (words, ("report", mapping, *MODEL)):
         done = command_line(*refusing, cwd=tmp_path)
         assert done.returncode == 2
         assert cure in done.stderr

@@ -123,6 +123,7 @@ def test_what_is_read_is_not_replaced(place: Path, tmp_path: Path) -> None:
             assert (tmp_path / name).read_bytes() == (place / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_campaign_keeps_the_file_that_asks_for_it(place: Path, tmp_path: Path) -> None:
     """Alone in its folder, where the folder looks like a campaign's."""
     text = (place / "quick.toml").read_text()
@@ -141,6 +142,7 @@ def test_of_an_option_and_a_setting_the_option_counts() -> None:
     assert Reading(terms="auto").tables().identification.terms == "auto"
 
 
+@pytest.mark.slow
 def test_a_joint_that_follows_is_held_where_it_is_told_to_be(place: Path) -> None:
     path = place / "mimic.urdf"
     for how in ({"lock_mimic": True}, {"settings": ["robot.lock_mimic=true"]}):

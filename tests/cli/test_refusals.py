@@ -146,6 +146,7 @@ calibrate {ONE} --known gain/Fq=1 | 'gain/Fq' 'gain/Fz'
 calibrate {ONE} --known mass=20 --known mbar1=20 | 'mbar1'
 calibrate {ONE} --known mass=20 --joint elbow | --joint --loaded
 report none | 'none'
+report on | 'on' one.parquet
 report table.toml | 'table.toml' --model
 report run {ROBOT} | 'run' --model
 report run --validate other.parquet | 'run' --model

@@ -170,6 +170,7 @@ def test_no_module_is_longer_than_a_person_reads() -> None:
     assert {name: lines for name, lines in lengths.items() if lines > LONGEST_MODULE} == {}
 
 
+@pytest.mark.slow
 def test_values_are_frozen_and_those_with_arrays_are_themselves_alone() -> None:
     """What others hold cannot change under them, and `==` has one answer."""
     for module in sorted(module_name(p) for p in MODULES if p.name != "__main__.py"):
