@@ -232,16 +232,19 @@ def test_wrong_settings_are_named(place: Path) -> None:
     quick = ("motion.duration=4", "motion.candidates=2", "simulation.step=1e-3")
     start = ["run", "table.toml", *(word for each in quick for word in ("--set", each))]
     rows = [([*start, "--set", key], named) for key, named in table(KEYS)]
-    assert [wrong for row in rows for wrong in check(place, *row)] == []
+    found = [wrong for row in rows for wrong in check(place, *row)]
+    assert not found, "\n".join(found)
 
 
 def test_wrong_words_and_files_are_named(place: Path) -> None:
     rows = [(shlex.split(words.replace('"', r"\"")), named) for words, named in table(WORDS)]
-    assert [wrong for row in rows for wrong in check(place, *row)] == []
+    found = [wrong for row in rows for wrong in check(place, *row)]
+    assert not found, "\n".join(found)
 
 
 def test_model_files_that_are_none_are_named(place: Path, tmp_path: Path) -> None:
     for name, (text, _) in MODELS.items():
         (tmp_path / name).write_text(text)
     rows = [(["minimal", name], [name, *named.split()]) for name, (_, named) in MODELS.items()]
-    assert [wrong for row in rows for wrong in check(tmp_path, *row)] == []
+    found = [wrong for row in rows for wrong in check(tmp_path, *row)]
+    assert not found, "\n".join(found)
