@@ -16,6 +16,7 @@ from typing import Any
 from docs.marks import mark_of, prose, table, write
 
 DOCUMENT = Path(__file__).with_suffix(".md")
+TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.api"
 REST = "all else"
 """The place of what stands in no other."""
@@ -48,7 +49,7 @@ def as_markdown(of: str) -> str:
 def placed() -> set[str]:
     """Names that have a place."""
     mark = re.escape(mark_of(MODULE, "NAMES")).replace("NAMES", "(.*)")
-    return {name for names in re.findall(mark, DOCUMENT.read_text()) for name in names.split()}
+    return {name for names in re.findall(mark, TEMPLATE.read_text()) for name in names.split()}
 
 
 def entry(name: str, thing: Any) -> list[str]:
@@ -110,7 +111,8 @@ def types(thing: Any) -> dict[str, str]:
 
 def types_of(kind: type) -> dict[str, Any]:
     """Types of the fields that a class itself adds."""
-    return vars(kind).get("__annotations__", {})
+    found: dict[str, Any] = vars(kind).get("__annotations__", {})
+    return found
 
 
 def described(thing: Any) -> list[str]:
@@ -163,4 +165,4 @@ def summary(member: Any) -> str:
 
 
 if __name__ == "__main__":
-    write(DOCUMENT, MODULE, as_markdown)
+    write(DOCUMENT, MODULE, as_markdown, TEMPLATE)

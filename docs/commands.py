@@ -9,6 +9,7 @@ from pathlib import Path
 from docs.marks import prose, table, write
 
 DOCUMENT = Path(__file__).with_suffix(".md")
+TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.commands"
 
 
@@ -49,4 +50,4 @@ def described(text: str) -> str:
 
 
 if __name__ == "__main__":
-    write(DOCUMENT, MODULE, as_markdown)
+    write(DOCUMENT, MODULE, as_markdown, TEMPLATE)

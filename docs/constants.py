@@ -10,6 +10,7 @@ from pathlib import Path
 from docs.marks import prose, table, write
 
 DOCUMENT = Path(__file__).with_suffix(".md")
+TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.constants"
 SOURCE = Path(__file__).parents[1] / "testbed"
 LONGEST = 100
@@ -61,4 +62,4 @@ def _is_number(value: ast.expr, text: str) -> bool:
 
 
 if __name__ == "__main__":
-    write(DOCUMENT, MODULE, as_markdown)
+    write(DOCUMENT, MODULE, as_markdown, TEMPLATE)

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 from docs.marks import prose, table, write
 
 DOCUMENT = Path(__file__).with_suffix(".md")
+TEMPLATE = DOCUMENT.parent / "templates" / DOCUMENT.name
 MODULE = "docs.keys"
 KINDS = {
     "Fault": "[a fault's](instruments.md)",
@@ -220,4 +221,4 @@ def by_name(annotation: Any) -> bool:
 
 
 if __name__ == "__main__":
-    write(DOCUMENT, MODULE, as_markdown)
+    write(DOCUMENT, MODULE, as_markdown, TEMPLATE)

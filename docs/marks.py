@@ -32,15 +32,18 @@ def written(text: str, module: str, words: Callable[[str], str]) -> str:
     return place.sub(lambda found: found[1] + words(found[2] or "") + found[3], text)
 
 
-def write(document: Path, module: str, words: Callable[[str], str]) -> None:
+def write(
+    document: Path, module: str, words: Callable[[str], str], template: Path | None = None
+) -> None:
     """Write a page's places anew.
 
     Args:
         document: The page.
         module: The command's.
         words: What stands in a place, by what its mark says.
+        template: The page without what is written, where the page itself is not committed.
     """
-    document.write_text(written(document.read_text(), module, words))
+    document.write_text(written((template or document).read_text(), module, words))
 
 
 def table(head: str, rows: Sequence[Sequence[str]]) -> list[str]:

@@ -1,9 +1,10 @@
 """The documentation as a site that opens from disk: `python -m docs.site [FOLDER]`.
 
 Pages are plain Markdown and their links lead to files of the project, so that they read as
-well where they lie. Here they are gathered: those of docs/, the README as the first page, and
-whatever else of the project they refer to; then Zensical builds them, strictly, as
-zensical.toml says. The site is in FOLDER/build/site, by default of the project's own folder.
+well where they lie. The reference of commands, keys, numbers and Python is written from the code
+first. Then all are gathered: those of docs/, the README as the first page, and whatever else of
+the project they refer to; Zensical builds them, strictly, as zensical.toml says. The site is in
+FOLDER/build/site, by default of the project's own folder.
 """
 
 from __future__ import annotations
@@ -15,10 +16,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+from docs import api, commands, constants, keys
+from docs.marks import write
+
 ROOT = Path(__file__).parent.parent
 HOME = ROOT / "README.md"
 PAGES = Path("build/pages")
 SITE = Path("build/site")
+REFERENCE = (api, commands, constants, keys)
+"""Pages that are written from the code and not committed."""
 ASSETS = ("style.css", "iframe-worker.js", "keyboard.js")
 
 LINK = re.compile(r'(\]\(|(?:src|href|srcset)=")([^)"#\s]+)(#[^)"\s]*)?')
@@ -35,6 +41,8 @@ def main(folder: Path = ROOT) -> Path:
     Returns:
         The site's first page.
     """
+    for page in REFERENCE:
+        write(page.DOCUMENT, page.MODULE, page.as_markdown, page.TEMPLATE)
     gather(folder / PAGES)
     config = folder / "zensical.toml"
     if folder != ROOT:

@@ -19,21 +19,6 @@ from testbed.cli.main import main
 CLI = (sys.executable, "-m", "testbed.cli")
 
 
-def command_process(
-    *words: str, cwd: Path, seconds: float | None = None
-) -> subprocess.CompletedProcess[str]:
-    """Run a command in a process of its own.
-
-    Args:
-        words: As typed.
-        cwd: Where.
-        seconds: How long it may take.
-    """
-    return subprocess.run(
-        [*CLI, *words], cwd=cwd, capture_output=True, text=True, check=False, timeout=seconds
-    )
-
-
 def command_line(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run a command in this process, whose libraries are loaded.
 

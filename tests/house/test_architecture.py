@@ -1,13 +1,17 @@
-"""The house keeps its plan: imports go upstream, guests stay in their rooms, modules stay small."""
+"""The house keeps its plan: imports go upstream, guests stay in their rooms, no circle."""
 
 from __future__ import annotations
 
 import ast
+import dataclasses
+import importlib
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from pydantic import BaseModel
 
 import testbed as tb
 from tests.helpers.paths import ROOT
@@ -15,157 +19,69 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-# What a room may import, besides itself. docs/architecture.md draws the same plan.
-BASE = {"errors", "arrays", "files", "blas"}
-KINDS = {"keys", "kind_table", "kind_words"}
+BASE = "errors arrays files blas"
+KINDS = "keys kind_table kind_words"
+ROBOT = f"{BASE} robot parameters dynamics"
+DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
-    "errors": set(),
-    "arrays": set(),
-    "files": set(),
-    "blas": set(),
-    "installation": set(),
-    "keys": {"errors"},
-    "kind_table": {"errors", "arrays", "keys"},
-    "kind_words": {"kind_table"},
-    "toml_text": {"errors"},
-    "robot": BASE,
-    "parameters": BASE | {"robot"},
-    "dynamics": BASE | {"robot", "parameters"},
-    "kernel": BASE | {"robot", "parameters", "dynamics"},
-    "symbolic": BASE | {"robot", "parameters", "dynamics"},
-    "excitation": BASE | {"robot", "parameters", "dynamics", "kernel"},
-    "recordings": BASE | {"toml_text", "robot"},
-    "instruments": BASE | KINDS | {"robot", "recordings"},
-    "simulation": BASE | KINDS | {"robot", "dynamics", "excitation", "recordings"},
-    "identification": BASE | {"robot", "parameters", "dynamics", "kernel", "recordings"},
-    "sanity": BASE
-    | {"toml_text", "robot", "parameters", "dynamics", "recordings", "identification"},
-    "experiment": BASE
-    | KINDS
-    | {
-        "installation", "toml_text", "robot", "parameters", "dynamics", "excitation", "recordings",
-        "instruments", "simulation", "identification",
-    },
-    "campaign": BASE
-    | {"toml_text", "robot", "recordings", "identification", "experiment"},
-    "reporting": BASE
-    | {
-        "robot", "parameters", "dynamics", "excitation", "recordings", "identification", "sanity",
-        "experiment", "campaign",
-    },
-    "viewer": BASE
-    | {
-        "robot", "parameters", "dynamics", "excitation", "recordings", "identification",
-        "experiment", "campaign",
-    },
-}  # fmt: skip
-ANYWHERE = {"__init__", "__main__", "cli"}
-
-# Packages that only some modules may import.
-GUESTS = {
-    "mujoco": (
-        "robot/formats/mjcf",
-        "robot/formats/write_mjcf.py",
-        "robot/visuals/mjcf_shapes.py",
-        "simulation/",
-        "excitation/collision_model.py",
-        "excitation/clearance.py",
-    ),
-    "pinocchio": ("robot/formats/urdf.py", "robot/visuals/urdf_shapes.py"),
-    "coal": ("robot/visuals/urdf_shapes.py",),
-    "rerun": ("viewer/",),
-    "clarabel": ("identification/conic.py",),
-    "numba": ("kernel/",),
-    "llvmlite": ("kernel/compiler.py",),
-    "threadpoolctl": ("blas.py",),
-    "pyarrow": (
-        "recordings/formats/parquet.py",
-        "recordings/importing/readers/parquet_columns.py",
-        "campaign/",
-    ),
-    "distributed": ("campaign/cluster.py",),
-    "dask": ("campaign/cluster.py",),
-    "h5py": ("recordings/importing/readers/hdf5.py",),
-    "rosbags": ("recordings/importing/readers/ros_bag.py",),
-    "pydantic": ("experiment/", "campaign/", "recordings/importing/mapping.py", "toml_text.py"),
-    "tomli_w": ("experiment/", "campaign/campaign_folder.py"),
-    "typer": ("cli/",),
-    "rich": ("reporting/",),
-    "matplotlib": ("reporting/figures.py", "reporting/error_dots.py", "reporting/plot.py"),
-    "jinja2": ("reporting/html.py",),
-    "markupsafe": ("reporting/html.py",),
-    "subprocess": ("viewer/show.py",),  # Rerun's viewer, and nothing else
+    name: set(needs.split())
+    for name, needs in {
+        **dict.fromkeys([*BASE.split(), "installation"], ""),
+        "keys": "errors",
+        "kind_table": "errors arrays keys",
+        "kind_words": "kind_table",
+        "toml_text": "errors",
+        "robot": BASE,
+        "parameters": f"{BASE} robot",
+        "dynamics": f"{BASE} robot parameters",
+        "kernel": ROBOT,
+        "symbolic": ROBOT,
+        "excitation": f"{ROBOT} kernel",
+        "recordings": f"{BASE} toml_text robot",
+        "instruments": f"{BASE} {KINDS} robot recordings",
+        "simulation": f"{BASE} {KINDS} robot dynamics excitation recordings",
+        "identification": f"{ROBOT} kernel recordings",
+        "sanity": f"{ROBOT} toml_text recordings identification",
+        "experiment": f"{ROBOT} {KINDS} installation toml_text excitation recordings instruments "
+        "simulation identification",
+        "campaign": f"{BASE} toml_text robot recordings identification experiment",
+        "reporting": f"{DATA} sanity",
+        "viewer": DATA,
+    }.items()
 }
+"""What a room may import, besides itself. docs/architecture.md draws the same plan."""
+ANYWHERE = {"__init__", "__main__", "cli"}
+GUESTS = {
+    "mujoco": "robot/formats/mjcf robot/formats/write_mjcf.py robot/visuals/mjcf_shapes.py "
+    "simulation/ excitation/collision_model.py excitation/clearance.py",
+    "pinocchio": "robot/formats/urdf.py robot/visuals/urdf_shapes.py",
+    "coal": "robot/visuals/urdf_shapes.py",
+    "rerun": "viewer/",
+    "clarabel": "identification/conic.py",
+    "numba": "kernel/",
+    "llvmlite": "kernel/compiler.py",
+    "threadpoolctl": "blas.py",
+    "pyarrow": "recordings/formats/parquet.py campaign/ "
+    "recordings/importing/readers/parquet_columns.py",
+    "distributed": "campaign/cluster.py",
+    "dask": "campaign/cluster.py",
+    "h5py": "recordings/importing/readers/hdf5.py",
+    "rosbags": "recordings/importing/readers/ros_bag.py",
+    "pydantic": "experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
+    "tomli_w": "experiment/ campaign/campaign_folder.py",
+    "typer": "cli/",
+    "rich": "reporting/",
+    "matplotlib": "reporting/figures.py reporting/error_dots.py reporting/plot.py",
+    "jinja2": "reporting/html.py",
+    "markupsafe": "reporting/html.py",
+    "subprocess": "viewer/show.py",  # Rerun's viewer, and nothing else
+}
+"""Packages that only some modules may import, by how these begin."""
 FORBIDDEN = ("pickle", "shelve", "marshal", "requests", "urllib", "http")
 LONGEST_MODULE = 500
-LONGEST_FUNCTION = 45  # statements and comments; signature and docstring aside
 
 
-def room(path: Path) -> str:
-    return path.relative_to(HOUSE).parts[0].removesuffix(".py")
-
-
-def imports(path: Path) -> Iterator[str]:
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: imports are absolute"
-            yield node.module or ""
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(HOUSE)))
-def test_imports_go_upstream_only(path: Path) -> None:
-    here = room(path)
-    if here in ANYWHERE:
-        return
-    for name in imports(path):
-        if name.startswith("testbed."):
-            there = name.split(".")[1]
-            assert there == here or there in PLAN[here], f"{path} imports {name}"
-
-
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(HOUSE)))
-def test_guests_stay_in_their_rooms(path: Path) -> None:
-    place = str(path.relative_to(HOUSE))
-    for name in imports(path):
-        package = name.split(".")[0]
-        assert package not in FORBIDDEN, f"{place} imports {name}"
-        if package in GUESTS:
-            assert place.startswith(GUESTS[package]), f"{place} imports {name}"
-
-
-def test_the_plan_has_no_circle() -> None:
-    seen: list[str] = []
-    while len(seen) < len(PLAN):
-        ready = [r for r, needs in PLAN.items() if r not in seen and needs <= set(seen)]
-        assert ready, f"rooms in a circle: {set(PLAN) - set(seen)}"
-        seen += ready
-
-
-def needs(path: Path) -> set[str]:
-    """The project's own modules that a module imports, lazily or not; types alone aside."""
-    found = set()
-    for node in ast.walk(without_type_checking(ast.parse(path.read_text()))):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            found.add(node.module or "")
-            found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found & set(NAMES)
-
-
-def without_type_checking(tree: ast.Module) -> ast.Module:
-    kept = [
-        node
-        for node in tree.body
-        if not (
-            isinstance(node, ast.If)
-            and isinstance(node.test, ast.Name)
-            and node.test.id == "TYPE_CHECKING"
-        )
-    ]
-    return ast.Module(kept, [])
+TREES = {path: ast.parse(path.read_text()) for path in MODULES}
 
 
 def module_name(path: Path) -> str:
@@ -173,56 +89,105 @@ def module_name(path: Path) -> str:
     return ".".join(parts).removesuffix(".__init__")
 
 
-NAMES = {module_name(path): path for path in MODULES}
+def room(path: Path) -> str:
+    return path.relative_to(HOUSE).parts[0].removesuffix(".py")
 
 
-@pytest.mark.slow
-def test_no_files_import_each_other_in_a_circle() -> None:
-    graph = {name: needs(path) - {name} for name, path in NAMES.items() if name != "testbed"}
-    done: set[str] = {"testbed"}
-    while len(done) <= len(graph):
-        ready = [name for name, wants in graph.items() if name not in done and wants <= done]
-        left = sorted(set(graph) - done)
-        assert ready, f"files in a circle, or behind one: {left}"
-        done |= set(ready)
+def imported(path: Path, *, types: bool = True) -> Iterator[str]:
+    """Modules that a module imports, lazily or not, and what could be one.
+
+    Args:
+        path: Of the module.
+        types: Whether those for types alone count.
+    """
+    for part in TREES[path].body:
+        if not types and isinstance(part, ast.If) and ast.unparse(part.test) == "TYPE_CHECKING":
+            continue
+        for node in ast.walk(part):
+            if isinstance(node, ast.Import):
+                yield from (alias.name for alias in node.names)
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{path}: imports are absolute"
+                yield node.module or ""
+                yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def test_file_names_tell_files_apart() -> None:
-    """A name stands once in the house, but for formats' readers and the rooms' own heads."""
-    names = [path.name for path in MODULES if path.name not in ("__init__.py", "__main__.py")]
-    assert sorted(set(names)) == sorted(names)
+def stuck(needs: dict[str, set[str]]) -> set[str]:
+    """What stands in a circle, or behind one."""
+    done: set[str] = set()
+    while ready := {name for name, wants in needs.items() if name not in done and wants <= done}:
+        done |= ready
+    return set(needs) - done
+
+
+def test_imports_go_upstream_only() -> None:
+    wrong = [
+        f"{path.relative_to(HOUSE)} imports {name}"
+        for path in MODULES
+        if room(path) not in ANYWHERE
+        for name in imported(path)
+        if name.startswith("testbed.") and name.split(".")[1] not in {room(path), *PLAN[room(path)]}
+    ]
+    assert wrong == [], "see docs/architecture.md for who may import whom"
+
+
+def test_guests_stay_in_their_rooms_and_some_never_come() -> None:
+    for path in MODULES:
+        place = path.relative_to(HOUSE).as_posix()
+        for guest in {name.split(".")[0] for name in imported(path)}:
+            assert guest not in FORBIDDEN, f"{place} imports {guest}"
+            if guest in GUESTS:
+                assert place.startswith(tuple(GUESTS[guest].split())), f"{place} imports {guest}"
+
+
+def test_neither_rooms_nor_files_need_each_other_in_a_circle() -> None:
+    assert stuck(PLAN) == set()
+    names = {module_name(path) for path in MODULES}
+    needs = {module_name(p): names.intersection(imported(p, types=False)) for p in MODULES}
+    inner = {name: wants - {name, "testbed"} for name, wants in needs.items() if name != "testbed"}
+    assert stuck(inner) == set()
 
 
 def test_every_room_is_in_the_plan_and_in_the_drawing() -> None:
     rooms = {room(path) for path in MODULES} - ANYWHERE
     assert rooms == set(PLAN)
     drawing = (ROOT / "docs/architecture.md").read_text()
-    for name in rooms:
-        assert re.search(rf"\b{name}\b", drawing), f"docs/architecture.md does not show {name}"
+    assert [name for name in rooms if not re.search(rf"\b{name}\b", drawing)] == []
 
 
 def test_the_estimator_never_speaks_of_the_truth() -> None:
-    for path in (HOUSE / "identification").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+    """Nothing in it reads what only a simulation knows, or runs text as code."""
+    for path in (path for path in MODULES if room(path) == "identification"):
+        for node in ast.walk(TREES[path]):
             if isinstance(node, ast.Attribute):
                 assert node.attr not in ("truth", "inertias", "pedestal", "coulomb"), path
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
                 assert node.func.id not in ("eval", "exec", "barycentric", "standard"), path
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(HOUSE)))
-def test_modules_and_functions_fit_a_screen(path: Path) -> None:
-    text = path.read_text()
-    assert text.count("\n") <= LONGEST_MODULE
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.FunctionDef):
-            first = node.body[1] if ast.get_docstring(node) and len(node.body) > 1 else node.body[0]
-            length = (node.end_lineno or 0) - first.lineno + 1
-            assert length <= LONGEST_FUNCTION, f"{path.name}: {node.name} has {length} lines"
+def test_no_module_is_longer_than_a_person_reads() -> None:
+    lengths = {path.name: path.read_text().count("\n") for path in MODULES}
+    assert {name: lines for name, lines in lengths.items() if lines > LONGEST_MODULE} == {}
+
+
+@pytest.mark.slow
+def test_values_are_frozen_and_those_with_arrays_are_themselves_alone() -> None:
+    """What others hold cannot change under them, and `==` has one answer."""
+    for module in sorted(module_name(p) for p in MODULES if p.name != "__main__.py"):
+        for each in vars(importlib.import_module(module)).values():
+            if isinstance(each, type) and each.__module__ == module:
+                if issubclass(each, BaseModel):
+                    assert each.model_config.get("frozen"), each
+                elif dataclasses.is_dataclass(each) and not each.__name__.startswith("_"):
+                    asked: Any = each.__dict__["__dataclass_params__"]
+                    arrays = any("Array" in str(f.type) for f in dataclasses.fields(each))
+                    assert asked.frozen, each
+                    assert not (asked.eq and arrays), each
 
 
 def test_what_is_promised_is_there_and_nothing_else() -> None:
-    tree = ast.parse((HOUSE / "__init__.py").read_text())
+    """What type checkers see of `import testbed` is what can be had."""
+    tree = TREES[HOUSE / "__init__.py"]
     typed = {
         (node.module, alias.name)
         for block in tree.body
@@ -231,19 +196,10 @@ def test_what_is_promised_is_there_and_nothing_else() -> None:
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
     }
-    lazy = {(home, name) for home, names in tb._HOMES.items() for name in names}
-    assert typed == lazy
-    for name in tb.__all__:
-        assert getattr(tb, name).__doc__
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+    assert typed == {(home, name) for home, names in tb._HOMES.items() for name in names}
+    assert [name for name in tb.__all__ if not getattr(tb, name).__doc__] == []
+    with pytest.raises(AttributeError):
         _ = tb.nothing
-
-
-def test_every_reference_resolves() -> None:
-    known = set(re.findall(r"@\w+\{(\w+),", (ROOT / "REFERENCES.bib").read_text()))
-    for path in [*MODULES, *(ROOT / "docs").glob("*.md"), ROOT / "README.md"]:
-        for key in re.findall(r"\[([A-Z][A-Za-z]{1,4}\d{2})\]", path.read_text()):
-            assert key in known, f"{path}: [{key}] is not in REFERENCES.bib"
 
 
 def test_nothing_names_a_machine_or_a_registry() -> None:

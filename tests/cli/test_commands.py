@@ -1,0 +1,273 @@
+"""Every command once, as a person or a program calls it; terminal, page and JSON say the same."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from subprocess import CompletedProcess
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import testbed as tb
+from testbed.cli.commands import app
+from tests.helpers.command import command_line
+
+pytestmark = pytest.mark.slow
+
+QUICK = "--set motion.duration=3 --set motion.candidates=2 --set simulation.step=1e-3"
+ROBOT = "--model puma562.xml"
+COMMANDS = {
+    "minimal": ("minimal puma562.xml --zeros --verify --terms rotor --json", "S drives dynamic "
+                "gravity joints map parameters reaction robot verified"),
+    "minimal, text": ("minimal puma562.xml --zeros --map", ""),
+    "minimal, latex": ("minimal puma562.xml --latex --tared --zero mb1x", ""),
+    "equations": ("equations puma562.xml --what gravity-forces --zeros --json",
+                  "constants equations form gravity robot text"),
+    "equations, text": ("equations puma562.xml --what gravity-forces --zeros", ""),
+    "simulate": (f"simulate table.toml {QUICK} --out OUT/s.parquet", ""),
+    "run": (f"run table.toml {QUICK} --set expect={{}} --all --out OUT/run", ""),
+    "run, claim": (f"run table.toml {QUICK} --set seed=7 --out OUT/claim --json "
+                   "--set expect.external_max_z.at_most=1e-9", "accuracy as_expected claim "
+                   "consistent drives expect external failures folder internal metrics "
+                   "model_sha256 name validation verdicts versions warnings"),
+    "compare": (f"compare variants.toml {QUICK} --json", "as_expected claim name variants"),
+    "compare, text": (f"compare variants.toml {QUICK}", ""),
+    "identify": (f"identify one.parquet {ROBOT} --zeros --json",
+                 "external internal model settings"),
+    "identify, text": (f"identify one.parquet {ROBOT} --zeros --all", ""),
+    "identify, plate": (f"identify one.parquet {ROBOT} --zeros --plate OUT/plate.toml --json",
+                        "external internal model settings"),
+    "identify, write": (f"identify one.parquet {ROBOT} --write OUT/made.xml --json",
+                        "consistent external internal model settings"),
+    "validate": ("validate other.parquet result.json --json", "external internal"),
+    "validate, text": ("validate other.parquet result.json", ""),
+    "calibrate": (f"calibrate one.parquet {ROBOT} --zeros --known mass=20 --known gain/Fz=1+-1e-3 "
+                  "--out OUT/plate.toml --json", "known matrix matrix_sigma numbers robot"),
+    "calibrate, text": (f"calibrate one.parquet {ROBOT} --zeros --known mass=20 "
+                        "--known gain/Fz=1+-1e-3 --out OUT/again.toml", ""),
+    "drives": (f"drives one.parquet {ROBOT} --zeros --json", "combined curves joints"),
+    "drives, text": (f"drives one.parquet {ROBOT} --zeros", ""),
+    "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
+                "centre chance joint parameters rank warnings"),
+    "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
+                      "centre mass poses robot_mass"),
+    "payload, rest, text": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest", ""),
+    "payload, text": (f"payload one.parquet other.parquet {ROBOT}", ""),
+    "report": ("report OUT/run --out OUT/run.html", ""),
+    "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
+    "campaign": ("campaign quick.toml --workers 0 --out OUT/many", ""),
+    "campaign, plan": ("campaign quick.toml --dry-run --limit 3", ""),
+    "campaign, summary": ("campaign --summary OUT/many --rrd OUT/many.rrd", ""),
+    "campaign, against": ("campaign --summary OUT/many --against OUT/many", ""),
+    "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
+               "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
+               "complete criterion file fundamental gain harmonics predicted proof random searches "
+               "value warnings"),
+    "excite, check": ("excite OUT/m.toml --check --json",
+                      "binding holds instants margins postures"),
+    "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
+                         "binding holds instants margins postures"),
+    "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
+    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import warnings"),
+    "import, guess": ("import --guess log.csv", ""),
+    "new": ("new two.urdf --out OUT/two.toml", ""),
+    "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),
+    "doctor": ("doctor --json", "checks"),
+    "doctor, text": ("doctor", ""),
+    "faults": ("faults", ""),
+    "faults, one": ("faults plate_pose", ""),
+    "effects": ("effects", ""),
+    "effects, one": ("effects tilt", ""),
+    "warmup": ("warmup", ""),
+}  # fmt: skip
+"""Words of each, and the keys of its JSON; nothing where it speaks to people."""
+FIRST = {
+    "report": "run", "view": "run", "campaign, summary": "campaign",
+    "campaign, against": "campaign", "excite, check": "excite", "excite, exceeded": "excite",
+    "view, motion": "excite", "identify, plate": "calibrate",
+}  # fmt: skip
+"""What must have run before."""
+FAILS = ("run, claim", "excite, exceeded")
+"""What does all it is asked to, and ends with 1: a claim or a limit does not hold."""
+
+Done = CompletedProcess[str]
+Told = Callable[[str], Done]
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("out")
+
+
+@pytest.fixture(scope="module")
+def told(place: Path, out: Path) -> Told:
+    """How a command ends; each runs once."""
+
+    @cache
+    def tell(name: str) -> Done:
+        if name in FIRST:
+            tell(FIRST[name])
+        words = shlex.split(COMMANDS[name][0].replace("OUT", str(out)))
+        return command_line(*words, cwd=place)
+
+    return tell
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_does_what_it_is_asked_to(name: str, told: Told, out: Path) -> None:
+    """With what it says on standard output, JSON of known keys or text, and files it names."""
+    done, (words, keys) = told(name), COMMANDS[name]
+    assert done.returncode == (1 if name in FAILS else 0), done.stderr
+    assert all(line.startswith("note: ") for line in done.stderr.splitlines()), done.stderr
+    assert done.stdout.strip()
+    if keys:
+        assert " ".join(sorted(json.loads(done.stdout))) == keys
+    written = re.findall(r"--(?:out|page|trajectory|save|rrd|write) OUT/(\S+)", words)
+    assert [each for each in written if not (out / each).exists()] == []
+
+
+def test_a_plan_counts_the_runs_that_are_asked_for(told: Told, place: Path) -> None:
+    """Two cells of two replicates, of which a limit leaves three."""
+    everything = command_line("campaign", "quick.toml", "--dry-run", cwd=place).stdout
+    for text, runs in ((everything, 4), (told("campaign, plan").stdout, 3)):
+        assert re.findall(r"(\d+) (?:cells|replicates|runs)", text) == ["2", "2", str(runs)]
+
+
+def test_every_command_is_here_and_helps_with_an_example() -> None:
+    known = {command.name or command.callback.__name__: command.callback  # type: ignore[union-attr]
+             for command in app.registered_commands}  # fmt: skip
+    assert {words.split()[0] for words, _ in COMMANDS.values()} == set(known)
+    for name in known:
+        helped = CliRunner().invoke(app, [name, "--help"])
+        assert helped.exit_code == 0
+        assert f"testbed {name}" in " ".join(helped.stdout.split()).partition("Example: ")[2]
+
+
+def shows(text: str, name: str, number: float) -> bool:
+    """Whether a row of a name holds a number, rounded as it stands there."""
+    for line in text.splitlines():
+        first, *cells = re.split(r"\s{2,}|[│|]", line.strip(" │"))
+        if first.strip() == name:
+            found = re.findall(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e[+-]\d+)?", " ".join(cells))
+            if any(abs(float(each) - number) <= rounding(each) for each in found):
+                return True
+    return False
+
+
+def rounding(shown: str) -> float:
+    """Half of a number's last digit, and a little."""
+    digits, _, power = shown.partition("e")
+    return float(0.501 * 10.0 ** (int(power or 0) - len(digits.partition(".")[2])))
+
+
+def figures(command: str, found: Any) -> Iterator[tuple[str, float]]:
+    """Numbers of a command's JSON that people are shown, with what they stand beside."""
+    if command == "identify":
+        for each in (found["external"], found["internal"]):
+            for key in ("values", "sigma"):
+                yield from zip(each["names"], each[key], strict=True)
+    elif command == "validate":
+        for each in found.values():
+            for key in ("residual", "mean", "noise", "ratio"):
+                yield from zip(each["channels"], each[key], strict=True)
+    elif command == "drives":
+        for joint, each in found["joints"].items():
+            terms = each["terms"].values()
+            yield from ((joint, one["value"]) for one in (each["torque_constant"], *terms))
+    elif command == "payload":
+        yield from ((name, each["value"]) for name, each in found["parameters"].items())
+    else:
+        for channel, row in zip(("Fx", "Fy", "Fz", "Mx", "My", "Mz"), found["matrix"], strict=True):
+            yield from ((channel, number) for number in row)
+
+
+def test_the_terminal_shows_the_numbers_of_the_json(told: Told) -> None:
+    """Whoever reads and whoever computes goes on with the same figures."""
+    for command in ("identify", "validate", "drives", "payload", "calibrate"):
+        text, found = told(f"{command}, text").stdout, json.loads(told(command).stdout)
+        wanted = [(name, number) for name, number in figures(command, found) if number is not None]
+        assert len(wanted) >= 9
+        assert [each for each in wanted if not shows(text, *each)] == [], command
+    minimal, text = json.loads(told("minimal").stdout), told("minimal, text").stdout
+    for model in ("dynamic", "reaction"):
+        assert [name for name in minimal[model]["names"] if name not in text] == []
+    assert told("equations, text").stdout == json.loads(told("equations").stdout)["text"]
+
+
+def test_the_page_shows_the_numbers_of_terminal_and_result(told: Told, out: Path) -> None:
+    """A run's page, its JSON, its folder and what was printed are of one run."""
+    text = told("run").stdout
+    assert told("report").returncode == 0
+    kept, page = (json.loads((out / each).read_text()) for each in ("run/result.json", "run.json"))
+    html = (out / "run.html").read_text()
+    for row in page["parameters"]:
+        for cell in row["cells"]:
+            estimate = kept[cell["method"]]
+            if row["name"] in estimate["names"]:
+                k = estimate["names"].index(row["name"])
+                assert (cell["value"], cell["sigma"]) == (
+                    estimate["values"][k],
+                    estimate["sigma"][k],
+                )
+                assert shows(text, row["name"], cell["value"])
+                assert cell["text"].split()[0] in html
+    assert {row["name"] for row in page["parameters"]} >= set(kept["internal"]["names"])
+
+
+def test_a_calibrated_plate_is_taken_back_and_its_doubt_is_in_sigma(told: Told) -> None:
+    """Else a plate that is known to a percent would promise a thousandth."""
+    assert told("calibrate").returncode == 0
+    plain, by_plate = (
+        json.loads(told(name).stdout)["external"] for name in ("identify", "identify, plate")
+    )
+    assert plain["names"] == by_plate["names"]
+    assert plain["values"] != by_plate["values"]
+    both = [
+        pair for pair in zip(plain["sigma"], by_plate["sigma"], strict=True) if None not in pair
+    ]
+    assert len(both) >= 9
+    assert all(after > before for before, after in both)
+
+
+def test_half_a_recording_gives_its_half_of_the_answer(place: Path) -> None:
+    for lacking, method in (("torque", "external"), ("wrench", "internal")):
+        done = command_line(
+            *shlex.split(f"identify no_{lacking}.parquet {ROBOT} --zeros --json"), cwd=place
+        )
+        assert done.returncode == 0, done.stderr
+        assert set(json.loads(done.stdout)) - {"model", "settings"} == {method}
+
+
+def test_what_is_printed_of_bodies_is_written(told: Told, out: Path) -> None:
+    """Into the model file, friction with it."""
+    said = json.loads(told("identify, write").stdout)["consistent"]
+    tree = tb.load_tree(out / "made.xml")
+    for joint, own in zip(tree.joints, tb.standard(tree), strict=True):
+        assert own.tolist() == pytest.approx(said["links"][joint.body]["values"], abs=1e-12)
+        assert joint.coulomb == said["terms"][f"coulomb/{joint.name}"]["value"]
+
+
+def test_a_run_of_another_experiment_is_replaced_by_force_only(told: Told, out: Path) -> None:
+    assert told("run, claim").returncode == 1
+    folder, place = out / "claim", out.parent
+    before = (folder / "result.json").read_bytes()
+    words = shlex.split(f"run table6 {QUICK} --set expect={{}} --out {folder}")
+    assert command_line(*words, cwd=place).returncode == 2
+    assert (folder / "result.json").read_bytes() == before
+    assert command_line(*words, "--force", cwd=place).returncode == 0
+    assert json.loads((folder / "result.json").read_text())["expect"] == {}
+
+
+def test_gravity_is_a_vector_however_it_is_written(place: Path) -> None:
+    said = [
+        command_line("minimal", "two.urdf", "--json", "--gravity", *way, cwd=place).stdout
+        for way in (["0,0,-1.62"], ["0", "0", "-1.62"])
+    ]
+    assert said[0] == said[1]
+    assert json.loads(said[0])["gravity"] == [0, 0, -1.62]

@@ -1,0 +1,100 @@
+"""From other people's logs to a recording: mappings, guesses, and mistakes that are refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.cli.reading import opened
+from tests.helpers.command import command_line
+from tests.helpers.paths import ROOT
+
+pytestmark = pytest.mark.slow
+
+TX40 = ROOT / "examples/tx40"
+MODEL = ("--model", str(TX40 / "tx40.urdf"))
+TERMS = 'identification.terms=["coulomb","viscous","offset"]'
+
+
+def altered(folder: Path, old: str, new: str) -> str:
+    """The TX40's mapping with other words."""
+    text = (TX40 / "tx40.toml").read_text()
+    assert old in text
+    for name in ("pos_read_data.csv.gz", "curr_data.csv.gz"):
+        text = text.replace(f'"{name}"', json.dumps(str(TX40 / name)))
+    (folder / "map.toml").write_text(text.replace(old, new))
+    return "map.toml"
+
+
+def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -> None:
+    """Two halves of it: one gives the estimate, the other judges it; no truth anywhere."""
+    for name, cut in (("first", "stop = 4.6"), ("second", "start = 4.6")):
+        altered(tmp_path, "rate = 500\n", f"rate = 500\n{cut}\n")
+        (tmp_path / "map.toml").rename(tmp_path / f"{name}.toml")
+    done = command_line("import", "first.toml", "--out", "r.parquet", *MODEL, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    said = command_line("identify", "r.parquet", *MODEL, "--set", TERMS, "--json", cwd=tmp_path)
+    left = np.array(json.loads(said.stdout)["internal"]["residual"])
+    assert np.sqrt(np.mean(left[:4] ** 2)) < 0.75  # N m, of literature's fits of these data
+    words = ("report", "first.toml", *MODEL, "--validate", "second.toml", "--out", "page.html")
+    more = ("--terms", "auto", "--consistent", "--set", "identification.cutoff=10")
+    done = command_line(*words, *more, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    page = json.loads((tmp_path / "page.json").read_text())
+    assert not page["has_truth"]
+    assert [section["id"] for section in page["figures"]] == ["prediction", "spectra", "bodies"]
+    shown = command_line("view", "first.toml", *MODEL, "--save", "r.rrd", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "cure"),
+    [
+        ('unit = "N m"\nside = "motor"', 'unit = "N m"\nside = "joint"', 'side = "motor"'),
+        ("[0, -1.5707963267948966", "[0, 0", "offset = [0, -1.5708, 1.5708"),
+        ("[torque]", "[torque]\nsign = [1, -1, 1, 1, 1, 1]", "[torque] sign = [1, 1, 1, 1, 1, 1]"),
+    ],
+)
+def test_a_mistake_in_a_mapping_is_refused_with_its_cure(
+    old: str, new: str, cure: str, tmp_path: Path
+) -> None:
+    """By every command that takes it; imported unchecked, by the next."""
+    mapping = altered(tmp_path, old, new)
+    words = ("import", mapping, "--out", "x.parquet", *MODEL)
+    for refusing in (words, ("report", mapping, *MODEL)):
+        done = command_line(*refusing, cwd=tmp_path)
+        assert done.returncode == 2
+        assert cure in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
+    assert command_line(*words, "--unchecked", cwd=tmp_path).returncode == 0
+    refused = command_line("identify", "x.parquet", *MODEL, cwd=tmp_path)
+    assert refused.returncode == 2
+    assert cure in refused.stderr
+
+
+def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: Path) -> None:
+    log = str(place / "log.csv")
+    assert command_line("import", "--guess", log, "--out", "map.toml", cwd=tmp_path).returncode == 0
+    before = (tmp_path / "map.toml").read_text()
+    assert command_line("import", "--guess", log, "--out", "map.toml", cwd=tmp_path).returncode == 2
+    assert (tmp_path / "map.toml").read_text() == before
+    for head, period, rate in (("timestamp_ms", 4, 250), ("time (ms)", 4, 250), ("t", 0.01, 100)):
+        rows = "".join(f"{period * k},0,{k}\n" for k in range(9))
+        (tmp_path / "log.csv").write_text(f"{head},q_hip_deg,tau_hip\n{rows}")
+        words = ("new", "--recording", "log.csv", "--out", f"{rate}.toml")
+        (tmp_path / f"{rate}.toml").unlink(missing_ok=True)
+        assert command_line(*words, cwd=tmp_path).returncode == 0
+        text = (tmp_path / f"{rate}.toml").read_text()
+        assert f"\nrate = {rate} " in text
+        assert 'columns = ["q_hip_deg"]' in text
+
+
+def test_commands_take_a_mapping_for_its_recording(place: Path) -> None:
+    source, whole = opened(place / "map.toml"), tb.Recording.from_mapping(place / "map.toml")
+    assert (source.names, source.samples) == (whole.names, whole.samples)
+    part = source.part(10, 20)
+    np.testing.assert_array_equal(part.measured("wrench"), whole.part(10, 20).measured("wrench"))

@@ -1,0 +1,86 @@
+"""What the documents say is so: links, keys, names of files; figures are checked nightly."""
+
+from __future__ import annotations
+
+import inspect
+import re
+import tomllib
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from itertools import chain
+from typing import Any
+
+import testbed as tb
+from testbed.experiment.experiment import Experiment
+from testbed.experiment.experiment_tables import METRICS
+from testbed.recordings.importing.mapping import Mapping
+from tests.helpers.blocks import PAGES, TEMPLATES
+from tests.helpers.paths import ROOT
+
+
+def said(name: str) -> str:
+    return (ROOT / name).read_text()
+
+
+def keys(model: Any) -> Iterator[str]:
+    """Keys of a table of a file, those of tables in it among them."""
+    for name, field in model.model_fields.items():
+        yield name
+        for inner in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if inspect.isclass(inner) and hasattr(inner, "model_fields"):
+                yield from keys(inner)
+            elif is_dataclass(inner):
+                yield from (each.name for each in fields(inner))
+
+
+def test_links_and_references_lead_somewhere() -> None:
+    """README's on GitHub, too, where nothing is that is written with the site."""
+    known = set(re.findall(r"@\w+\{(\w+),", said("REFERENCES.bib")))
+    for page in PAGES:
+        text, written = page.read_text(), {each.name for each in TEMPLATES.glob("*.md")}
+        place = ROOT / "docs" if page.parent == TEMPLATES else page.parent
+        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", text):
+            later = page.parent == TEMPLATES and target in written
+            assert target.startswith("http") or later or (place / target).exists(), (page, target)
+            assert later or (place / target).resolve().name not in written, (page, target)
+        assert set(re.findall(r"\[([A-Z][A-Za-z]{1,4}\d{2})\]", text)) <= known, page
+
+
+def test_whatever_a_file_may_say_is_documented() -> None:
+    """Keys, metrics, experiments, dependencies."""
+    project = tomllib.loads(said("pyproject.toml"))["project"]
+    needed = [*project["dependencies"], *chain(*project["optional-dependencies"].values())]
+    packages = [re.split(r"[<>=\[ ]", requirement)[0] for requirement in needed]
+    files = [path.name for path in (ROOT / "experiments").glob("*.toml")]
+    for page, names in (
+        ("docs/experiments.md", [*METRICS, *keys(Experiment)]),
+        ("docs/real-recordings.md", keys(Mapping)),
+        ("docs/dependencies.md", packages),
+    ):
+        assert [name for name in names if f"`{name}`" not in said(page)] == [], page
+    assert [name for name in files if name not in said("experiments/README.md")] == []
+
+
+def test_every_promised_argument_is_documented() -> None:
+    for name in tb.__all__:
+        function = getattr(tb, name)
+        if inspect.isfunction(function) and len(inspect.signature(function).parameters) > 1:
+            text = inspect.getdoc(function) or ""
+            for argument in inspect.signature(function).parameters:
+                assert re.search(rf"^ +{argument}: ", text, re.MULTILINE), f"{name}: {argument}"
+
+
+def test_a_claim_names_a_file_that_checks_it() -> None:
+    rows = re.findall(r"^\| .*`.*\|$", said("docs/claims.md"), re.MULTILINE)
+    assert len(rows) > 20
+    for row in rows:
+        command = row.rstrip("| ").split("|")[-1]
+        files = re.findall(r"(?:tests|experiments|docs)/[\w./-]+", command)
+        files += [f"benchmarks/{name}.py" for name in re.findall(r"-m benchmarks (\w+)", command)]
+        assert files or "the same" in command, row
+        assert [name for name in files if not (ROOT / name).exists()] == [], row
+
+
+def test_ci_runs_the_readmes_own_test_line() -> None:
+    assert "README.md" in said(".ci/run")
+    assert re.search(r"^python3 .* -m pytest", said("README.md"), re.MULTILINE)
