@@ -5,6 +5,7 @@ The suite draws few, the same each time; with `HYPOTHESIS_PROFILE=nightly` there
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import hypothesis
@@ -24,9 +25,8 @@ def few(examples: int) -> hypothesis.settings:
     Args:
         examples: In the suite.
     """
-    return hypothesis.settings(
-        max_examples=examples * hypothesis.settings.default.max_examples // 20
-    )
+    times = 5 if os.environ.get("HYPOTHESIS_PROFILE") == "nightly" else 1
+    return hypothesis.settings(max_examples=times * examples)
 
 
 seeds: SearchStrategy[int] = st.integers(0, 2**32 - 1)
