@@ -98,7 +98,7 @@ def _portrait(run: Run, look: Appearance) -> dict[str, str]:
     if wrench is not None:
         caption += (
             " Red and blue, the bedplate's force and moment on it at that moment, about the "
-            "bedplate's origin; they are drawn beside it, so that nothing hides them."
+            "bedplate's origin."
         )
     motion = recording.position[shown][::step]
     return {"svg": portrait(look, motion, wrench, name), "caption": caption}
