@@ -32,7 +32,7 @@ def check_tree(tree: Tree, path: Path) -> None:
         check_name(joint.name, "a joint's name", path)
         check_name(joint.body, "a body's name", path)
     try:
-        tree.gravity_or(None)
+        tree.gravity_or(tree.gravity)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from None
     if len(set(tree.names)) < tree.n:
