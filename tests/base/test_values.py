@@ -61,7 +61,7 @@ def test_one_thread_is_used_meanwhile_and_as_many_as_before_afterwards() -> None
         assert threads() == before
 
 
-NO_NUMBERS = (float("nan"), -float("inf"), True, None, "text", {}, 1j)
+NO_NUMBERS: tuple[Any, ...] = (float("nan"), -float("inf"), True, None, "text", {}, 1j)
 SIX = tuple(tuple(float(6 * row + column) for column in range(6)) for row in range(6))
 KEPT: list[tuple[Key, Any, Any]] = [
     (Key(), 3, 3.0), (Key("word"), "waist", "waist"), (Key("joints"), {"waist": 1}, {"waist": 1.0}),

@@ -211,13 +211,14 @@ def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
 
 def test_flaws_of_joints_begin_where_their_limits_end(puma: tb.Tree) -> None:
     """A joint a kilometre away is a file in millimetres."""
-    for key, good, bad in (
+    cases: list[tuple[str, Any, Any]] = [
         ("offset", np.array([FARTHEST, 0, -FARTHEST]), np.array([0, 1.01 * FARTHEST, 0])),
         ("axis", np.array([0, 0, 1.0]), np.array([0, 0, 1.1])),
         ("position_range", (1.0, 1.0), (1.0, 0.99)),
         ("viscous", 0.0, math.inf),
         ("max_effort", math.inf, 0.0),
-    ):
+    ]
+    for key, good, bad in cases:
         assert not replace(puma.joints[0], **{key: good}).flaw(), key
         assert replace(puma.joints[0], **{key: bad}).flaw(), key
 

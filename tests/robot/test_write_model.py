@@ -29,6 +29,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
 from tests.helpers.strategies import few, robots, seeds
 
+FIXED: tuple[Fixed, ...] = ("lump", "share")
 MODELS = {
     "puma.xml": ROOT / "models/puma562.xml",
     "panda.urdf": REAL / "panda_description/urdf/panda.urdf",
@@ -130,7 +131,7 @@ CARRYING = """<?xml version='1.0'?>\r
 """
 
 
-@pytest.mark.parametrize("fixed", ["lump", "share"])
+@pytest.mark.parametrize("fixed", FIXED)
 def test_matter_of_what_moves_together_is_shared_as_asked(fixed: Fixed, tmp_path: Path) -> None:
     """Lumped into the links that joints carry, a held finger keeping its part; or in all."""
     source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
@@ -175,7 +176,7 @@ def test_odd_files_are_written_as_they_are_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("form", ["urdf", "xml"])
-@pytest.mark.parametrize("fixed", ["lump", "share"])
+@pytest.mark.parametrize("fixed", FIXED)
 def test_a_repaired_pedestal_is_written_and_sound_links_stay(
     form: str, fixed: Fixed, tmp_path: Path
 ) -> None:
@@ -202,6 +203,20 @@ def test_a_repaired_pedestal_is_written_and_sound_links_stay(
         heavier = repaired.with_inertia(-1, given["j2_body"])
         write_model(ModelFile(source), heavier, tmp_path / f"n.{form}")
     assert not (tmp_path / f"n.{form}").exists()
+
+
+def test_a_flawed_link_on_a_held_joint_is_written_as_one_that_can_be(tmp_path: Path) -> None:
+    """Held, it hides in its carrier's matter; in the file it moves, and nobody else can load it."""
+    robot = random_robot(np.random.default_rng(0), 3)
+    flat = replace(robot.links[2], central=np.diag([1e-3, 1e-3, 1e-2]))
+    source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
+    source.write_text(replace(robot, links=(*robot.links[:2], flat)).urdf())
+    model = ModelFile(source, lock={"j3": 0.3})
+    wanted = other(model.tree())
+    for fixed in FIXED:
+        write_model(model, wanted, path, fixed=fixed)
+        assert tb.load_tree(path, repair={}).n == 3
+        assert_same(replace(model, path=path).tree(), wanted)
 
 
 def test_nothing_is_written_where_it_may_not_be(tmp_path: Path) -> None:
