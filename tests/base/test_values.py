@@ -14,7 +14,6 @@ from testbed.arrays import apply, readonly, skew
 from testbed.blas import one_blas_thread
 from testbed.errors import (
     InertiaError,
-    MimicError,
     SettingsError,
     UnknownName,
     UnseenParameters,
@@ -140,9 +139,6 @@ def test_errors_keep_what_they_are_about_and_name_the_nearest() -> None:
     assert len(str(near)) < 300
     assert "torque" not in str(UnknownName("joint", "xyz", ["torque"])).partition("(")[0]
     assert InertiaError("arm.urdf", ["link 'a'", "link 'b'"]).flaws == ("link 'a'", "link 'b'")
-    mimic = MimicError("hand.urdf", {"left": "right"}, ["right", "left", "right"])
-    assert mimic.masters == {"left": "right"}
-    assert str(mimic).count("--lock right") == 1
     unseen = UnseenParameters(["K1zz", "mb2x"], 5, 7, 100)
     assert (unseen.names, unseen.rank) == (("K1zz", "mb2x"), 5)
     assert "K1zz, mb2x" in str(unseen)

@@ -177,9 +177,9 @@ def test_offset_and_multiplier_say_where_a_follower_is(tmp_path: Path) -> None:
     assert_held(full, tb.load_tree(path, lock={"j4": None, "j5": None}), rest)
 
 
-@pytest.mark.parametrize("master", ["b", "f"])
-def test_an_equality_between_joints_is_a_follower(master: str, tmp_path: Path) -> None:
+def test_an_equality_between_joints_is_a_follower(tmp_path: Path) -> None:
     """Where the follower stands is where MuJoCo's own constraint is met; loops are refused."""
+    master = "b"  # turns from a reference of 20 degrees
 
     def constrained(inside: str) -> Path:
         text = STACKED.replace("<actuator>", f"<equality>{inside}</equality><actuator>")

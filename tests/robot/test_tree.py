@@ -69,14 +69,6 @@ def test_a_file_of_either_format_is_the_robot_that_was_written(
     np.testing.assert_allclose(forces, witness.forces, atol=1e-11 * np.abs(witness.wrench).max())
 
 
-@given(trees((1, 12)))
-def test_reach_says_who_lies_on_whose_chain(tree: tb.Tree) -> None:
-    """Wrong, and a body's weight would be missing from a joint that carries it."""
-    for j in range(tree.n):
-        assert tuple(np.flatnonzero(tree.reach[:, j])) == tree.chain(j)
-        assert tree.children(j) == tuple(k for k in range(tree.n) if tree.parents[k] == j)
-
-
 @given(rngs)
 def test_an_inertia_seen_from_elsewhere_is_the_same_body(rng: np.random.Generator) -> None:
     com, at, angles = rng.uniform(-2, 2, (3, 3))
@@ -185,7 +177,7 @@ def test_everything_settable_is_set_and_nothing_else(puma: tb.Tree) -> None:
 
 
 @given(st.sampled_from(SETTABLE), wrong_numbers, wrong_numbers)
-def test_what_no_joint_and_no_gravity_can_have_is_refused(name: str, a: Any, b: Any) -> None:
+def test_what_no_joint_can_have_is_refused(name: str, a: Any, b: Any) -> None:
     """Robots with friction that drives them would be identified as such."""
     tree = random_robot(np.random.default_rng(0), 3).tree()
     value = [a, b] if name == "position_range" else a
@@ -193,10 +185,6 @@ def test_what_no_joint_and_no_gravity_can_have_is_refused(name: str, a: Any, b: 
     if not ranges and not (name.startswith("max") and a == math.inf):
         with refuses(ModelError, "'j2'"):
             tree.with_joints({"j2": {name: value}})
-    for gravity in ([0, 0, a], [0, a, b], a):
-        if gravity not in ([0, 0, -1.0], [0, -1.0, -1.0]) and gravity is not None:
-            with refuses(ModelError, "gravity"):
-                tree.with_gravity(gravity)
 
 
 def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
@@ -204,9 +192,20 @@ def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
     np.testing.assert_array_equal(puma.with_gravity(None).gravity, puma.gravity)
     np.testing.assert_array_equal(tb.Tree("b", (), ()).gravity, [0.0, 0.0, -9.81])
     assert not puma.with_gravity((0, 0, 0)).gravity.any()
-    for wrong in (1e300, 1e-300, 1e4 * 1.01, 10**400):
+    wrong: tuple[Any, ...] = (
+        1e300,
+        1e-300,
+        1e4 * 1.01,
+        10**400,
+        math.nan,
+        math.inf,
+        True,
+        None,
+        [],
+    )
+    for each in wrong:
         with refuses(ModelError, "gravity"):
-            puma.with_gravity([0, 0, wrong])
+            puma.with_gravity([0, 0, each])
 
 
 def test_flaws_of_joints_begin_where_their_limits_end(puma: tb.Tree) -> None:

@@ -144,7 +144,7 @@ def test_equations_of_any_tree_compute_what_pinocchio_does(
     check(equations(robot.tree(), list(KINDS), form, numbers=numbers), robot.urdf(), seed)
 
 
-@pytest.mark.parametrize("name", ["gantry_ppp_rrr", "puma560_6", "random_tree_08"])
+@pytest.mark.parametrize("name", ["puma560_6", "random_tree_08"])
 def test_equations_of_real_arms_compute_what_pinocchio_does(name: str) -> None:
     """Some with more than nine joints, where s_{12} is the sine of q12, not of q1 + q2."""
     kinds = ["joint-forces", "mass-matrix", "base-wrench"]
@@ -152,8 +152,9 @@ def test_equations_of_real_arms_compute_what_pinocchio_does(name: str) -> None:
     check(equations(named(name), kinds, "recursive"), urdf)
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", ["full", "recursive"])
 def test_known_zeros_are_left_out_and_the_rest_agrees(form: Form) -> None:
+    """Equations of a symmetric arm are half as long; what is left is still the arm."""
     path = ROOT / "models/puma562.urdf"
     listing = equations(tb.load_tree(path), list(KINDS), form, zeros=True)
     check(listing, path.read_text())
