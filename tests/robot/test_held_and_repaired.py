@@ -269,7 +269,8 @@ def set_link(text: str, name: str, mass: float, moments: tuple[float, ...]) -> s
 
 
 @given(robots((1, 6)), rngs)
-@few(8)
+@few(5)
+@pytest.mark.slow
 def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
     robot: Robot, rng: np.random.Generator
 ) -> None:

@@ -66,6 +66,7 @@ def assert_same(one: tb.Tree, two: tb.Tree, tolerance: float = 1e-12) -> None:
         assert (j.coulomb, j.viscous, j.rotor_inertia) == (k.coulomb, k.viscous, k.rotor_inertia)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "fixed"), [("puma.xml", "lump"), ("panda.urdf", "share"), ("g1.urdf", "lump")]
 )
@@ -88,6 +89,7 @@ def test_what_is_written_is_read_and_the_rest_is_as_it_was(
 
 @given(robots((2, 6)), seeds)
 @few(5)
+@pytest.mark.slow
 def test_a_written_robot_is_the_same_to_all_readers(robot: Robot, seed: int) -> None:
     """An identified robot goes back to its users: MuJoCo and Pinocchio compute its torques."""
     states = random_states(np.random.default_rng(seed), 5, len(robot.links))

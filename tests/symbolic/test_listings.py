@@ -144,6 +144,7 @@ def test_what_a_listing_or_a_request_may_not_say_is_named(puma: tb.Tree) -> None
         write_equations(equations(puma), "fortran")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_a_listing_takes_no_memory_without_end(puma: tb.Tree) -> None:
     """A small file from somebody else must not stop the machine."""
     squares = [f"a{k + 1} = a{k}*a{k} + q1" for k in range(39)]
