@@ -70,7 +70,11 @@ def load_tree(
 
 
 def nearest_bodies(
-    path: str | Path, *, weld_root: bool = False, lock: Lock | None = None
+    path: str | Path,
+    *,
+    weld_root: bool = False,
+    lock: Lock | None = None,
+    repair: Bodies | None = None,
 ) -> Repair:
     """The bodies of a model file that no matter can make, and the nearest that can be.
 
@@ -81,6 +85,7 @@ def nearest_bodies(
         path: The model file.
         weld_root: As for `load_tree`.
         lock: As for `load_tree`.
+        repair: As for `load_tree`.
 
     Raises:
         ModelError: As for `load_tree`.
@@ -89,10 +94,10 @@ def nearest_bodies(
     if model_format(path) == "mjcf":
         from testbed.robot.formats.mjcf import repaired_spec
 
-        return repaired_spec(path, weld_root=weld_root, lock=lock).repair
+        return repaired_spec(path, weld_root=weld_root, lock=lock, repair=repair).repair
     from testbed.robot.formats.urdf import repaired_xml
 
-    return repaired_xml(path, weld_root=weld_root, lock=lock)[1]
+    return repaired_xml(path, weld_root=weld_root, lock=lock, repair=repair)[1]
 
 
 def mimic_joints(path: str | Path) -> tuple[str, ...]:

@@ -31,7 +31,10 @@ def check_tree(tree: Tree, path: Path) -> None:
     for joint in tree.joints:
         check_name(joint.name, "a joint's name", path)
         check_name(joint.body, "a body's name", path)
-    tree.gravity_or(tree.gravity)
+    try:
+        tree.gravity_or(tree.gravity)
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
     if len(set(tree.names)) < tree.n:
         raise ModelError(f"{path}: two joints have the same name")
     for joint in tree.joints:

@@ -58,12 +58,12 @@ def write_model(
     kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
     bodies, joints = _changes(file, tree)
-    known = _links(model, kind)
-    mended = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock).links
-    for body in {link.body for link in known if link.name in mended and link.body >= 0}:
-        bodies[body] = tree.inertias[body]  # the file's own cannot be
+    mended = nearest_bodies(
+        model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
+    ).links
+    known = [replace(x, inertia=mended.get(x.name, x.inertia)) for x in _links(model, kind)]
     links, notes = shared_out(known, bodies, fixed)
-    data, warnings = _edited(model.path, kind, links, joints, [*note])
+    data, warnings = _edited(model.path, kind, {**mended, **links}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
@@ -136,7 +136,9 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
         copy = copy_model(model.path, Path(folder))
         copy.write_bytes(data)
         read = replace(model, path=copy, repair=None).tree()
-    for joint, old, new in zip(tree.joints, read.inertias, tree.inertias, strict=True):
+    owners = [*(f"link '{joint.body}'" for joint in tree.joints), "the pedestal"]
+    before, after = ((*each.inertias, each.pedestal) for each in (read, tree))
+    for owner, old, new in zip(owners, before, after, strict=True):
         size = np.abs(new.tensor).max()
         gaps = (
             abs(old.mass - new.mass) / max(new.mass, np.finfo(float).tiny),
@@ -144,8 +146,8 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
         )
         if not max(gaps) <= EXACT:
             raise ModelError(
-                f"{model.path}: link '{joint.body}' would not be read as it is written (by "
-                f"{max(gaps):.1g} of itself); nothing was written"
+                f"{model.path}: {owner} would not be read as it is written (by {max(gaps):.1g} of "
+                "itself); nothing was written"
             )
     unread = [
         new.name

@@ -5,10 +5,8 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import random
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -16,31 +14,27 @@ import pytest
 from testbed import files
 from testbed.files import replacing
 from tests.helpers.paths import ROOT
+from tests.helpers.refusals import refuses
 
 WRITER = """
 import sys
 from pathlib import Path
-from testbed import files
 from testbed.files import replacing
-place, folder, times = Path(sys.argv[1]), sys.argv[2] == "folder", int(sys.argv[3])
-if sys.argv[4] == "two steps":
-    files._exchanged = lambda a, b: False
+place, folder = Path(sys.argv[1]), sys.argv[2] == "folder"
 print("here", flush=True)
-for k in range(times):
+for k in range(100):
     with replacing(place, folder=folder) as fresh:
         for name in ("a", "b") if folder else ("",):
             path = fresh / name
             path.parent.mkdir(exist_ok=True)
-            path.write_text(f"{sys.argv[5]}{k} " * 2000)
+            path.write_text(f"{sys.argv[3]}{k} " * 2000)
 """
 """Replaces a file, or a folder of two files that agree, again and again."""
 
 
-def writer(
-    place: Path, kind: str, times: int, steps: str = "one step", name: str = "w"
-) -> subprocess.Popen[str]:
+def writer(place: Path, kind: str, name: str) -> subprocess.Popen[str]:
     """Such a process, under way."""
-    command = [sys.executable, "-c", WRITER, str(place), kind, str(times), steps, name]
+    command = [sys.executable, "-c", WRITER, str(place), kind, name]
     path = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=path)
     assert process.stdout is not None
@@ -73,33 +67,17 @@ def write(place: Path, kind: str, word: str = "new") -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_a_reader_finds_one_whole_version_at_every_instant(kind: str, tmp_path: Path) -> None:
-    """While others write: nobody ever plots half a recording, or finds none."""
+    """While others write: nobody ever plots half a recording, or finds none; a link stays one."""
     place = tmp_path / "place"
-    write(place, kind, "old")
-    processes = [writer(place, kind, 100, name=name) for name in "xyz"]
+    write(tmp_path / "far", kind, "old")
+    place.symlink_to("far")
+    processes = [writer(place, kind, name) for name in "xyz"]
     while any(process.poll() is None for process in processes):
         place.stat()
     assert {process.wait() for process in processes} == {0}
-    assert content(place)[1:] == "99"
-    assert names(tmp_path) == ["place"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("steps", ["one step", "two steps"])
-def test_what_a_killed_writer_leaves_is_swept_by_the_next(steps: str, tmp_path: Path) -> None:
-    """A full disk of abandoned folders, or a result lost between two renames, otherwise."""
-    place, chance, left = tmp_path / "place", random.Random(1), 0
-    write(place, "folder", "old")
-    for _ in range(6):
-        process = writer(place, "folder", 10**9, steps)
-        time.sleep(chance.uniform(0, 0.05))
-        process.kill()
-        process.wait()
-        left += len(names(tmp_path)) > 1
-        write(tmp_path / "another", "file")
-        assert content(place)
-        assert names(tmp_path) == ["another", "place"]
-    assert left
+    assert content(tmp_path / "far")[1:] == "99"
+    assert place.is_symlink()
+    assert names(tmp_path) == ["far", "place"]
 
 
 def test_an_older_folder_comes_back_if_its_writer_died_between_two_renames(tmp_path: Path) -> None:
@@ -146,15 +124,6 @@ def test_what_fails_leaves_everything_as_it_was(kind: str, tmp_path: Path) -> No
     assert names(tmp_path) == ["place"]
 
 
-def test_a_link_stays_and_what_it_points_to_is_replaced(tmp_path: Path) -> None:
-    (tmp_path / "far").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "far/place")
-    for word in ("first", "second"):
-        write(tmp_path / "link", "file", word)
-        assert content(tmp_path / "far/place") == word
-    assert (tmp_path / "link").is_symlink()
-
-
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_a_place_where_nothing_can_stand_is_refused_by_name(kind: str, tmp_path: Path) -> None:
     """A device is not replaced by a file, nor somebody's file by a folder."""
@@ -164,11 +133,9 @@ def test_a_place_where_nothing_can_stand_is_refused_by_name(kind: str, tmp_path:
     os.mkfifo(tmp_path / "pipe")
     before = names(tmp_path)
     closed = "/proc/testbed"  # nobody, not even root, may write there
-    for name in ("loop", "loop/x", "x" * 300, "text/x", "full", "pipe", "/dev/null", closed):
-        with pytest.raises(OSError, match="cannot|may not|is a|Not a|exists") as refusal:
+    for name in ("loop", "loop/x", "text/x", "full", "pipe", "/dev/null", closed):
+        with refuses(OSError, name.strip("/").partition("/")[0]):
             write(tmp_path / name, kind)
-        assert Path(name).parts[0] in str(refusal.value)
-        assert "\n" not in str(refusal.value)
     assert names(tmp_path) == before
     assert content(tmp_path / "full") == "kept"
 
@@ -185,7 +152,7 @@ class Lacking:
         return -1
 
 
-@pytest.mark.parametrize("code", [None, errno.EINVAL, errno.ENOSYS, errno.EACCES])
+@pytest.mark.parametrize("code", [None, errno.ENOSYS, errno.EACCES])
 def test_a_full_folder_is_replaced_on_systems_that_cannot_exchange_two_names(
     code: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -14,7 +14,6 @@ from testbed.arrays import apply, readonly, skew
 from testbed.blas import one_blas_thread
 from testbed.errors import (
     InertiaError,
-    MimicError,
     SettingsError,
     UnknownName,
     UnseenParameters,
@@ -23,7 +22,7 @@ from testbed.errors import (
 from testbed.keys import COUNTS, LARGEST, Key, hidden, key
 from testbed.kind_table import KindTable
 from tests.helpers.refusals import refuses
-from tests.helpers.strategies import rngs, wrong_numbers
+from tests.helpers.strategies import few, rngs
 
 
 @given(rngs, st.lists(st.integers(1, 4), max_size=3))
@@ -61,37 +60,24 @@ def test_one_thread_is_used_meanwhile_and_as_many_as_before_afterwards() -> None
         assert threads() == before
 
 
+NO_NUMBERS: tuple[Any, ...] = (float("nan"), -float("inf"), True, None, "text", {}, 1j)
 SIX = tuple(tuple(float(6 * row + column) for column in range(6)) for row in range(6))
 KEPT: list[tuple[Key, Any, Any]] = [
-    (Key(), 3, 3.0),
-    (Key("word"), "waist", "waist"),
-    (Key("joints"), {"waist": 1}, {"waist": 1.0}),
-    (Key("matrix"), [list(row) for row in SIX], SIX),
-    (Key(least=2.0), 2.0, 2.0),
-    (Key(least=0.0, most=1.0), 1.0, 1.0),
-    (Key(positive=True), 1e-9, 1e-9),
-    (Key(whole=True), 4.0, 4),
+    (Key(), 3, 3.0), (Key("word"), "waist", "waist"), (Key("joints"), {"waist": 1}, {"waist": 1.0}),
+    (Key("matrix"), [list(row) for row in SIX], SIX), (Key(least=2.0), 2.0, 2.0),
+    (Key(least=0.0, most=1.0), 1.0, 1.0), (Key(positive=True), 1e-9, 1e-9),
+    (Key(whole=True), 4.0, 4), (Key("joints"), [1] * 7, (1.0,) * 7),
     *((Key(members), [1] * count, (1.0,) * count) for members, count in COUNTS.items()),
-    (Key("joints"), [1] * 7, (1.0,) * 7),
-]
+]  # fmt: skip
 WRONG: list[tuple[Key, Any]] = [
-    (Key(), 1.01 * LARGEST),
-    (Key("word"), 3),
-    (Key("joints"), {"waist": "far"}),
-    (Key("axes"), {"x": 1}),
-    (Key("joints"), []),
-    (Key("matrix"), SIX[:5]),
-    (Key("matrix"), [row[:5] for row in SIX]),
-    (Key(least=2.0), 1.99),
-    (Key(least=0.0, most=1.0), 1.1),
-    (Key(positive=True), 1e-10),
-    (Key(whole=True), 0.5),
-    *(
-        (Key(members), [1.0] * (count + more))
-        for members, count in COUNTS.items()
-        for more in (-1, 1)
-    ),
-]
+    (Key(), 1.01 * LARGEST), (Key("word"), 3), (Key("joints"), {"waist": "far"}),
+    (Key("axes"), {"x": 1}), (Key("joints"), []), (Key("matrix"), SIX[:5]),
+    (Key("matrix"), [row[:5] for row in SIX]), (Key(least=2.0), 1.99),
+    (Key(least=0.0, most=1.0), 1.1), (Key(positive=True), 1e-10), (Key(whole=True), 0.5),
+    *((Key(m), [1.0] * (n + more)) for m, n in COUNTS.items() for more in (-1, 1)),
+    *((Key(), value) for value in NO_NUMBERS),
+    *((Key("channels"), [1.0] * 5 + [value]) for value in NO_NUMBERS),
+]  # fmt: skip
 
 
 def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
@@ -100,16 +86,8 @@ def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
         found = wanted.checked(value, "bias: size")
         assert (found, type(found)) == (kept, type(kept))
     for wanted, value in WRONG:
-        with refuses(SettingsError, "bias: size", repr(value)[:40]):
+        with refuses(SettingsError, "bias: size"):
             wanted.checked(value, "bias: size")
-
-
-@given(wrong_numbers.filter(lambda value: value != -1.0))
-def test_what_is_no_number_is_taken_by_no_key(value: Any) -> None:
-    with refuses(SettingsError, "bias: size"):
-        Key().checked(value, "bias: size")
-    with refuses(SettingsError, "bias: size"):
-        Key("channels").checked([1.0] * 5 + [value], "bias: size")
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +112,8 @@ def test_values_of_kinds_are_their_tables_whatever_they_are_installed_on() -> No
         Ramp(start="now")  # type: ignore[arg-type]
 
 
-@given(st.text(max_size=40), st.integers(1, 60), st.integers(20, 500))
+@given(st.text(max_size=40), st.integers(1, 20), st.integers(20, 500))
+@few(10)
 def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
     text: str, times: int, limit: int
 ) -> None:
@@ -160,9 +139,6 @@ def test_errors_keep_what_they_are_about_and_name_the_nearest() -> None:
     assert len(str(near)) < 300
     assert "torque" not in str(UnknownName("joint", "xyz", ["torque"])).partition("(")[0]
     assert InertiaError("arm.urdf", ["link 'a'", "link 'b'"]).flaws == ("link 'a'", "link 'b'")
-    mimic = MimicError("hand.urdf", {"left": "right"}, ["right", "left", "right"])
-    assert mimic.masters == {"left": "right"}
-    assert str(mimic).count("--lock right") == 1
     unseen = UnseenParameters(["K1zz", "mb2x"], 5, 7, 100)
     assert (unseen.names, unseen.rank) == (("K1zz", "mb2x"), 5)
     assert "K1zz, mb2x" in str(unseen)

@@ -56,43 +56,28 @@ def refusal(path: Path) -> str:
     return said
 
 
-# bombs: a small file that would take all memory, or all time
-
-ITSELF = [
-    {"a.xml": '<asset><model name="m" file="a.xml"/></asset>'},
-    {"a.xml": '<include file="a.xml"/>'},
-    {"a.xml": '<include file="b.xml"/>', "b.xml": '<asset><model file="./a.xml"/></asset>'},
-    {
-        "a.xml": '<asset><model file="sub/b.xml"/></asset>',
-        "sub/b.xml": '<asset><model file="../a.xml"/></asset>',
-    },
-    {"a.xml": '<asset><model file="link.xml"/></asset>'},
-]
-COPIES = {
-    "over 10^9": f'<replicate count="1000000000">{BODY}</replicate>',
-    "6000": f'<replicate count="6000">{BODY}</replicate>',
-    "over 10^24": '<replicate count="100">' * 12 + BODY + "</replicate>" * 12,
-    "elements": f'<body name="b"><joint/>{MASS}<flexcomp name="f" count="1000 1000 1000"/></body>',
-    "limits": f'<body><joint/>{MASS}<composite type="cable" count="1000000 1 1"/></body>',
-}
-LARGE = {
-    "height": '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
-    "size": '<custom><numeric name="n" size="500000000"/></custom>',
-    "nuserdata": '<size memory="900G" nuserdata="2000000000"/>',
-}
+# bombs: a small file that would take all memory, or all time; nightly there are more
 
 
 def test_a_file_that_would_grow_without_end_is_refused(tmp_path: Path) -> None:
-    """It holds itself, copies itself, or asks for arrays that no machine has."""
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "link.xml").symlink_to("a.xml")
-    for files in ITSELF:
-        for name, head in files.items():
-            (tmp_path / name).write_text(WORLD.format(head, BODY))
-        assert "itself" in refusal(tmp_path / "a.xml")
-    bombs = [*((word, "", text) for word, text in COPIES.items())]
-    bombs += [(word, text, BODY) for word, text in LARGE.items()]
-    for word, head, inside in bombs:
+    """It holds itself, copies itself, asks for arrays that no machine has, or for a deep stack."""
+    (tmp_path / "b.xml").write_text(WORLD.format('<asset><model file="./r.xml"/></asset>', BODY))
+    cable = f'<body><joint/>{MASS}<composite type="cable" count="1000000 1 1"/></body>'
+    for word, head, inside in (
+        ("itself", '<include file="r.xml"/>', BODY),
+        ("itself", '<include file="b.xml"/>', BODY),
+        ("over 10^24", "", '<replicate count="100">' * 12 + BODY + "</replicate>" * 12),
+        ("6000", "", f'<replicate count="6000">{BODY}</replicate>'),
+        ("limits", "", cable),
+        (
+            "height",
+            '<asset><hfield name="h" nrow="99999" ncol="99999" size="1 1 1 1"/></asset>',
+            "",
+        ),
+        ("nuserdata", '<size memory="900G" nuserdata="2000000000"/>', BODY),
+        ("size", '<custom><numeric name="n" size="500000000"/></custom>', BODY),
+        ("deep", "<a>" * 3000 + "</a>" * 3000, BODY),
+    ):
         (tmp_path / "r.xml").write_text(WORLD.format(head, inside))
         assert word in refusal(tmp_path / "r.xml")
     arms = f'<replicate count="12" euler="0 0 30" sep="-">{BODY}</replicate>'
@@ -113,38 +98,28 @@ def test_models_that_hold_ten_each_are_counted(tmp_path: Path) -> None:
     (tmp_path / "l7.xml").write_text(WORLD.format("", f'<body name="b"><joint/>{MASS}</body>'))
     refusal(tmp_path / "l0.xml")
     assert tb.load_tree(tmp_path / "l6.xml").n == 10
-    for depth in (7, 9):  # files in each other
-        for k in range(depth):
-            (tmp_path / f"f{k}.xml").write_text(f'<mujoco><include file="f{k + 1}.xml"/></mujoco>')
-        (tmp_path / f"f{depth}.xml").write_text(WORLD.format("", BODY))
-        if depth < 9:
-            assert tb.load_tree(tmp_path / "f0.xml").n == 1
-        else:
-            assert "8" in refusal(tmp_path / "f0.xml")
+    for k in range(9):  # files in each other
+        (tmp_path / f"f{k}.xml").write_text(f'<mujoco><include file="f{k + 1}.xml"/></mujoco>')
+    (tmp_path / "f9.xml").write_text(WORLD.format("", BODY))
+    assert "8" in refusal(tmp_path / "f0.xml")
+    assert tb.load_tree(tmp_path / "f2.xml").n == 1
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["xml", "urdf"])
-def test_a_file_too_long_or_too_deep_for_a_parser_is_refused(form: str, tmp_path: Path) -> None:
+def test_a_file_too_long_for_a_parser_is_refused_and_a_long_one_is_read(tmp_path: Path) -> None:
     """Stacks would run out: no message at all. What only is long is read, in linear work."""
-    path, root = tmp_path / f"r.{form}", {"xml": "mujoco", "urdf": "robot"}[form]
-    bodies = "".join(f'<body name="b{k}"><joint name="k{k}"/>{MASS}</body>' for k in range(1200))
-    many = chain(1200, "continuous") if form == "urdf" else WORLD.format("", bodies)
+    path = tmp_path / "r.urdf"
     for word, text in (
-        ("deep", f"<{root}>{'<a>' * 300_000}{'</a>' * 300_000}</{root}>"),
-        ("200000", f"<{root}>{'<a/>' * 200_001}</{root}>"),
-        ("1000", many),
+        ("200000", f"<robot>{'<a/>' * 200_001}</robot>"),
+        ("1000", chain(1200, "continuous")),
         ("chain", chain(9000, "fixed")),
     ):
-        if word != "chain" or form == "urdf":
-            path.write_text(text)
-            assert word in refusal(path)
-    path.write_text(f"<{root}>")
+        path.write_text(text)
+        assert word in refusal(path)
     with path.open("r+b") as file:
         file.truncate(2**27 + 1)
     assert "128 MiB" in refusal(path)
-    robot = random_robot(np.random.default_rng(0), 150)
-    path.write_text(robot.urdf() if form == "urdf" else robot.mjcf())
+    path.write_text(random_robot(np.random.default_rng(0), 150).urdf())
     tb.load_tree(path)  # what is imported once does not count
     with counted_calls() as calls:
         assert tb.load_tree(path).n == 150
@@ -158,16 +133,7 @@ BODIES = [
     '<body><joint/><inertial mass="{}" pos="0 0 0" diaginertia="1 1 1"/></body>',
     '<body><joint/><inertial mass="1" pos="0 0 0" diaginertia="{0} {0} {0}"/></body>',
 ]
-NAMES = [
-    "a\u009bb",
-    "a\u0085b",
-    "a\u202eb",
-    "\u2066a",
-    "a\ufeffb",
-    "a\u2028b",
-    "a&#10;b",
-    "a" * 201,
-]
+NAMES = ["a\u009bb", "a\u202eb", "a\ufeffb", "a\u2028b", "a&#10;b", "a" * 201]
 PLACES = {
     "r.urdf": [
         chain(1, "continuous").replace('"j0"', '"@"'),
@@ -267,7 +233,7 @@ def texts(draw: st.DrawFn, plain: str) -> str:
 
 
 @given(st.data(), st.sampled_from(NUMBERS), st.integers(0, 2), st.integers(0, 5))
-@few(150)
+@few(100)
 @pytest.mark.slow
 def test_a_number_is_read_as_it_stands_or_refused_by_name(
     data: st.DataObject, place: Place, owner: int, seed: int
@@ -303,12 +269,11 @@ def test_a_number_is_read_as_it_stands_or_refused_by_name(
         assert (joint.viscous if key == "damping" else joint.coulomb) == values[0]
 
 
-SPOILED: list[tuple[str, str, str]] = [
+SPOILED = [
     ("link/inertial", "", "intertial"), ("link/inertial/mass", "", "masss"),
-    ("link/inertial/origin", "", "orgin"), ("link/inertial/mass", "value", "Value"),
-    ("link/inertial/inertia", "ixx", "Ixx"), ("joint/origin", "rpy", "quat_xyzw"),
-    ("joint/axis", "xyz", "xyx"), ("joint/limit", "effort", "efort"),
-    ("joint/dynamics", "damping", "dampng"),
+    ("link/inertial/mass", "value", "Value"), ("link/inertial/inertia", "ixx", "Ixx"),
+    ("joint/origin", "rpy", "quat_xyzw"), ("joint/axis", "xyz", "xyx"),
+    ("joint/limit", "effort", "efort"), ("joint/dynamics", "damping", "dampng"),
 ]  # fmt: skip
 
 
@@ -322,31 +287,31 @@ def test_what_is_misspelled_missing_or_doubled_is_not_passed_over() -> None:
             element.set(new, element.attrib.pop(old))
         else:
             element.tag = new
-        found = load(root)
-        assert isinstance(found, str), place
+        found = str(load(root))
         assert f"'{owner}'" in found
         assert (old or place.rpartition("/")[2]) in found
     for place in ("link/inertial", "link/inertial/mass", "joint/origin"):
         root = urdf(3)
         holder = root.findall(place.rpartition("/")[0])[1]
-        (child,) = holder.findall(place.rpartition("/")[2])
-        holder.append(child)
-        assert f"<{child.tag}>" in str(load(root))
+        holder.append(holder.findall(place.rpartition("/")[2])[0])
+        assert f"<{holder[-1].tag}>" in str(load(root))
     for part in ("mass", "inertia"):
         root = urdf(3)
         inertial = root.findall("link/inertial")[1]
         inertial.remove(inertial.findall(part)[0])
-        assert f"'{root.findall('link')[1].get('name')}'" in str(load(root))
-    root = urdf(3)
-    for k in (1, 2):  # links in a ring beside the robot
-        ET.SubElement(root, "link", name=f"ring{k}")
-        joint = ET.SubElement(root, "joint", name=f"r{k}", type="continuous")
-        ET.SubElement(joint, "parent", link=f"ring{k}")
-        ET.SubElement(joint, "child", link=f"ring{3 - k}")
-    assert "'ring1'" in str(load(root))
-    for old in ('link name="j2_body"', 'joint name="j2"'):
-        text = ET.tostring(urdf(3)).decode().replace(old, old.replace("2", "1"))
-        assert "'j1" in str(load(ET.fromstring(text)))
+        assert "'j1_body'" in str(load(root))
+    ring = "".join(
+        f'<link name="ring{k}"/><joint name="r{k}" type="continuous"><parent link="ring{k}"/>'
+        f'<child link="ring{3 - k}"/></joint>'
+        for k in (1, 2)
+    )
+    text = ET.tostring(urdf(3)).decode()
+    for culprit, old, new in (
+        ("'ring1'", "</robot>", ring + "</robot>"),
+        ("'j1", 'link name="j2_body"', 'link name="j1_body"'),
+        ("'j1", 'joint name="j2"', 'joint name="j1"'),
+    ):
+        assert culprit in str(load(ET.fromstring(text.replace(old, new))))
 
 
 # what MuJoCo's files may say
@@ -388,13 +353,10 @@ def test_what_else_acts_on_a_robot_is_left_out_and_said(tmp_path: Path) -> None:
         assert len(tree.warnings) == 1, parts
         assert [body.mass for body in tree.inertias] == [2.0, 1.5]
     marker = '<body name="marker" mocap="true" pos="1 0 0"><geom size=".1"/></body>'
-    for parts in (
-        {"compiler": 'fusestatic="true"'},
-        {"around": marker, "more": '<size nkey="3"/>'},
-    ):
-        tree = arm(tmp_path / "r.xml", **parts)
-        assert tree.warnings == ()
-        assert [body.mass for body in tree.inertias] == [2.0, 1.5]
+    compiler, more = 'fusestatic="true"', '<size nkey="3"/>'
+    tree = arm(tmp_path / "r.xml", compiler=compiler, around=marker, more=more)
+    assert tree.warnings == ()
+    assert [body.mass for body in tree.inertias] == [2.0, 1.5]
 
 
 @pytest.mark.parametrize("also", ["", 'inertiafromgeom="true"', 'balanceinertia="true"'])

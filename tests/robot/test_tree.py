@@ -21,7 +21,6 @@ from testbed.robot.model_file import ModelFile
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import FARTHEST, SETTABLE
 from testbed.simulation.build import build_plant
-from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
@@ -70,20 +69,6 @@ def test_a_file_of_either_format_is_the_robot_that_was_written(
     np.testing.assert_allclose(forces, witness.forces, atol=1e-11 * np.abs(witness.wrench).max())
 
 
-def test_the_puma_is_the_same_robot_in_both_files(puma: tb.Tree) -> None:
-    assert_same_tree(puma, tb.load_tree(ROOT / "models/puma562.urdf"))
-    assert puma.names == ("waist", "shoulder", "elbow")
-    assert puma.parents == (-1, 0, 1)
-
-
-@given(trees((1, 12)))
-def test_reach_says_who_lies_on_whose_chain(tree: tb.Tree) -> None:
-    """Wrong, and a body's weight would be missing from a joint that carries it."""
-    for j in range(tree.n):
-        assert tuple(np.flatnonzero(tree.reach[:, j])) == tree.chain(j)
-        assert tree.children(j) == tuple(k for k in range(tree.n) if tree.parents[k] == j)
-
-
 @given(rngs)
 def test_an_inertia_seen_from_elsewhere_is_the_same_body(rng: np.random.Generator) -> None:
     com, at, angles = rng.uniform(-2, 2, (3, 3))
@@ -101,19 +86,9 @@ BALL = '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>'
 HELD = f'<body name="a"><joint name="i"/>{BALL}</body>'
 REFUSED = {
     "ball.xml": (MJCF.format(f'<body><joint name="k" type="ball"/>{BALL}</body>', ""), "'k'"),
-    "equality.xml": (
-        MJCF.format(
-            f'{HELD}<body><joint name="j"/>{BALL}</body>',
-            '<equality><joint name="k" joint1="i" joint2="j"/></equality>',
-        ),
-        "--lock",
-    ),
     "planar.urdf": (URDF.format(JOINT.format("k", "planar", "")), "'k'"),
     "mimic.urdf": (URDF.format(JOINT.format("k", "continuous", '<mimic joint="j"/>')), "'k'"),
-    "loop.urdf": (
-        URDF.format(JOINT.format("j", "continuous", "") + JOINT.format("k", "continuous", "")),
-        "'k'",
-    ),
+    "loop.urdf": (URDF.format("".join(JOINT.format(j, "continuous", "") for j in "jk")), "'k'"),
     "broken.xml": ("<mujoco><worldbody>", "XML"),
     "broken.urdf": ("<robot><link>", "XML"),
     "page.urdf": ("\n<!DOCTYPE html><html><br></html>", "web page"),
@@ -129,41 +104,37 @@ REFUSED = {
     "limit.xml": (
         MJCF.format(HELD, '<custom><numeric name="velocity_limit/j9" data="1"/></custom>'), "j9",
     ),
+    "falling.xml": (MJCF.format(HELD, '<option gravity="0 0 nan"/>'), "nan"),
+    "heavy.xml": (MJCF.format(HELD, '<option gravity="0 0 1e30"/>'), "1e+30"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_what_is_not_supported_is_named_with_its_file(name: str, tmp_path: Path) -> None:
+def test_what_is_not_supported_is_named_with_its_file(tmp_path: Path) -> None:
     """In one line, not as a robot that is another."""
-    text, culprit = REFUSED[name]
-    (tmp_path / name).write_text(text)
-    with pytest.raises(ModelError) as caught:
-        tb.load_tree(tmp_path / name)
-    assert name in str(caught.value)
-    assert culprit in str(caught.value)
-    assert "\n" not in str(caught.value)
+    for name, (text, culprit) in REFUSED.items():
+        (tmp_path / name).write_text(text)
+        with refuses(ModelError, name, culprit):
+            tb.load_tree(tmp_path / name)
     with refuses(ModelError, "nowhere.xml"):
         tb.load_tree("nowhere.xml")
 
 
-@pytest.mark.parametrize("name", ["free.xml", "free.urdf"])
-def test_a_free_root_is_refused_by_name_and_can_be_welded(name: str, tmp_path: Path) -> None:
+def test_a_free_root_is_refused_by_name_and_can_be_welded(tmp_path: Path) -> None:
+    """A humanoid's file says that it floats; on the plate it stands."""
     leg = JOINT.format("hip", "continuous", '<axis xyz="0 0 1"/>')
-    (tmp_path / name).write_text(
-        MJCF.format(
-            f'<body><freejoint name="float"/>{BALL}<body><joint name="hip"/>{BALL}</body></body>',
-            "",
-        )
-        if name.endswith("xml")
-        else URDF.format(
-            '<link name="w"/><joint name="float" type="floating"><parent link="w"/>'
-            f'<child link="b"/></joint>{leg}'
-        )
+    floating = (
+        '<link name="w"/><joint name="float" type="floating"><parent link="w"/><child link="b"/>'
+        f"</joint>{leg}"
     )
-    with pytest.raises(FreeRootError, match="--weld-root") as caught:
-        tb.load_tree(tmp_path / name)
-    assert caught.value.joint == "float"
-    assert tb.load_tree(tmp_path / name, weld_root=True).names == ("hip",)
+    hip = f'<freejoint name="float"/>{BALL}<body><joint name="hip"/>{BALL}</body>'
+    for name, text in (
+        ("free.xml", MJCF.format(f"<body>{hip}</body>", "")),
+        ("free.urdf", URDF.format(floating)),
+    ):
+        (tmp_path / name).write_text(text)
+        with refuses(FreeRootError, "--weld-root", "'float'"):
+            tb.load_tree(tmp_path / name)
+        assert tb.load_tree(tmp_path / name, weld_root=True).names == ("hip",)
 
 
 def test_bodies_and_joints_without_names_are_told_apart(tmp_path: Path) -> None:
@@ -206,7 +177,7 @@ def test_everything_settable_is_set_and_nothing_else(puma: tb.Tree) -> None:
 
 
 @given(st.sampled_from(SETTABLE), wrong_numbers, wrong_numbers)
-def test_what_no_joint_and_no_gravity_can_have_is_refused(name: str, a: Any, b: Any) -> None:
+def test_what_no_joint_can_have_is_refused(name: str, a: Any, b: Any) -> None:
     """Robots with friction that drives them would be identified as such."""
     tree = random_robot(np.random.default_rng(0), 3).tree()
     value = [a, b] if name == "position_range" else a
@@ -214,10 +185,6 @@ def test_what_no_joint_and_no_gravity_can_have_is_refused(name: str, a: Any, b: 
     if not ranges and not (name.startswith("max") and a == math.inf):
         with refuses(ModelError, "'j2'"):
             tree.with_joints({"j2": {name: value}})
-    for gravity in ([0, 0, a], [0, a, b], a):
-        if gravity not in ([0, 0, -1.0], [0, -1.0, -1.0]) and gravity is not None:
-            with refuses(ModelError, "gravity"):
-                tree.with_gravity(gravity)
 
 
 def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
@@ -225,53 +192,52 @@ def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
     np.testing.assert_array_equal(puma.with_gravity(None).gravity, puma.gravity)
     np.testing.assert_array_equal(tb.Tree("b", (), ()).gravity, [0.0, 0.0, -9.81])
     assert not puma.with_gravity((0, 0, 0)).gravity.any()
-    for wrong in (1e300, 1e-300, 1e4 * 1.01, 10**400):
+    wrong: tuple[Any, ...] = (
+        1e300,
+        1e-300,
+        1e4 * 1.01,
+        10**400,
+        math.nan,
+        math.inf,
+        True,
+        None,
+        [],
+    )
+    for each in wrong:
         with refuses(ModelError, "gravity"):
-            puma.with_gravity([0, 0, wrong])
+            puma.with_gravity([0, 0, each])
 
 
 def test_flaws_of_joints_begin_where_their_limits_end(puma: tb.Tree) -> None:
-    plain = puma.joints[0]
-    for values, flawed in (
-        ({"offset": np.array([FARTHEST, 0, -FARTHEST])}, False),
-        ({"offset": np.array([0, 1.01 * FARTHEST, 0])}, True),
-        ({"axis": np.array([0, 0, 1.1])}, True),
-        ({"axis": np.array([0, 0, np.inf])}, True),
-        ({"position_range": (1.0, 1.0)}, False),
-        ({"position_range": (1.0, 0.99)}, True),
-        ({"coulomb": 0.0, "viscous": 0.0, "rotor_inertia": 0.0}, False),
-        ({"viscous": math.inf}, True),
-        ({"max_velocity": math.inf, "max_effort": 1e-9}, False),
-        ({"max_effort": 0.0}, True),
-    ):
-        assert bool(replace(plain, **values).flaw()) == flawed, values
+    """A joint a kilometre away is a file in millimetres."""
+    cases: list[tuple[str, Any, Any]] = [
+        ("offset", np.array([FARTHEST, 0, -FARTHEST]), np.array([0, 1.01 * FARTHEST, 0])),
+        ("axis", np.array([0, 0, 1.0]), np.array([0, 0, 1.1])),
+        ("position_range", (1.0, 1.0), (1.0, 0.99)),
+        ("viscous", 0.0, math.inf),
+        ("max_effort", math.inf, 0.0),
+    ]
+    for key, good, bad in cases:
+        assert not replace(puma.joints[0], **{key: good}).flaw(), key
+        assert replace(puma.joints[0], **{key: bad}).flaw(), key
 
 
-@pytest.mark.parametrize(
-    ("kind", "limit"),
-    [
-        ("revolute", ""),
-        ("revolute", '<limit lower="0" upper="0" effort="0" velocity="0"/>'),
-        ("continuous", ""),
-        ("prismatic", '<limit effort="0"/>'),
-    ],
-)
-def test_a_joint_without_limits_is_read_and_can_be_given_them(
-    kind: str, limit: str, tmp_path: Path
-) -> None:
-    (tmp_path / "r.urdf").write_text(URDF.format(JOINT.format("j", kind, limit)))
-    joint = tb.load_tree(tmp_path / "r.urdf").joints[0]
-    assert np.isinf([*joint.position_range, joint.max_velocity, joint.max_effort]).all()
-    assert joint.with_settings({"max_effort": 7.0}).max_effort == 7.0
+def test_a_joint_without_limits_is_read_and_can_be_given_them(tmp_path: Path) -> None:
+    """Zero is what exporters write for a limit that they do not know."""
+    zeros = '<limit lower="0" upper="0" effort="0" velocity="0"/>'
+    for kind, limit in (("revolute", zeros), ("continuous", ""), ("prismatic", zeros)):
+        (tmp_path / "r.urdf").write_text(URDF.format(JOINT.format("j", kind, limit)))
+        joint = tb.load_tree(tmp_path / "r.urdf").joints[0]
+        assert np.isinf([*joint.position_range, joint.max_velocity, joint.max_effort]).all()
+        assert joint.with_settings({"max_effort": 7.0}).max_effort == 7.0
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "rest"),
-    [(-1.0, 2.0, 0.0), (1.0, 2.0, 1.5), (-3.0, -2.0, -2.5), (0.5, math.inf, 0.5),
-     (-math.inf, -0.5, -0.5), (-math.inf, math.inf, 0.0)],
-)  # fmt: skip
-def test_a_joint_rests_at_zero_or_near_it(low: float, high: float, rest: float) -> None:
-    assert Travel(low, high).rest == rest
+def test_a_joint_rests_at_zero_or_near_it() -> None:
+    """Held joints without a position go there."""
+    inf = math.inf
+    for low, high, rest in ((-1, 2, 0), (1, 2, 1.5), (-3, -2, -2.5), (0.5, inf, 0.5),
+                            (-inf, -0.5, -0.5), (-inf, inf, 0)):  # fmt: skip
+        assert Travel(low, high).rest == rest
 
 
 # what joints' torques hold besides

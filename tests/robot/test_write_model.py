@@ -23,16 +23,15 @@ from testbed.robot.load import mimic_joints
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
 from tests.helpers.mujoco_inverse import by_mj_inverse
-from tests.helpers.paths import GOLDEN, REAL, ROOT
+from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
 from tests.helpers.strategies import few, robots, seeds
 
+FIXED: tuple[Fixed, ...] = ("lump", "share")
 MODELS = {
     "puma.xml": ROOT / "models/puma562.xml",
-    "puma.urdf": ROOT / "models/puma562.urdf",
-    "gantry.urdf": GOLDEN / "robots/gantry_ppp_rrr.urdf",
     "panda.urdf": REAL / "panda_description/urdf/panda.urdf",
     "g1.urdf": REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf",
 }
@@ -67,10 +66,10 @@ def assert_same(one: tb.Tree, two: tb.Tree, tolerance: float = 1e-12) -> None:
         assert (j.coulomb, j.viscous, j.rotor_inertia) == (k.coulomb, k.viscous, k.rotor_inertia)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "fixed"), [("puma.xml", "lump"), ("puma.urdf", "lump"), ("gantry.urdf", "share"),
-                        ("panda.urdf", "share"), ("g1.urdf", "lump")],
-)  # fmt: skip
+    ("name", "fixed"), [("puma.xml", "lump"), ("panda.urdf", "share"), ("g1.urdf", "lump")]
+)
 def test_what_is_written_is_read_and_the_rest_is_as_it_was(
     name: str, fixed: Fixed, tmp_path: Path
 ) -> None:
@@ -89,7 +88,7 @@ def test_what_is_written_is_read_and_the_rest_is_as_it_was(
 
 
 @given(robots((2, 6)), seeds)
-@few(8)
+@few(5)
 @pytest.mark.slow
 def test_a_written_robot_is_the_same_to_all_readers(robot: Robot, seed: int) -> None:
     """An identified robot goes back to its users: MuJoCo and Pinocchio compute its torques."""
@@ -134,7 +133,7 @@ CARRYING = """<?xml version='1.0'?>\r
 """
 
 
-@pytest.mark.parametrize("fixed", ["lump", "share"])
+@pytest.mark.parametrize("fixed", FIXED)
 def test_matter_of_what_moves_together_is_shared_as_asked(fixed: Fixed, tmp_path: Path) -> None:
     """Lumped into the links that joints carry, a held finger keeping its part; or in all."""
     source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
@@ -176,6 +175,50 @@ def test_odd_files_are_written_as_they_are_read(tmp_path: Path) -> None:
         assert path.read_bytes().startswith(b"\xef\xbb\xbf<?xml")
         assert ("épaule > bras".encode() in path.read_bytes()) == (text is accents)
         assert bool(notes) == (text is bare)
+
+
+@pytest.mark.parametrize("form", ["urdf", "xml"])
+@pytest.mark.parametrize("fixed", FIXED)
+def test_a_repaired_pedestal_is_written_and_sound_links_stay(
+    form: str, fixed: Fixed, tmp_path: Path
+) -> None:
+    """Else the copy is as impossible as the file was: nobody else can load it."""
+    robot = random_robot(np.random.default_rng(1), 3)
+    flat = replace(robot, pedestal=replace(robot.pedestal, central=np.diag([1e-3, 1e-3, 1e-2])))
+    source, path = tmp_path / f"r.{form}", tmp_path / f"w.{form}"
+    source.write_text(flat.urdf() if form == "urdf" else flat.mjcf())
+    repaired = tb.load_tree(source)
+    for wanted in (repaired, other(repaired)):
+        write_model(ModelFile(source), wanted, path, fixed=fixed)
+        read = tb.load_tree(path, repair={})  # refuses what cannot be
+        assert_same(read, wanted)
+        np.testing.assert_allclose(read.pedestal.pseudo, repaired.pedestal.pseudo, atol=1e-14)
+        kept = [text for text in re.split(rb"(?=<link |<joint )", source.read_bytes())
+                if b"_body" in text and b"pedestal" not in text]  # fmt: skip
+        if form == "urdf" and wanted is repaired:
+            assert all(text in path.read_bytes() for text in kept)
+    given = {"j2_body": Inertia.about_centre(2.0, [0.1, 0, 0], np.eye(3))}
+    model = ModelFile(source, repair=given | {"pedestal_body": repaired.pedestal})
+    write_model(model, model.tree(), path, fixed=fixed)
+    assert_same(tb.load_tree(path, repair={}), model.tree())
+    with refuses(ModelError, "pedestal", str(source)):  # known, and not for an estimate to move
+        heavier = repaired.with_inertia(-1, given["j2_body"])
+        write_model(ModelFile(source), heavier, tmp_path / f"n.{form}")
+    assert not (tmp_path / f"n.{form}").exists()
+
+
+def test_a_flawed_link_on_a_held_joint_is_written_as_one_that_can_be(tmp_path: Path) -> None:
+    """Held, it hides in its carrier's matter; in the file it moves, and nobody else can load it."""
+    robot = random_robot(np.random.default_rng(0), 3)
+    flat = replace(robot.links[2], central=np.diag([1e-3, 1e-3, 1e-2]))
+    source, path = tmp_path / "r.urdf", tmp_path / "w.urdf"
+    source.write_text(replace(robot, links=(*robot.links[:2], flat)).urdf())
+    model = ModelFile(source, lock={"j3": 0.3})
+    wanted = other(model.tree())
+    for fixed in FIXED:
+        write_model(model, wanted, path, fixed=fixed)
+        assert tb.load_tree(path, repair={}).n == 3
+        assert_same(replace(model, path=path).tree(), wanted)
 
 
 def test_nothing_is_written_where_it_may_not_be(tmp_path: Path) -> None:
@@ -267,29 +310,27 @@ TEXT = b"""<?xml version="1.0"?>
 """
 
 
-@pytest.mark.parametrize(
-    ("place", "values", "old", "new"),
-    [
-        (0, {"name": "c"}, b"'a'", b"'c'"),
-        (0, {"name": None, "note": "z"}, b" name='a' note=\"x > y\"", b' note="z"'),
-        (1, {"more": "1 2"}, b"note='\"'   />", b'note=\'"\' more="1 2"   />'),
-        (1, {"note": "n", "name": "m"}, b'"b"\n        note=\'"\'', b"\"m\"\n        note='n'"),
-        (2, {"p": "1", "q": "2"}, b"<link/>", b'<link p="1" q="2"/>'),
-        (3, {"p": None}, b"<link></link>", b"<link></link>"),
-    ],
-)
-def test_what_was_asked_of_a_file_is_there_and_not_another_byte_has_changed(
-    place: int, values: dict[str, str | None], old: bytes, new: bytes
-) -> None:
+EDITS: list[tuple[int, dict[str, str | None], bytes, bytes]] = [
+    (0, {"name": "c"}, b"'a'", b"'c'"),
+    (0, {"name": None, "note": "z"}, b" name='a' note=\"x > y\"", b' note="z"'),
+    (1, {"more": "1 2"}, b"note='\"'   />", b'note=\'"\' more="1 2"   />'),
+    (1, {"note": "n", "name": "m"}, b'"b"\n        note=\'"\'', b"\"m\"\n        note='n'"),
+    (2, {"p": "1", "q": "2"}, b"<link/>", b'<link p="1" q="2"/>'),
+    (3, {"p": None}, b"<link></link>", b"<link></link>"),
+]
+
+
+def test_what_was_asked_of_a_file_is_there_and_not_another_byte_has_changed() -> None:
     """Comments, quotes and blanks of other people's files stay: their differences stay readable."""
-    found = XmlBytes(TEXT, "r.urdf")
-    found.set(found.root.children[place], **values)
-    assert found.edited() == TEXT.replace(old, new)
+    for place, values, old, new in EDITS:
+        found = XmlBytes(TEXT, "r.urdf")
+        found.set(found.root.children[place], **values)
+        assert found.edited() == TEXT.replace(old, new)
 
 
-@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
-def test_what_is_put_into_a_file_stands_on_its_own_line(end: bytes) -> None:
+def test_what_is_put_into_a_file_stands_on_its_own_line() -> None:
     """Indented as its element is; one without an end tag gets one."""
+    end = b"\r\n"
     found = XmlBytes(TEXT.replace(b"\n", end), "r.urdf")
     for element, name in zip(found.root.children, ("first", "second", "", "third"), strict=True):
         if name:
