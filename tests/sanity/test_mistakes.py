@@ -108,8 +108,7 @@ def test_quarter_turns_are_the_group_of_proper_ones() -> None:
     """24, each a rotation, closed under products: no reflection is among them."""
     turns = quarter_turns()
     names = {tuple(turn.ravel().tolist()) for turn in turns}
-    assert {round(float(np.linalg.det(turn))) for turn in turns} == {1}
-    assert len(names) == 24
+    assert ({round(float(np.linalg.det(turn))) for turn in turns}, len(names)) == ({1}, 24)
     assert {tuple((a @ b).ravel().tolist()) for a in turns for b in turns} == names
 
 
