@@ -123,11 +123,14 @@ def test_samples_are_instants_or_means_by_the_trapezoidal_rule(puma: tb.Tree) ->
 def test_what_is_watched_is_what_is_recorded_and_what_went_before(puma: tb.Tree) -> None:
     """A viewer sees the warm-up, from the reference's own state on; a recording begins at 0."""
     seen: list[tuple[Array, Truth]] = []
+    done: list[tuple[int, int]] = []
     rollout = simulate_motion(
         build_plant(ModelFile(PUMA), puma, 1e-3), puma, waving(3), 2.0, 60.0,
         Sampling(1000.0, 1, False, 0.3),
+        progress=lambda now, total: done.append((now, total)),
         watch=lambda time, truth: seen.append((time, truth)),
     )  # fmt: skip
+    assert done == [(1000, 2300), (2000, 2300), (2300, 2300)]
     time = np.concatenate([t for t, _ in seen])
     np.testing.assert_allclose(time, np.arange(-300, 2000) / 1000, atol=1e-12)
     np.testing.assert_array_equal(rollout.time, time[300:])
