@@ -10,42 +10,9 @@ from scipy.signal import butter, freqs, welch
 from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
-from testbed.instruments.drives import TorqueConstantError, TorqueNoise, TorqueOffset, TorqueRipple
-from testbed.instruments.encoders import (
-    EncoderEccentricity,
-    EncoderGain,
-    EncoderInstantSampling,
-    EncoderNoise,
-    EncoderResolution,
-    EncoderZeroError,
-)
+from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise
 from testbed.instruments.fault import FULL_SCALE, Fault, Rig
 from testbed.instruments.faults import KINDS
-from testbed.instruments.plate import (
-    PlateConverter,
-    PlateCrosstalk,
-    PlateGain,
-    PlateOriginHeight,
-    PlatePose,
-    PlateSaturation,
-)
-from testbed.instruments.plate_clock import (
-    PlateAntiAliasFilter,
-    PlateClockRate,
-    PlateDelay,
-    PlateDroppedSamples,
-    PlateJitter,
-)
-from testbed.instruments.plate_noise import (
-    PlateBias,
-    PlateColouredNoise,
-    PlateDrift,
-    PlateHum,
-    PlateNoise,
-    PlatePinkNoise,
-    PlateRandomWalk,
-)
-from testbed.instruments.tare import MeasuredTare
 from tests.helpers.strategies import rngs
 
 RATE = 1000.0
@@ -78,42 +45,44 @@ def same(one: Array, other: Array, size: float = 1e-12) -> None:
 
 
 def test_zeros_and_scales_are_wrong_joint_by_joint_and_channel_by_channel() -> None:
-    same(through(EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
-    same(through(TorqueOffset(0.5), Q), Q + 0.5)
-    same(through(PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5]))
-    same(through(EncoderGain(0.01), Q), 1.01 * Q)
-    same(through(TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0]))
-    same(through(PlateGain(tuple(SIX / 100)), W), W @ np.diag(1 + SIX / 100))
+    same(through(encoders.EncoderZeroError((1.0, 0.0, -2.0)), Q), np.add(Q, [1, 0, -2]))
+    same(through(drives.TorqueOffset(0.5), Q), Q + 0.5)
+    same(
+        through(plate_noise.PlateBias(2.0, (0.0, 0.5, -0.5)), W), np.add(W, [2, 2, 2, 0, 0.5, -0.5])
+    )
+    same(through(encoders.EncoderGain(0.01), Q), 1.01 * Q)
+    same(through(drives.TorqueConstantError((0.08, -0.06, 0.0)), Q), Q @ np.diag([1.08, 0.94, 1.0]))
+    same(through(plate.PlateGain(tuple(SIX / 100)), W), W @ np.diag(1 + SIX / 100))
     for time in (TIME, TIME - 60.0):  # a drift begins at time 0
-        slope = through(PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
+        slope = through(plate_noise.PlateDrift((1.0, 2.0, 3.0), 0.5), W, time) - W
         same(slope, np.outer(time, [1, 2, 3, 0.5, 0.5, 0.5]), 1e-10)
 
 
 def test_eccentricity_ripple_and_hum_are_waves() -> None:
     q = np.linspace(-4.0, 4.0, 4000)[:, None] * [1.0, 0.5, 2.0]
-    error = through(EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
+    error = through(encoders.EncoderEccentricity(4e-4, phase=(0.0, 0.5, 1.0)), q) - q
     same(error, 4e-4 * np.imag(np.exp(1j * np.add(q, [0, 0.5, 1]))))
-    lead = through(EncoderEccentricity(1e-3, period=0.01), q) - q
+    lead = through(encoders.EncoderEccentricity(1e-3, period=0.01), q) - q
     same(lead, 1e-3 * np.sin(q * 200 * np.pi))
-    ripple = TorqueRipple(0.02, period=0.1, phase=0.3).on(Rig(NAMES, position=q))
+    ripple = drives.TorqueRipple(0.02, period=0.1, phase=0.3).on(Rig(NAMES, position=q))
     same(through(ripple, np.full((4000, 3), 30.0)) / 30 - 1, 0.02 * np.sin(20 * np.pi * q + 0.3))
-    lines = np.fft.rfft(added(PlateHum(2.0, 0.5, 50.0, tuple(SIX))), axis=0) / 2000
+    lines = np.fft.rfft(added(plate_noise.PlateHum(2.0, 0.5, 50.0, tuple(SIX))), axis=0) / 2000
     same(lines[200], np.repeat([2.0, 0.5], 3) * np.exp(1j * (SIX - np.pi / 2)), 1e-9)
     lines[200] = 0
     assert np.abs(lines).max() < 1e-9
 
 
 def test_counts_are_whole_and_the_nearest_and_signals_end_where_ranges_do() -> None:
-    seen = through(EncoderResolution((0.1, 0.0, 0.25)), Q)
+    seen = through(encoders.EncoderResolution((0.1, 0.0, 0.25)), Q)
     same(seen[:, 1], Q[:, 1])
     same(seen[:, 2], 0.25 * np.floor(Q[:, 2] / 0.25 + 0.5))
     wrench = np.outer(np.linspace(-1.5, 1.5, 4000), FULL_SCALE)
-    counts = through(PlateConverter(8), wrench) / FULL_SCALE * 128
+    counts = through(plate.PlateConverter(8), wrench) / FULL_SCALE * 128
     same(counts, np.clip(np.rint(wrench / FULL_SCALE * 128), -128, 127))
-    share = through(PlateSaturation(0.9), W)
+    share = through(plate.PlateSaturation(0.9), W)
     same(np.ptp(share, axis=0), 0.9 * np.ptp(W, axis=0))
     same(share.max(0) + share.min(0), W.max(0) + W.min(0))
-    limited = through(PlateSaturation(limit=(1.0, 90.0, 1e3, 1e3, 1e3, 1e3)), W)
+    limited = through(plate.PlateSaturation(limit=(1.0, 90.0, 1e3, 1e3, 1e3, 1e3)), W)
     same(limited, np.minimum(W, [1.0, 90.0, 1e3, 1e3, 1e3, 1e3]))
 
 
@@ -121,14 +90,13 @@ def test_crosstalk_is_in_proportion_to_full_scale() -> None:
     """Each channel alone at its full scale shows one column of the matrix in all others."""
     x = np.zeros((6, 6))
     x[3, 2], x[0, 5], x[1, 1] = 0.01, -0.02, 0.005
-    fault = PlateCrosstalk(matrix=tuple(map(tuple, x.tolist())))
+    fault = plate.PlateCrosstalk(matrix=tuple(map(tuple, x.tolist())))
     for scale in (FULL_SCALE, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
         loads = np.diag(scale)
         seen = fault.on(Rig(NAMES, scale)).apply(loads, TIME[:6], np.random.default_rng(0))
         same(((seen - loads) / scale).T, x)
-    mixing = np.array(PlateCrosstalk(0.01).drawn(Rig(NAMES), np.random.default_rng(1)).matrix)
-    assert not np.diagonal(mixing).any()
-    assert 0.005 < np.abs(mixing).max() <= 0.01
+    mixing = np.array(plate.PlateCrosstalk(0.01).drawn(Rig(NAMES), np.random.default_rng(1)).matrix)
+    assert (np.diagonal(mixing).any(), 0.005 < np.abs(mixing).max() <= 0.01) == (False, True)
 
 
 @given(rng=rngs)
@@ -140,24 +108,24 @@ def test_a_plate_elsewhere_shows_forces_at_points_about_its_own_origin(
     origin, vector = rng.normal(size=(2, 3))
     axes = Rotation.from_rotvec(vector).inv()
     wrench = np.hstack([force, np.cross(point, force) + couple])
-    seen = through(PlatePose(tuple(vector), tuple(origin)), wrench, TIME[:20])
+    seen = through(plate.PlatePose(tuple(vector), tuple(origin)), wrench, TIME[:20])
     inside = axes.apply(force)
     moment = np.cross(axes.apply(point - origin), inside) + axes.apply(couple)
     same(seen, np.hstack([inside, moment]))
-    high = through(PlateOriginHeight(0.3), wrench, TIME[:20])
-    same(high, through(PlatePose(0.0, (0.0, 0.0, 0.3)), wrench, TIME[:20]))
+    high = through(plate.PlateOriginHeight(0.3), wrench, TIME[:20])
+    same(high, through(plate.PlatePose(0.0, (0.0, 0.0, 0.3)), wrench, TIME[:20]))
 
 
 def test_what_comes_late_is_the_signal_of_another_time() -> None:
     """Exact for smooth signals; held before the first sample and after the last."""
     for delay in (1e-3, 2.34e-4, -7e-4, 0.0123):
-        same(through(PlateDelay(delay), W)[INNER], waves(TIME - delay)[INNER], 1e-9)
-    same(through(PlateClockRate(0.01), W)[INNER], waves(TIME / 1.01)[INNER], 1e-9)
+        same(through(plate_clock.PlateDelay(delay), W)[INNER], waves(TIME - delay)[INNER], 1e-9)
+    same(through(plate_clock.PlateClockRate(0.01), W)[INNER], waves(TIME / 1.01)[INNER], 1e-9)
     jitter = TIME + 5e-5 * np.random.default_rng(4).normal(size=4000)
-    same(through(PlateJitter(5e-5), W, seed=4)[INNER], waves(jitter)[INNER], 1e-9)
-    same(through(PlateDelay(0.01), W)[:10], np.tile(W[0], (10, 1)), 1e-10)
-    same(through(PlateDelay(-0.01), W)[-10:], np.tile(W[-1], (10, 1)), 1e-10)
-    seen = through(PlateDroppedSamples(0.2), W)
+    same(through(plate_clock.PlateJitter(5e-5), W, seed=4)[INNER], waves(jitter)[INNER], 1e-9)
+    same(through(plate_clock.PlateDelay(0.01), W)[:10], np.tile(W[0], (10, 1)), 1e-10)
+    same(through(plate_clock.PlateDelay(-0.01), W)[-10:], np.tile(W[-1], (10, 1)), 1e-10)
+    seen = through(plate_clock.PlateDroppedSamples(0.2), W)
     lost = np.flatnonzero((seen != W).any(axis=1))
     assert 0.17 < len(lost) / 4000 < 0.23
     same(seen[lost], seen[lost - 1])
@@ -165,7 +133,7 @@ def test_what_comes_late_is_the_signal_of_another_time() -> None:
     f, k = 0.3 + 0.2 * np.arange(3), np.arange(3)
     phase, turn = 2 * np.pi * np.outer(TIME, f) + k, 2 * np.pi * f / RATE
     means = 40.0 * (k + 1) + (10.0 + k) * (np.cos(phase) - np.cos(phase + turn)) / turn
-    same(through(EncoderInstantSampling(), means), Q, 2e-9)
+    same(through(encoders.EncoderInstantSampling(), means), Q, 2e-9)
 
 
 @given(order=st.integers(1, 8), frequency=st.sampled_from([0.5, 5.0, 40.0]))
@@ -174,12 +142,12 @@ def test_the_anti_alias_filter_is_butterworths(order: int, frequency: float) -> 
     time = np.arange(20_000) / 10_000.0
     gain = freqs(*butter(order, 2 * np.pi * 50, analog=True), worN=[2 * np.pi * frequency])[1][0]
     signal = np.tile(np.sin(2 * np.pi * frequency * time)[:, None], 6)
-    seen = through(PlateAntiAliasFilter(50.0, order), signal, time)[:, 0]
+    seen = through(plate_clock.PlateAntiAliasFilter(50.0, order), signal, time)[:, 0]
     expected = np.imag(gain * np.exp(2j * np.pi * frequency * time))
     straight = (2 * np.pi * frequency * 1e-4) ** 2 / 12  # error of a sine of straight pieces
     assert np.abs(seen - expected)[5000:].max() < 1.1 * straight * (order + 1) / 2 + 1e-8
     still = np.tile(SIX, (500, 1))
-    same(through(PlateAntiAliasFilter(100.0, order), still, TIME[:500]), still, 1e-9)
+    same(through(plate_clock.PlateAntiAliasFilter(100.0, order), still, TIME[:500]), still, 1e-9)
 
 
 def test_noise_has_its_size_and_memory() -> None:
@@ -187,20 +155,22 @@ def test_noise_has_its_size_and_memory() -> None:
     white = np.random.default_rng(0).normal(size=(4000, 6))
     size = np.array([0.5, 0.5, 0.5, 0.1, 0.2, 0.3])
     moment = (0.1, 0.2, 0.3)
-    same(added(PlateNoise(0.5, moment)), size * white)
+    same(added(plate_noise.PlateNoise(0.5, moment)), size * white)
     joints = np.random.default_rng(0).normal(size=(4000, 3)) * [0.1, 0.0, 0.3]
-    for kind in (EncoderNoise, TorqueNoise):
+    for kind in (encoders.EncoderNoise, drives.TorqueNoise):
         same(through(kind((0.1, 0.0, 0.3)), Q) - Q, joints)
     coloured, walk = np.array(white), 0.0 * white
     for k in range(1, 4000):
         kept = np.exp(-1 / RATE / 0.05)
         coloured[k] = kept * coloured[k - 1] + np.sqrt(1 - kept**2) * white[k]
         walk[k] = walk[k - 1] + np.sqrt(1 / RATE) * white[k]
-    same(added(PlateColouredNoise(0.5, moment, 0.05)), size * coloured, 1e-9)
-    same(added(PlateRandomWalk(0.5, moment)), size * walk, 1e-9)
-    long_ago = through(PlateRandomWalk(1.0), 0 * white, TIME - 9.0)
+    same(added(plate_noise.PlateColouredNoise(0.5, moment, 0.05)), size * coloured, 1e-9)
+    same(added(plate_noise.PlateRandomWalk(0.5, moment)), size * walk, 1e-9)
+    long_ago = through(plate_noise.PlateRandomWalk(1.0), 0 * white, TIME - 9.0)
     same(long_ago[0], 3.0 * white[0] * [1, 1, 1, 0.01, 0.01, 0.01])
-    pink = np.concatenate([added(PlatePinkNoise(2.0, 2.0, 0.5), s) for s in range(20)], axis=1)
+    pink = np.concatenate(
+        [added(plate_noise.PlatePinkNoise(2.0, 2.0, 0.5), s) for s in range(20)], axis=1
+    )
     assert pink.std() == pytest.approx(2.0, rel=0.05)
     assert abs(np.corrcoef(pink[0], pink[-1])[0, 1]) < 0.4  # the end forgets the start
     frequency, density = welch(pink, RATE, nperseg=4000, axis=0, detrend=False)
@@ -211,30 +181,21 @@ def test_noise_has_its_size_and_memory() -> None:
         assert level == pytest.approx(constant, rel=0.15), f
 
 
-def test_a_measured_tare_is_the_mean_before_the_recording() -> None:
-    fault = MeasuredTare(2.0, 10.0)
-    time = fault.instants(100.0)
-    same(time, np.arange(200) / 100 - 12.0)
-    same(through(fault, np.outer(time, SIX), time), np.tile(-11.005 * SIX, (200, 1)))
-
-
 def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_own() -> None:
     rig, signs, phases = Rig(NAMES), set(), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        fault = PlateBias(0.3, (1.0, -2.0, 3.0)).drawn(rig, rng)
+        fault = plate_noise.PlateBias(0.3, (1.0, -2.0, 3.0)).drawn(rig, rng)
         assert np.abs(fault.force).tolist() == [0.3] * 3
         assert fault.moment == (1.0, -2.0, 3.0)
         signs.add(tuple(np.sign(fault.force)))
-        phases += list(np.atleast_1d(PlateHum().drawn(rig, rng).phase or 0.0))
+        phases += list(np.atleast_1d(plate_noise.PlateHum().drawn(rig, rng).phase or 0.0))
     assert len(signs) == 8
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
-    assert PlateHum(phase=1.0).drawn(rig, rng).phase == 1.0
-    by_joint = EncoderEccentricity().drawn(rig, rng).phase
-    assert isinstance(by_joint, tuple)
-    assert len(by_joint) == 3
-    by_name = EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
+    assert plate_noise.PlateHum(phase=1.0).drawn(rig, rng).phase == 1.0
+    assert np.shape(encoders.EncoderEccentricity().drawn(rig, rng).phase) == (3,)
+    by_name = encoders.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)
 
@@ -242,16 +203,12 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
 def test_a_fault_of_no_size_is_none_to_the_bit() -> None:
     """What is written down with all its sizes at zero spoils nothing."""
     signal, rig = np.random.default_rng(9).normal(size=(1000, 6)), Rig(NAMES, position=Q[:1000])
-    for kind, made in KINDS.items():
-        sizes = {n: 0.0 for n in made.known_keys() if n not in _NO_SIZES}
-        if kind in ("encoder_instant_sampling", "measured_tare", "plate_converter"):
-            continue
-        if kind in ("plate_anti_alias_filter", "plate_saturation"):
-            sizes = {"covered": 1.0} if kind == "plate_saturation" else {"cutoff": 1e9}
-        fault = made(**sizes).on(rig).drawn(rig, np.random.default_rng(1))
+    others = ("encoder_instant_sampling", "measured_tare", "plate_converter",
+              "plate_anti_alias_filter")  # fmt: skip
+    no_sizes = ("period", "phase", "frequency", "lowest", "time_constant", "matrix", "limit")
+    for kind in [kind for kind in KINDS if kind not in others]:
+        sizes = {name: 0.0 for name in KINDS[kind]().known_keys() if name not in no_sizes}
+        sizes = {"covered": 1.0} if kind == "plate_saturation" else sizes
+        fault = KINDS[kind](**sizes).on(rig).drawn(rig, np.random.default_rng(1))
         given = signal if fault.signal == "wrench" else signal[:, :3]
-        if kind != "plate_anti_alias_filter":
-            assert through(fault, given, TIME[:1000]).tobytes() == given.tobytes(), kind
-
-
-_NO_SIZES = ("period", "phase", "frequency", "lowest", "time_constant", "matrix", "limit", "order")
+        assert through(fault, given, TIME[:1000]).tobytes() == given.tobytes(), kind

@@ -43,17 +43,13 @@ def columns(kind: str, order: Any = range(N)) -> list[str]:
 
 def mapping(**changed: dict[str, Any]) -> str:
     """A mapping of it, right but for what is changed."""
-    tables: dict[str, dict[str, Any]] = {
-        kind: {"columns": columns(kind), "unit": unit}
-        for kind, unit in {**UNIT, "torque": "N m"}.items()
-        if kind != "acceleration" or kind in changed
-    }
-    lines = ["rate = 100", f"joints = {json.dumps(JOINTS)}"]
-    lines += ["[sources.log]", 'file = "log.npz"', "rate = 100"]
-    for kind, table in tables.items():
-        lines += [f"[{kind}]", 'source = "log"']
-        said = table | changed.get(kind, {})
-        lines += [f"{key} = {json.dumps(value)}" for key, value in said.items()]
+    lines = [f"rate = 100\njoints = {json.dumps(JOINTS)}"]
+    lines += ['[sources.log]\nfile = "log.npz"\nrate = 100']
+    for kind, unit in {**UNIT, "torque": "N m"}.items():
+        if kind != "acceleration" or kind in changed:
+            table = {"source": "log", "columns": columns(kind), "unit": unit}
+            said = (table | changed.get(kind, {})).items()
+            lines += [f"[{kind}]", *(f"{key} = {json.dumps(value)}" for key, value in said)]
     return "\n".join(lines) + "\n"
 
 
@@ -101,14 +97,11 @@ def test_the_cure_of_a_wrong_velocity_makes_it_right(
 
 
 def test_which_of_two_is_in_another_unit_is_told_by_their_sizes(tmp_path: Path) -> None:
-    """Positions in degrees, both in one unit, accelerations against velocities; a dead encoder."""
+    """Both in one unit; accelerations against velocities; an encoder that is dead."""
     data = log(tmp_path)
     assert imported(tmp_path, mapping(acceleration={})).senses_kinematics
     wrong = mapping(acceleration={"unit": "deg/s^2"})
     assert cure(tmp_path, wrong) == {"acceleration": {"unit": "rad/s^2"}}
-    degrees = data | {"position": data["position"] / factor("position", "deg")}
-    np.savez(tmp_path / "log.npz", **degrees)
-    assert cure(tmp_path, mapping()) == {"position": {"unit": "deg"}}
     for was, said in (("rad", "deg"), ("deg", "rad")):
         both = {kind: data[kind] / factor("position", was) for kind in ("position", "velocity")}
         np.savez(tmp_path / "log.npz", **data | both)
@@ -124,7 +117,7 @@ def test_which_of_two_is_in_another_unit_is_told_by_their_sizes(tmp_path: Path) 
 
 
 def test_a_right_velocity_is_taken_and_a_robot_at_rest_says_nothing(tmp_path: Path) -> None:
-    for noise in (0.0, 0.02, 0.3):
+    for noise in (0.02, 0.3):
         log(tmp_path, noise=noise)
         told = imported(tmp_path, mapping()).facts["import"]["signals"]["velocity"]
         assert told["use"]

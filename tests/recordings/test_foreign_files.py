@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import builtins
 import gzip
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +20,26 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 import testbed as tb
-from testbed.errors import RecordingError, TestbedError, UnknownName
+from testbed.errors import RecordingError, UnknownName
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.readers.ros_messages import numbers_of
-from tests.helpers.foreign_files import EPOCH, FORMATS, SINGLE, some_log, write_c3d
+from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, SINGLE, some_log, write_c3d
 from tests.helpers.refusals import is_message, refuses
 from tests.helpers.strategies import few, rngs
 
 STAMPS = 2.4e-7
 """Spacing of doubles at seconds since 1970 [s]."""
+
+
+def filled(guess: str) -> str:
+    """The guess as a person fills it in; velocities in these logs mean nothing."""
+    head, _, rest = guess.partition("[velocity]")
+    guess = head + rest[rest.index("[torque]") :] if rest else guess
+    for empty, said in (("unit", '"rad"'), ("unit", '"N m"'), ("sense", '"on_robot"')):
+        guess = guess.replace(f'{empty} = ""', f"{empty} = {said}", 1)
+    return guess.replace('["", ""]', '["N", "N m"]')
 
 
 @pytest.mark.parametrize("name", FORMATS)
@@ -40,20 +49,15 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
     """To the last bit; single precision and stamps since 1970 as far as they go."""
     log = some_log()
     (tmp_path / "map.toml").write_text(FORMATS[name](tmp_path, log))
-    found = tb.Recording.from_mapping(tmp_path / "map.toml")
-    np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
-    for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
-        exact = wanted.astype(np.float32) if name in SINGLE else wanted
-        np.testing.assert_array_equal(found.measured(signal), exact)
-    assert found.facts.get("warnings") is None
     file = max(tmp_path.glob("log*"), key=lambda path: (path.is_file(), path.name))
-    text = guessed([file], tmp_path).text
-    (tmp_path / "guess.toml").write_text(text)
-    with pytest.raises(TestbedError) as empty:  # a person fills in units and sense, all at once
-        tb.Recording.from_mapping(tmp_path / "guess.toml")
-    assert "guess.toml" in str(empty.value)
-    if name not in ("csv", "c3d"):
-        assert all(key in str(empty.value) for key in ("unit", "units", "sense"))
+    (tmp_path / "guess.toml").write_text(filled(guessed([file], tmp_path, JOINTS).text))
+    for mapping in ("map", "guess")[: 1 if name in ("csv", "c3d") else 2]:  # of columns a, b, c
+        found = tb.Recording.from_mapping(tmp_path / f"{mapping}.toml")
+        np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
+        for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
+            exact = wanted.astype(np.float32) if name in SINGLE else wanted
+            np.testing.assert_array_equal(found.measured(signal), exact)
+        assert found.facts.get("warnings") is None
     if name == "mcap":
         return  # a folder
     data = file.read_bytes()
@@ -138,26 +142,19 @@ def test_traps_in_files_are_not_opened(tmp_path: Path) -> None:
     assert columns == {"q", "log/t"}
 
 
-BAD_FILES = (
-    ("a.csv", b""), ("a.csv", b"words\nand more words\n"), ("a.csv", b"1,2\n\0\n"),
-    ("a.c3d", b"\2\x50" + bytes(100)), ("a.c3d", b"\2\x51" + bytes(2000)),
-    ("a.xls", b"1"), ("a.npz.gz", b"1"), ("a", b"1"), ("none/a.csv", None), (".", None),
-)  # fmt: skip
-
-
 def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, data in BAD_FILES:
-        if data is not None:
-            (tmp_path / name).write_bytes(data)
+    for name, data in (("a.csv", b""), ("b.csv", b"words\nand words\n"), ("c.csv", b"1,2\n\0\n"),
+                       ("a.c3d", b"\2\x50" + bytes(9)), ("a.xls", b"1"), ("a", b"1")):  # fmt: skip
+        (tmp_path / name).write_bytes(data)
         with pytest.raises((RecordingError, UnknownName)) as refused:
             open_foreign(tmp_path / name)
-        assert data is None or name[1:] in str(refused.value)
+        assert name[1:] in str(refused.value)
         assert "\n" not in str(refused.value)
-    np.savez(tmp_path / "empty.npz", text=np.array(["a", "b"]))
-    with refuses(RecordingError, "empty.npz"):
-        guessed([tmp_path / "empty.npz"], tmp_path)
+    for nothing in (tmp_path, tmp_path / "none.csv"):
+        with refuses(RecordingError, nothing.name):
+            open_foreign(nothing)
     FORMATS["bag"](tmp_path, some_log())
     with refuses(UnknownName, "/joint_states", "/plate"):
         open_foreign(tmp_path / "log.bag", "/joints")
@@ -165,18 +162,9 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
     assert plate.read(["received"])["received"][0] == EPOCH
     with refuses(UnknownName, "'wrench/force/w'"):
         plate.read(["wrench/force/w"])
-    FORMATS["hdf5"](tmp_path, some_log())
-    real = builtins.__import__
-
-    def without(what: str, *args: Any, **kwargs: Any) -> Any:
-        if what.partition(".")[0] in ("h5py", "rosbags"):
-            raise ImportError(what)
-        return real(what, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    for name, package in (("log.h5", "h5py"), ("log.bag", "rosbags")):
-        with refuses(RecordingError, package, "[import]"):
-            open_foreign(tmp_path / name, "/plate" if package == "rosbags" else None)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag1", None)  # as where it is not installed
+    with refuses(RecordingError, "rosbags", "[import]"):
+        open_foreign(tmp_path / "log.bag", "/plate")
 
 
 def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
@@ -228,12 +216,9 @@ def test_ros_messages_are_numbers_by_their_paths(
         return packed(POLYGON, kinds[POLYGON](each))
 
     def bag(messages: list[bytes]) -> Path:
-        folder = tmp_path_factory.mktemp("bag")
-        path = folder / ("log.bag" if version == 1 else "log")
-        plugin = StoragePlugin.MCAP
-        writer: Any = Writer1(path) if version == 1 else Writer(
-            path, version=9, storage_plugin=plugin
-        )  # fmt: skip
+        path = tmp_path_factory.mktemp("bag") / ("log.bag" if version == 1 else "log")
+        kind: Any = {"version": 9, "storage_plugin": StoragePlugin.MCAP}
+        writer: Any = Writer1(path) if version == 1 else Writer(path, **kind)
         with writer:
             topic = writer.add_connection("/told", POLYGON, typestore=store)
             for k, message in enumerate(messages):
@@ -252,13 +237,10 @@ def test_ros_messages_are_numbers_by_their_paths(
     data = packed(DIAGNOSTIC, kinds[DIAGNOSTIC](2, "plate", "warm", "id 7", told))
     assert numbers_of(data, DIAGNOSTIC, definitions, version) == {"level": 2.0}
     data, start = polygon(np.ones((2, 3))), 0 if version == 1 else 4
-    for count in (10**6, 3, 1):
+    for count in (10**6, 3):
         wrong = data[:start] + count.to_bytes(4, "little") + data[start + 4 :]
-        if count == 1:
-            assert len(numbers_of(wrong, POLYGON, definitions, version)) == 3
-        else:
-            with refuses(ValueError):
-                numbers_of(wrong, POLYGON, definitions, version)
+        with refuses(ValueError):
+            numbers_of(wrong, POLYGON, definitions, version)
 
 
 def test_a_c3d_file_has_points_beside_channels_with_units_names_and_what_was_not_seen(
@@ -273,14 +255,13 @@ def test_a_c3d_file_has_points_beside_channels_with_units_names_and_what_was_not
         POINT={"LABELS": ("m", "n"), "UNITS": ("mm",)},
     )  # fmt: skip
     table = open_foreign(tmp_path / "log.c3d")
-    channels = ("analog/Fx", "analog/Fx (1)", "analog/2", "analog/My")
+    wanted = dict(zip(("analog/Fx", "analog/Fx (1)", "analog/2", "analog/My"), force, strict=True))
     points = [f"point/{name}/{axis}" for name in "mn" for axis in "xyz"]
-    assert set(table.columns) == {"analog/time", "point/time", *points, *channels}
+    wanted |= dict(zip(points, place.transpose(1, 0, 2).reshape(6, 6), strict=True))
+    wanted |= dict.fromkeys(("analog/time", "point/time"), np.arange(6) / 100.0)
+    read = table.read(table.columns)
+    assert read.keys() == wanted.keys()
+    for name, values in wanted.items():
+        np.testing.assert_allclose(read[name], values, rtol=1e-6)
     units = {"analog/time": "s", "point/time": "s", "analog/Fx": "N", "analog/My": "Nmm"}
     assert table.units == units | dict.fromkeys(points, "mm")
-    read = table.read(table.columns)
-    np.testing.assert_allclose(read["analog/time"], np.arange(6) / 100.0)
-    for name, values in zip(channels, force, strict=True):
-        np.testing.assert_allclose(read[name], values, rtol=1e-6)
-    for name, values in zip(points, place.transpose(1, 0, 2).reshape(6, 6), strict=True):
-        np.testing.assert_allclose(read[name], values, rtol=1e-6)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,197 +15,137 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.errors import ExperimentError
 from testbed.recordings.importing.foreign_units import TIMES, UNITS
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.stamps import rate_of
+from tests.helpers.strategies import rngs
 
-KINDS = ("position", "velocity", "torque")
-WORDS = {
-    "position": ("pos", "position", "actual_q", "JointAngle", "msr_angle", "state/q"),
-    "velocity": ("vel", "velocity", "actual_qd", "JointSpeed", "msr_speed", "state/qd"),
-    "torque": ("tau", "effort", "actual_torque", "JointTorque", "msr_current_torque", "state/tau"),
-}
-"""How loggers call signals, each in a style."""
+STYLES = (
+    ("pos", "vel", "tau"), ("position", "velocity", "effort"),
+    ("actual_q", "actual_qd", "actual_torque"), ("JointAngle", "JointSpeed", "JointTorque"),
+    ("msr_angle", "msr_speed", "msr_current_torque"), ("state/q", "state/qd", "state/tau"),
+)  # fmt: skip
+"""How loggers call positions, velocities and torques."""
 
 WANTED = ("target_q", "cmd", "q_des", "Cmptd_torque", "torque_ref", "desired_vel")
-NUMBERED = (
-    "{word}_joint_{k}",
-    "{word}{k}",
-    "{word}[{k}]",
-    "J{k}_{word}",
-    "{word}_J{k}",
-    "{word}/joint_{k}",
-)
+NUMBERED = ("{word}_joint_{k}", "{word}{k}", "{word}[{k}]", "J{k}_{word}", "{word}/joint_{k}")
 NAMED = ("{word}_{joint}", "{joint}_{word}", "{word}/{joint}", "{joint}.{word}")
-"""Where the joint's number stands, or its name."""
-
+AXES = (("F{}", "M{}"), ("F{}", "T{}"), ("plate_force_{}", "plate_moment_{}"),
+        ("wrench/force/{}", "wrench/torque/{}"))  # fmt: skip
 ROBOTS = (
     tuple(f"arm_joint_{k}" for k in range(1, 8)),
     ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"),
     ("hip_joint", "knee_joint", "ankle_joint"),
-    tuple(f"joint{k}" for k in (3, 1, 2)),
+    ("joint3", "joint1", "joint2"),
 )
-"""Names of joints in model files."""
-
-UNIT_NAMES = ("{name} ({unit})", "{name} [{unit}]", "{name}({unit})")
+MOMENTS = {"N m": ("N m", "Nm", "N-m", "N*m"), "lbf in": ("in-lbf", "lbf-in", "lb in"),
+           "lbf ft": ("ft-lbf", "lbf ft"), "N mm": ("Nmm", "N mm")}  # fmt: skip
 SPELT = {
-    "deg": ("deg", "°", "degrees"), "rad": ("rad", "radians"), "deg/s": ("deg/s", "°/s"),
-    "rad/s": ("rad/s", "rad s^-1"), "rpm": ("rpm", "rev/min"), "turn": ("rev", "turn"),
-    "N m": ("N m", "Nm", "N-m", "N*m"), "lbf in": ("in-lbf", "lbf-in", "lb in"),
-    "lbf ft": ("ft-lbf", "lbf ft"), "N mm": ("Nmm", "N mm"), "N": ("N",), "lbf": ("lbf", "lb"),
-    "kgf": ("kgf",), "kN": ("kN",),
-}  # fmt: skip
-USED = {
-    "position": ("rad", "deg", "turn"), "velocity": ("rad/s", "deg/s", "rpm"),
-    "torque": ("N m", "lbf in", "N mm", "lbf ft"), "force": ("N", "lbf", "kN", "kgf"),
-    "moment": ("N m", "lbf in", "N mm", "lbf ft"),
-}  # fmt: skip
-AXES = (
-    ("F{}", "M{}"),
-    ("F{}", "T{}"),
-    ("plate_force_{}", "plate_moment_{}"),
-    ("wrench/force/{}", "wrench/torque/{}"),
-)
-CLOCKS = {"s": "float", "ms": "int", "us": "int", "ns": "int"}
+    "position": {"deg": ("deg", "°", "degrees"), "rad": ("rad", "radians"), "turn": ("rev",)},
+    "velocity": {"deg/s": ("deg/s", "°/s"), "rad/s": ("rad s^-1",), "rpm": ("rpm", "rev/min")},
+    "torque": MOMENTS,
+    "force": {"N": ("N",), "lbf": ("lbf", "lb"), "kgf": ("kgf",), "kN": ("kN",)},
+    "moment": MOMENTS,
+}
+"""Of each kind the units and how loggers write them."""
+
 EPOCH = 1_761_234_567
 
 
-@dataclass(frozen=True, eq=False)
-class Log:
-    """Columns of one file, by name."""
-
-    columns: dict[str, Any]
-    ending: str
+def pick(rng: np.random.Generator, each: Sequence[Any]) -> Any:
+    return each[int(rng.integers(len(each)))]
 
 
-def motion(rng: np.random.Generator, joints: int, rate: float, samples: int) -> dict[str, Array]:
-    """Sines, their derivative, and signals that mean nothing."""
-    t = np.arange(samples) / rate
-    speed = rng.uniform(2, 6, joints)
-    phase = rng.uniform(0, 6, joints)
-    size = rng.uniform(0.2, 1.5, joints)
-    angle = speed * t[:, None] + phase
-    return {
-        "time": t,
-        "position": size * np.sin(angle) + rng.uniform(-1, 1, joints),
-        "velocity": size * speed * np.cos(angle),
-        "torque": rng.normal(size=(samples, joints)),
-        "wrench": rng.normal(size=(samples, 6)) + 20 * np.eye(6)[2],
-    }
+def headed(rng: np.random.Generator, kind: str, name: str, unit: str) -> str:
+    """A column's name with its unit, written in some way."""
+    form = pick(rng, ("{} ({})", "{} [{}]", "{}({})"))
+    return str(form.format(name, pick(rng, SPELT[kind][unit])))
 
 
-class Layout:
-    """How a logger writes what was measured: all of it drawn."""
-
-    def __init__(self, seed: int) -> None:
-        self.rng = rng = np.random.default_rng([17, seed])
-        robot = ROBOTS[int(rng.integers(len(ROBOTS)))]
-        self.names = list(robot[: int(rng.integers(2, 8))])
-        self.joints, self.rate = len(self.names), float(rng.choice([50, 125, 200, 250, 500]))
-        self.named = bool(rng.integers(2))
-        self.truth = motion(rng, self.joints, self.rate, 400)
-        self.with_velocity = bool(rng.integers(2))
-        self.style = int(rng.integers(6))
-        self.units = {kind: str(rng.choice(each)) for kind, each in USED.items()}
-        self.hidden = self.with_velocity and bool(rng.integers(2))  # position's unit is not said
-        if self.hidden:
-            self.units["velocity"] = "rad/s"
-        self.two_files = bool(rng.integers(2))
-
-    def header(self, name: str, unit: str) -> str:
-        said = str(self.rng.choice(SPELT[unit]))
-        return str(self.rng.choice(UNIT_NAMES)).format(name=name, unit=said)
-
-    def signal(self, kind: str, values: Array) -> dict[str, Array]:
-        """Its columns."""
-        own = [int(name[5:]) if name[5:].isdigit() else 0 for name in self.names]
-        first = int(self.rng.integers(2))
-        numbers = own if all(own) else list(range(first, first + self.joints))
-        form, unit = str(self.rng.choice(NAMED if self.named else NUMBERED)), self.units[kind]
-        columns = {}
-        for k in range(self.joints):
-            name = form.format(word=WORDS[kind][self.style], k=numbers[k], joint=self.names[k])
-            name = name if self.hidden and kind == "position" else self.header(name, unit)
-            columns[name] = values[:, k] / UNITS[kind][unit]
-        return columns
-
-    def stamps(self, epoch: bool) -> tuple[str, Array]:
-        unit = str(self.rng.choice(list(CLOCKS)))
-        words = ("t ({})", "Time ({})", "timestamp_{}", "time [{}]")
-        name = str(self.rng.choice(words)).format(unit)
-        time: Any = self.truth["time"]
-        if unit == "ns":
-            whole = np.round(time * 1e9).astype(np.int64) + epoch * EPOCH * 10**9
-            return name if not epoch else "Timestamp", whole
-        if unit == "us":
-            return name, np.round(time * 1e6).astype(np.int64) + epoch * EPOCH * 10**6
-        return name, time / TIMES[unit] + epoch * EPOCH / TIMES[unit] * (unit == "s")
-
-    def logs(self) -> list[Log]:
-        """One file, or one of the joints and one of the plate."""
-        parts: dict[str, Array] = {}
-        for kind in KINDS:
-            if kind != "velocity" or self.with_velocity:
-                parts |= self.signal(kind, self.truth[kind])
-        for k in range(self.joints):  # what is not measured
-            parts[f"{self.rng.choice(WANTED)}_{k}"] = self.rng.normal(size=400)
-        parts["motor_temperature"] = self.rng.normal(size=400)
-        axes = [each.format(axis) for each in AXES[int(self.rng.integers(4))] for axis in "xyz"]
-        units = [*["force"] * 3, *["moment"] * 3]
-        plate = {
-            self.header(name, self.units[kind]): self.truth["wrench"][:, k]
-            / UNITS[kind][self.units[kind]]
-            for k, (name, kind) in enumerate(zip(axes, units, strict=True))
-        }
-        epoch = bool(self.rng.integers(2))
-        both = [parts, plate] if self.two_files else [parts | plate]
-        found = []
-        for each in both:
-            order = self.rng.permutation(len(each))
-            names = [list(each)[k] for k in order]
-            name, stamps = self.stamps(epoch) if not self.two_files else self.stamps(False)
-            columns = {name: stamps} | {key: each[key] for key in names}
-            found.append(Log(columns, str(self.rng.choice([".csv", ".npz", ".parquet"]))))
-        return found
+def clock(rng: np.random.Generator, time: Array, epoch: bool) -> dict[str, Array]:
+    """Stamps in some unit, whole but for seconds and milliseconds, perhaps since 1970."""
+    unit = pick(rng, ("s", "ms", "us", "ns"))
+    name = pick(rng, ("t ({})", "Time ({})", "timestamp_{}", "time [{}]")).format(unit)
+    if unit in ("us", "ns"):
+        scale = round(1 / TIMES[unit])
+        name = "Timestamp" if epoch and unit == "ns" else name
+        return {name: np.round(time * scale).astype(np.int64) + epoch * EPOCH * scale}
+    return {name: time / TIMES[unit] + epoch * EPOCH * (unit == "s")}
 
 
-def write(log: Log, path: Path) -> None:
-    if log.ending == ".npz":
-        np.savez(path, **log.columns)
-    elif log.ending == ".parquet":
-        pq.write_table(pa.table(dict(log.columns)), path)
+def written(rng: np.random.Generator, stem: Path, columns: dict[str, Any]) -> Path:
+    """A file of some format."""
+    path = stem.with_suffix(pick(rng, (".csv", ".npz", ".parquet")))
+    if path.suffix == ".npz":
+        np.savez(path, **columns)
+    elif path.suffix == ".parquet":
+        pq.write_table(pa.table(columns), path)
     else:
-        rows = zip(*(map(repr, values.tolist()) for values in log.columns.values()), strict=True)
-        path.write_text("\n".join([";".join(log.columns), *map(";".join, rows)]) + "\n")
+        rows = zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True)
+        path.write_text("\n".join([";".join(columns), *map(";".join, rows)]) + "\n")
+    return path
 
 
-@given(seed=st.integers(0, 10**6))
-def test_a_guess_converts_the_log_back(seed: int, tmp_path_factory: pytest.TempPathFactory) -> None:
-    """What a person fills in is the sense of the wrench, and nothing else."""
-    tmp_path = tmp_path_factory.mktemp("log")
-    layout = Layout(seed)
+@given(rng=rngs, named=st.booleans(), speeds=st.booleans(), hides=st.booleans(),
+       split=st.booleans())  # fmt: skip
+def test_a_guess_converts_the_log_back(
+    rng: np.random.Generator, named: bool, speeds: bool, hides: bool, split: bool,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:  # fmt: skip
+    """Whatever the logger's words, order and units; a person fills in the sense of the wrench."""
+    folder = tmp_path_factory.mktemp("log")
+    names = list(pick(rng, ROBOTS)[: rng.integers(2, 8)])
+    n, rate = len(names), float(pick(rng, (50, 125, 200, 250, 500)))
+    time = np.arange(400) / rate
+    size, speed, phase = rng.uniform([[0.2], [2], [0]], [[1.5], [6], [6]], (3, n))
+    angle = speed * time[:, None] + phase
+    truth = {
+        "position": size * np.sin(angle) + rng.uniform(-1, 1, n),
+        "velocity": size * speed * np.cos(angle),
+        "torque": rng.normal(size=(400, n)),
+        "wrench": rng.normal(size=(400, 6)) + 20 * np.eye(6)[2],
+    }
+    unit = {kind: pick(rng, list(each)) for kind, each in SPELT.items()}
+    if speeds and hides:  # then the position's unit follows from the velocity's
+        unit["velocity"] = "rad/s"
+    own = [int(name[5:]) if name[5:].isdigit() else 0 for name in names]
+    first = int(rng.integers(2))
+    numbers = own if all(own) else list(range(first, first + n))
+    robot = {f"{pick(rng, WANTED)}_{k}": rng.normal(size=400) for k in range(n)}
+    robot["motor_temperature"] = rng.normal(size=400)
+    for kind, word in zip(("position", "velocity", "torque"), pick(rng, STYLES), strict=True):
+        if kind == "velocity" and not speeds:
+            del truth["velocity"]
+            continue
+        form = pick(rng, NAMED if named else NUMBERED)
+        for k, values in enumerate(truth[kind].T / UNITS[kind][unit[kind]]):
+            name = form.format(word=word, k=numbers[k], joint=names[k])
+            silent = kind == "position" and speeds and hides
+            robot[name if silent else headed(rng, kind, name, unit[kind])] = values
+    plate, axes = {}, pick(rng, AXES)
+    for k, values in enumerate(truth["wrench"].T):
+        kind = ("force", "moment")[k // 3]
+        name = headed(rng, kind, axes[k // 3].format("xyz"[k % 3]), unit[kind])
+        plate[name] = values / UNITS[kind][unit[kind]]
+    epoch = not split and bool(rng.integers(2))
     paths = []
-    for k, log in enumerate(layout.logs()):
-        paths.append(tmp_path / f"log{k}{log.ending}")
-        write(log, paths[-1])
-    known = not layout.named or bool(layout.rng.integers(2))
-    text = guessed(paths, tmp_path, layout.names if known else ()).text
-    assert [line.split("=")[0].strip() for line in empty(text)] == ["sense"], text
-    (tmp_path / "map.toml").write_text(text.replace('sense = ""', 'sense = "on_robot"'))
-    made = tb.Recording.from_mapping(tmp_path / "map.toml")
-    assert made.rate == pytest.approx(layout.rate, rel=1e-9), text
-    assert sorted(made.names) == sorted(layout.names), text
-    order = [made.names.index(name) for name in layout.names]
-    assert made.samples == 400
-    for kind in ("position", "torque", "wrench", *(["velocity"] * layout.with_velocity)):
-        found = made.measured(kind) if kind == "wrench" else made.measured(kind)[:, order]
-        np.testing.assert_allclose(found, layout.truth[kind], atol=1e-5, err_msg=text)
-
-
-def empty(text: str) -> list[str]:
-    """Lines of keys that are to be filled in."""
+    for k, part in enumerate([robot, plate] if split else [robot | plate]):
+        shuffled = {name: part[name] for name in rng.permutation(list(part)).tolist()}
+        paths.append(written(rng, folder / f"log{k}", clock(rng, time, epoch) | shuffled))
+    known = names if not named or rng.integers(2) else ()
+    text = guessed(paths, folder, known).text
     lines = [line for line in text.splitlines() if not line.startswith("#")]
-    return [line for line in lines if '""' in line or line.startswith("rate = 0")]
+    empty = [line for line in lines if '""' in line or line.startswith("rate = 0")]
+    assert [line[:10] for line in empty] == ['sense = ""'], text
+    (folder / "map.toml").write_text(text.replace('sense = ""', 'sense = "on_robot"'))
+    made = tb.Recording.from_mapping(folder / "map.toml")
+    assert made.rate == pytest.approx(rate, rel=1e-9), text
+    assert sorted(made.names) == sorted(names), text
+    order = [made.names.index(name) for name in names]
+    for kind, values in truth.items():
+        found = made.measured(kind)[:, range(6) if kind == "wrench" else order]
+        np.testing.assert_allclose(found, values, atol=1e-5, err_msg=text)
 
 
 @given(
@@ -225,20 +165,26 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
     assert rate_of(stamps) / TIMES[unit] == pytest.approx(rate, rel=1e-12)
 
 
-def test_a_files_name_says_what_columns_of_joints_alone_do_not(tmp_path: Path) -> None:
-    for name in ("pos_read_data", "curr_data"):
-        rows = "\n".join("1,2" for _ in range(5))
-        (tmp_path / f"{name}.csv").write_text(f"Joint_1,Joint_2\n{rows}\n")
-    paths = [tmp_path / "curr_data.csv", tmp_path / "pos_read_data.csv"]
-    tables = guessed(paths, tmp_path, ("joint_1", "joint_2")).tables
-    found = {kind: tables[kind]["source"] for kind in ("position", "torque")}
-    assert found == {"position": "pos_read_data", "torque": "curr_data"}
+def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path: Path) -> None:
+    """Columns of joints alone; a second torque; a counter that begins again; a base's pose."""
 
+    def guess(columns: str, row: str, *names: str) -> dict[str, dict[str, Any]]:
+        rows = [row.replace("K", f"{k}").replace("R", f"{k % 3}") for k in range(5)]
+        for name in names:
+            (tmp_path / f"{name}.csv").write_text("\n".join([columns, *rows]) + "\n")
+        draft = guessed([tmp_path / f"{name}.csv" for name in names], tmp_path, ("J_1", "J_2"))
+        (tmp_path / "map.toml").write_text(draft.text)
+        return draft.tables
 
-def test_columns_with_another_word_before_the_number_are_another_signal(tmp_path: Path) -> None:
-    names = [f"{word}{k}" for word in ("Position", "Torque", "TorqueSm", "Cur") for k in (1, 2)]
-    table = {"Takt [ms]": np.arange(50.0)} | dict.fromkeys(names, np.arange(50.0))
-    np.savez(tmp_path / "log.npz", **table)  # type: ignore[arg-type]
-    tables = guessed([tmp_path / "log.npz"], tmp_path, ("joint_1", "joint_2")).tables
-    assert tables["torque"]["columns"] == ["Torque1", "Torque2"]
-    assert (tables["sources.log"]["time"], tables[""]["rate"]) == ("Takt [ms]", 1000)
+    found = guess("J_1,J_2", "1,2", "curr_data", "pos_read_data")
+    sources = {kind: found[kind]["source"] for kind in ("position", "torque")}
+    assert sources == {"position": "pos_read_data", "torque": "curr_data"}
+    found = guess("Takt [ms],Torque1,Torque2,TorqueSm1,TorqueSm2", "K,1,2,3,4", "log")
+    assert found["torque"]["columns"] == ["Torque1", "Torque2"]
+    assert (found["sources.log"]["time"], found[""]["rate"]) == ("Takt [ms]", 1000)
+    assert "time" not in guess("count,q", "R,0", "log")["sources.log"]
+    base = "base_x,base_y,base_z,quat_w,quat_x,quat_y,quat_z"
+    found = guess(f"t,q1,{base}", "K,1,0,0,1,1,0,0,0", "walk")
+    assert found["base"]["position"] == [""] * 3  # to be filled in
+    with pytest.raises(ExperimentError):
+        tb.Recording.from_mapping(tmp_path / "map.toml")

@@ -25,6 +25,7 @@ from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import few, rngs, robots
 
+PUMA_FILE = ROOT / "experiments/noise_free.toml"
 INSTANTS = Sampling(500.0, 2, False, 0.2)
 
 
@@ -175,11 +176,7 @@ def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_b
              "robot.joint.waist.viscous=0.0", 'simulation.effect=[{kind="payload",mass=2.0}]',
              ]  # fmt: skip
     right, wrong, again = (
-        tb.simulate(
-            tb.Experiment.load(
-                ROOT / "experiments/noise_free.toml", [*words, f"simulation.drive_model_error={e}"]
-            )
-        )
+        tb.simulate(tb.Experiment.load(PUMA_FILE, [*words, f"simulation.drive_model_error={e}"]))
         for e in (0.0, 0.1, 0.1)
     )
     truth = wrong.truth
@@ -198,6 +195,4 @@ def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_b
     np.testing.assert_allclose(truth.friction[fast], law[fast], atol=1e-9)
     for error in ("-0.1", "1.0", "nan"):
         with refuses(tb.TestbedError, "simulation.drive_model_error"):
-            tb.Experiment.load(
-                ROOT / "experiments/table6.toml", [f"simulation.drive_model_error={error}"]
-            )
+            tb.Experiment.load(PUMA_FILE, [f"simulation.drive_model_error={error}"])
