@@ -16,8 +16,6 @@ from testbed.arrays import Array
 from tests.scenarios.scenarios import SCENARIOS, figures
 
 KEPT = Path(__file__).parent / "kept"
-SAME = 1e-9
-"""Relative to the largest of an array."""
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
@@ -29,7 +27,9 @@ def test_no_number_moves(name: str) -> None:
     kept = {key: np.array(each, dtype=float) for key, each in json.loads(place.read_text()).items()}
     assert list(found) == list(kept)
     moved = {key: _change(kept[key], each) for key, each in found.items()}
-    assert {key: change for key, change in moved.items() if not change <= SAME} == {}
+    assert {
+        key: change for key, change in moved.items() if not change <= SCENARIOS[name].same
+    } == {}
 
 
 def _change(before: Array, now: Array) -> float:
