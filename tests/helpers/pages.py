@@ -184,7 +184,8 @@ class Seen(HTMLParser):
 
     def __post_init__(self) -> None:
         super().__init__()
-        self._folds, self._into, self._div = 0, [""], {}
+        self._folds, self._into = 0, [""]
+        self._div: dict[str, str] = {}
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         own = {name: value or "" for name, value in attrs}

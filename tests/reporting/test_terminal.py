@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def test_no_number_of_a_run_is_cut_and_the_first_screen_holds_it(
 @given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
 def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) -> None:
     sizes = np.array([-1.23456e-101, np.nan])
-    values = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
+    values: dict[str, Any] = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
     found = Validation("internal", names, ("N m", "N m"), (12345678, 0), mean=sizes, **values)
     text = printed(width, lambda out: [out.print(t) for t in validation_tables(out, found)])
     assert max(map(len, text.splitlines())) <= width

@@ -209,8 +209,8 @@ def test_friction_is_drawn_to_scale_and_its_axes_say_which() -> None:
 @slow
 def test_constants_and_the_matrix_are_drawn_as_wrong_as_they_are(tmp_path: Path) -> None:
     """Bars as long as two sigma to either side, cells as dark as they are wrong, by one scale."""
-    drives = [DriveEstimate(joint, value, sigma, (), 0.1, "N m", 100)
-              for joint, value, sigma in (("waist", 1.08, 2e-3), ("elbow", 0.96, 5e-3))]  # fmt: skip
+    constants = (("waist", 1.08, 2e-3), ("elbow", 0.96, 5e-3))
+    drives = [DriveEstimate(name, off, sd, (), 0.1, "N m", 100) for name, off, sd in constants]
     rng = np.random.default_rng(0)
     matrix = MatrixErrors(rng.normal(size=(6, 6)), 0.1 * rng.uniform(size=(6, 6)))
     path = tmp_path / "drives.rrd"

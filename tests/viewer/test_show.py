@@ -23,6 +23,8 @@ from tests.helpers.refusals import refuses
 from tests.helpers.viewer import free_port, tree
 from tests.viewer.test_recording import rrd, scene
 
+SIDES = ("start", "end")
+
 
 def views(part: Any) -> Iterator[Any]:
     """All views of a blueprint's part."""
@@ -40,7 +42,7 @@ def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
     """Opened on the same seconds; those of one unit on one scale, which their titles say."""
     shown, there = scene(name), tree(rrd(name))
     page = blueprint([shown], "notes")
-    tabs = page.root_container.contents[1]
+    tabs: Any = list(page.root_container.contents)[1]
     assert tabs.contents[tabs.active_tab].name == "notes"
     for view in views(page.root_container):
         assert any(f"{at}/".startswith(f"{view.origin}/") for at in there), view.origin
@@ -56,11 +58,7 @@ def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
     for view in views(page.root_container):
         if view.origin.startswith(("/wrench", "/torque")):
             (seen,) = view.properties["TimeAxis"].view_range.pa_array.to_pylist()
-            ends = [
-                float(getattr(x, "get", lambda _: x)("value"))
-                for x in seen.values()
-                if x is not None
-            ]
+            ends = [float(x["value"] if isinstance(x, dict) else x) for x in map(seen.get, SIDES)]
             np.testing.assert_allclose(ends, [1e9 * start, 1e9 * end], atol=1e3)
 
 
