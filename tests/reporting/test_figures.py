@@ -261,7 +261,9 @@ def test_a_portrait_has_everything_within_its_frame(tree: tb.Tree, seed: int, po
 
 
 def test_the_portrait_shows_the_robot_where_it_stands(puma: tb.Tree) -> None:
-    """A ball to the right, seen from the front: right of the frame's origin, in a frame of 640."""
+    """A ball to the right, seen from the front: right of the origin; pixels count down."""
     look = Appearance(puma, (ball(-1, 0.1, np.array([2.0, 0, 0])),))
     svg = portrait(look, np.zeros((1, 3)), None, "ball")
-    assert float(re.findall(r'<line x1="([\d.-]+)"', svg)[0]) < 200
+    ends = re.findall(r'<line x1="(\S+)" y1="(\S+)" x2="(\S+)" y2="(\S+)"', svg)
+    assert float(ends[0][0]) < 200
+    assert float(ends[-1][3]) < float(ends[-1][1])  # z is up
