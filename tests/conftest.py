@@ -1,4 +1,4 @@
-"""What many tests need: the PUMA, the golden data, a short recording."""
+"""What many tests need: the PUMA, the golden data."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 import testbed as tb
-from testbed.experiment.evaluate import evaluate
-from testbed.experiment.run import Run
 from testbed.reporting import output
 from tests.helpers.paths import GOLDEN, ROOT
 
@@ -57,18 +55,3 @@ def puma() -> tb.Tree:
 @pytest.fixture(scope="session")
 def golden() -> Any:
     return json.loads((GOLDEN / "puma562.json").read_text())
-
-
-@pytest.fixture(scope="session")
-def puma_recording() -> tb.Recording:
-    """Ten seconds of the PUMA through the instrument of table6."""
-    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
-    return tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
-
-
-@pytest.fixture(scope="session")
-def puma_run(puma_recording: tb.Recording) -> Run:
-    """What those ten seconds tell."""
-    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
-    experiment = tb.Experiment.load(ROOT / "experiments/table6.toml", settings)
-    return evaluate(experiment, puma_recording)

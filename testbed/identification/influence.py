@@ -26,7 +26,8 @@ def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
     for unit in dict.fromkeys(estimate.channel_units):
         same = units == unit
         size = max(float(equations.squares[same].sum()), np.finfo(float).tiny)
-        shares.append(np.sqrt(squares[same].sum(axis=0) / size))
+        square = np.maximum(squares[same].sum(axis=0), 0.0)  # of a column of zeros by rounding
+        shares.append(np.sqrt(square / size))
     return np.asarray(np.abs(values) * np.max(shares, axis=0))
 
 

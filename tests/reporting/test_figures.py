@@ -1,146 +1,84 @@
-"""Figures as a person sees them: plots that fill their panels, ticks that can be read."""
+"""Figures as a person sees them: readable at every size, and of what they are said to be of."""
 
 from __future__ import annotations
 
 import re
+import struct
 import xml.etree.ElementTree as ET
+import zlib
+from dataclasses import replace
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
-from testbed.arrays import Array
-from testbed.reporting.figures import (
-    COLOURS,
-    HEIGHT,
-    WIDTH,
-    Panel,
-    power_of_ten,
-    thinned,
-    tick_label,
-)
+import testbed as tb
+from testbed.reporting.drive_sections import curve_lines
+from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
+from testbed.reporting.figures import COLOURS, Panel, power_of_ten, tick_label
+from testbed.reporting.heat_table import DARKEST, heat_table
 from testbed.reporting.named_panels import named_panels
-
-pytestmark = pytest.mark.slow
+from testbed.reporting.portrait import HEIGHT, LETTER, portrait
+from testbed.reporting.raster import paint, png
+from testbed.reporting.spectrum import SEGMENT, rms_within, spectrum
+from testbed.robot.visuals.appearance import Appearance, load_appearance
+from tests.helpers.pages import HOSTILE, run_named
+from tests.helpers.shapes import ball
+from tests.helpers.strategies import few, rngs, seeds, trees
 
 SVG = "{http://www.w3.org/2000/svg}"
-TICK = 7.0  # a tick and the gap to its label [pt]
-SIZES = [1e-9, 1e-5, 3e-3, 1.0, 47.0, 2e4, 6e8]
-
-
-def panels(size: float) -> list[Panel]:
-    """Plots of all kinds of curves of this size, or about it."""
-    rng = np.random.default_rng(0)
-    x = np.linspace(0.3, 512.0, 400)
-    noise = rng.normal(size=400)
-    curves: dict[str, Array] = {
-        "about zero": size * noise,
-        "far from zero": size * (noise + 500),
-        "positive": size * (1 + noise**2),
-        "still": np.zeros(400),
-    }
-    even = [Panel(name, {"measured": (x, y)}, "time [s]") for name, y in curves.items()]
-    steep = {"external": (x, size / x**3), "internal": (x, size * (1 + noise**2))}
-    return [*even, Panel("spectra", steep, "frequency [Hz]", log=True)]
+SIZES = st.floats(-9, 9).map(lambda power: float(10**power))
 
 
 def texts(svg: str) -> list[str]:
     return [each.text or "" for each in ET.fromstring(svg).iter(f"{SVG}text")]
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_no_text_is_the_source_of_a_formula(size: float) -> None:
-    for panel in panels(size):
-        assert not [text for text in texts(panel.svg) if "$" in text or "math" in text]
+@pytest.mark.slow
+@given(SIZES, rngs, st.sampled_from(["zero", "far", "positive", "still", "log", "nothing"]))
+def test_axes_can_be_read(size: float, rng: np.random.Generator, kind: str) -> None:
+    """Different labels at two ticks at least, with room for their signs; names as they are."""
+    x, noise = np.linspace(0.3, 512.0, 300), rng.normal(size=300)
+    y = {"zero": size * noise, "far": size * (noise + 500), "positive": size * (1 + noise**2),
+         "log": size / x**3}.get(kind, 0 * x)  # fmt: skip
+    svg = Panel(HOSTILE, {"measured": (x, y)}, "time [s]", kind in ("log", "nothing")).svg
+    assert HOSTILE in texts(svg)
+    assert not [text for text in texts(svg) if "math" in text]
+    root = ET.fromstring(svg)
+    groups = {each.get("class") or "": each for each in root.iter(f"{SVG}g")}
+    corners = re.findall(r"[ML] ([\d.]+)", groups["patch_2"][0].attrib["d"])
+    font, labels = FontProperties(family="DejaVu Sans", size=9), []
+    for axis in ("xtick", "ytick"):
+        ticks = [each for name, each in groups.items() if name.startswith(axis)]
+        labels = [text.text or "" for each in ticks for text in each.iter(f"{SVG}text")]
+        assert len(set(labels)) == len(labels) >= 2
+    longest = max(TextPath((0, 0), text, prop=font).get_extents().width for text in labels)
+    assert longest + 7 < min(map(float, corners))  # points: a tick and the gap to its label
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_plots_fill_their_panels(size: float) -> None:
-    for panel in panels(size):
-        root = ET.fromstring(panel.svg)
-        _, _, width, height = map(float, root.attrib["viewBox"].split())
-        assert (width, height) == pytest.approx((72 * WIDTH, 72 * HEIGHT))
-        (axes,) = (g for g in root.iter(f"{SVG}g") if g.get("class") == "axes_1")
-        (patch,) = (g for g in axes if g.get("class") == "patch_2")
-        numbers = np.array(re.findall(r"[-\d.]+", patch[0].attrib["d"]), dtype=float).reshape(-1, 2)
-        share = np.ptp(numbers, axis=0) / [width, height]
-        assert (share >= 0.6).all()
+@given(st.integers(-12, 12), st.floats(-1e8, 1e8))
+def test_ticks_are_read_as_they_are_written(power: int, value: float) -> None:
+    signs = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+    said = power_of_ten(10.0**power).translate(signs)
+    assert len(said) <= 5
+    read = float(said) if abs(power) <= 3 else 10.0 ** int(said.removeprefix("10"))
+    assert read == pytest.approx(10.0**power)
+    number, _, ten = tick_label(value).translate(signs).partition("·10")
+    assert float(number) * 10.0 ** int(ten or 0) == pytest.approx(value, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [*SIZES, 7e-4, 2e-4, 12345.0])
-def test_the_labels_of_ticks_have_room_with_their_signs(size: float) -> None:
-    """Left of the axis, inside the panel: -0.0005 is never seen as 0.0005."""
-    for panel in panels(size):
-        root = ET.fromstring(panel.svg)
-        (axes,) = (g for g in root.iter(f"{SVG}g") if g.get("class") == "axes_1")
-        (patch,) = (g for g in axes if g.get("class") == "patch_2")
-        start = min(map(float, re.findall(r"[ML] ([\d.]+)", patch[0].attrib["d"])))
-        ticks = [g for g in root.iter(f"{SVG}g") if (g.get("class") or "").startswith("ytick")]
-        labels = [text.text or "" for g in ticks for text in g.iter(f"{SVG}text")]
-        font = FontProperties(family="DejaVu Sans", size=9)
-        longest = max(TextPath((0, 0), text, prop=font).get_extents().width for text in labels)
-        assert longest + TICK < start
-
-
-@pytest.mark.parametrize("size", SIZES)
-def test_every_axis_has_ticks_that_tell_its_scale(size: float) -> None:
-    """Two different labels at least on each axis; never one label for two ticks."""
-    for panel in panels(size):
-        root = ET.fromstring(panel.svg)
-        for axis in ("xtick", "ytick"):
-            ticks = [g for g in root.iter(f"{SVG}g") if (g.get("class") or "").startswith(axis)]
-            labels = [text.text for g in ticks for text in g.iter(f"{SVG}text")]
-            assert len(set(labels)) == len(labels)
-            assert len(labels) >= 2
-
-
-@pytest.mark.parametrize("power", range(-12, 13))
-def test_powers_of_ten_are_read_as_they_are_written(power: int) -> None:
-    text = power_of_ten(10.0**power)
-    digits = text.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))
-    value = 10.0 ** int(digits[2:]) if digits != text else float(text)
-    assert value == pytest.approx(10.0**power)
-    assert len(text) <= 5
-
-
-@pytest.mark.parametrize(
-    ("value", "label"),
-    [(0.0, "0"), (-150.0, "−150"), (0.02, "0.02"), (2e-5, "2·10⁻⁵"), (-5e7, "−5·10⁷")],
-)
-def test_ticks_of_even_axes(value: float, label: str) -> None:
-    assert tick_label(value) == label
-
-
-def test_dollars_in_names_are_dollars() -> None:
-    x = np.linspace(0, 1, 10)
-    svg = Panel("a$\\foo_{$ [N]", {"measured": (x, x)}, "time [s]").svg
-    assert "a$\\foo_{$ [N]" in texts(svg)
-
-
-def test_colours_are_the_pages_and_ids_are_not_doubled() -> None:
-    x = np.linspace(0, 1, 10)
-    svg = Panel("a", {"measured": (x, x), "external": (x, -x)}, "t").svg
-    for variable in ("ink", "faint", "measured", "external"):
-        assert f"var(--{variable})" in svg
-    assert not re.search(r"#0102", svg)
-    other = Panel("b", {"measured": (x, x)}, "t").svg
-    ids = [set(re.findall(r' id="([^"]+)"', each)) for each in (svg, other)]
-    assert not ids[0] & ids[1]
-
-
-@pytest.mark.parametrize("kind", ["line", "noise", "spectrum"])
-def test_curves_that_agree_are_all_seen(kind: str) -> None:
-    """The same curve by every name: of none, the others leave nothing."""
-    x = np.linspace(1.0, 100.0, 600)
-    noise = np.random.default_rng(0).normal(size=600)
-    y = {"line": np.sin(x / 9), "noise": noise, "spectrum": np.exp(noise / 4) / x}[kind]
-    names = ("measured", "external", "internal")
-    curves = dict.fromkeys(reversed(names), (x, y))
-    figure = Panel("a [N]", curves, "time [s]", log=kind == "spectrum").drawn()
+def test_curves_that_agree_are_all_seen() -> None:
+    """The same curve by every name: of none, the others leave nothing; in colours of the page."""
+    x, names = np.linspace(1.0, 100.0, 600), ("measured", "external", "internal")
+    panel = Panel("a [N]", dict.fromkeys(reversed(names), (x, np.sin(x / 9))), "time [s]")
+    figure = panel.drawn()
     for line in figure.axes[0].lines:
         line.set_antialiased(False)
     canvas: Any = FigureCanvasAgg(figure)
@@ -148,57 +86,184 @@ def test_curves_that_agree_are_all_seen(kind: str) -> None:
     pixels = np.asarray(canvas.buffer_rgba())[..., :3].reshape(-1, 3)
     count = [np.sum((pixels == np.array(to_rgb(COLOURS[n])) * 255).all(axis=1)) for n in names]
     assert min(count) > 0.08 * sum(count)
+    assert all(f"var(--{name})" in panel.svg for name in ("ink", "faint", *names))
+    assert panel.svg == panel.svg
+    ids = [
+        set(re.findall(r' id="([^"]+)"', each.svg)) for each in (panel, replace(panel, title="b"))
+    ]
+    assert not ids[0] & ids[1]
 
 
-def test_values_by_name_have_all_their_names_and_one_scale() -> None:
-    names = [f"K{k}yy" for k in range(41)]
-    values = {kind: 10 ** np.random.default_rng(k).uniform(-3, 1, 41) for k, kind in
-              enumerate(("measured", "external"))}  # fmt: skip
-    found = named_panels("sigma", names, values, "part of the value [%]", log=True)
-    assert [name for panel in found for name in panel.names] == names
-    assert len({panel.limits for panel in found}) == 1
-    for panel in found:
-        assert set(panel.names) <= set(texts(panel.svg))
-        for at, _ in panel.curves.values():
-            assert panel.limits is not None
-            assert panel.limits[0] <= at.min() <= at.max() <= panel.limits[1]
+@given(st.integers(1, 80), rngs)
+@few(5)
+def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Generator) -> None:
+    names = tuple(f"K{k}yy" for k in range(count))
+    values = {kind: 10 ** rng.uniform(-9, 2, count) for kind in ("external", "internal")}
+    panels = named_panels("sigma", names, values, "part [%]", log=True)
+    assert [name for panel in panels for name in panel.names] == list(names)
+    assert len({panel.limits for panel in panels}) == 1
     for kind, wanted in values.items():
-        drawn = np.concatenate([panel.curves[kind][0] for panel in found])
+        drawn = np.concatenate([panel.curves[kind][0] for panel in panels])
         np.testing.assert_array_equal(drawn, wanted)
+        low, high = panels[0].limits or (1.0, 0.0)
+        assert low <= drawn.min() <= drawn.max() <= high
+    dots = ErrorDots(names, {"external": values["external"]}, {"external": values["internal"]})
+    assert dots.range == (low, high)
+    drawings = "".join(panel["svg"] for panel in dot_panels(dots))
+    assert [name for name in names if f">{name}<" not in drawings] == []
 
 
-def test_plots_below_each_other_share_their_time_and_keep_their_units() -> None:
-    x = np.linspace(0, 5, 50)
-    below = {"velocity [rad/s]": {"external": (x, 2 * x)}}
-    figure = Panel("a: position [rad]", {"external": (x, x)}, "time [s]", below=below).drawn()
-    upper, lower = figure.axes
-    assert upper.get_xlim() == lower.get_xlim()
-    assert upper.get_position().x0 == lower.get_position().x0
-    assert upper.get_position().y0 > lower.get_position().y1
-    assert [axis.get_title(loc="left") for axis in (upper, lower)] == [
-        "a: position [rad]", "velocity [rad/s]"
-    ]  # fmt: skip
-    assert (upper.get_xlabel(), lower.get_xlabel()) == ("", "time [s]")
+@pytest.mark.slow
+def test_dots_are_errors_and_bars_are_sigmas() -> None:
+    """In percent of the truth; where no truth is known dots are sigmas of the values."""
+    run = run_named("ur5")
+    dots, blind = dots_of_run(run), dots_of_run(replace(run, score=None))
+    assert 0 < len(dots.names) <= MOST
+    assert not blind.sigmas
+    for method, estimate in run.estimates.items():
+        for k, name in enumerate(estimate.names):
+            at, error = dots.names.index(name), abs(estimate.values[k] - run.truths[name])
+            ratio = dots.errors[method][at] / dots.sigmas[method][at]
+            assert ratio == pytest.approx(error / estimate.sigma[k])
+            if abs(run.truths[name]) > 0.1 * np.abs(estimate.values).max():
+                share = 100 * error / abs(run.truths[name])
+                assert dots.errors[method][at] == pytest.approx(share)
+            known = blind.errors[method][blind.names.index(name)]
+            assert known == pytest.approx(100 * estimate.sigma[k] / abs(estimate.values[k]))
+    assert dots_section(replace(run, estimates={}, score=None)) is None
+    labels = [text.get_text() for text in tb.plot(run).axes[0].get_yticklabels()]
+    assert labels == list(dots.names)
+    assert tb.plot(run.estimates["external"])._repr_png_().startswith(b"\x89PNG")
 
 
-def test_the_same_bits_every_time() -> None:
-    for panel in panels(1.0):
-        assert panel.svg == panel.svg
+def test_cells_are_as_dark_as_the_logarithm_of_what_they_hold() -> None:
+    """Empty where there is nothing; what stands in the darkest can be read [WCAG 2.1, 1.4.3]."""
+    values = [0.01, 0.1, 1.0, 10.0, 100.0, 1e6, 1e-9, float("nan")]
+    ((_, cells),) = heat_table("", ["a"], list("bcdefghi"), [values], 0.01, 100.0)["rows"]
+    wanted = [0, DARKEST / 4, DARKEST / 2, 3 * DARKEST / 4, DARKEST, DARKEST, 0, 0]
+    assert [cell["share"] for cell in cells] == [round(part) for part in wanted]
+    assert [cells[k]["text"] for k in (0, 2, 7)] == ["1", "100", ""]
+    style = (files("testbed.reporting") / "page/style.css").read_text()
+    for part in style.split("@media (prefers-color-scheme: dark)")[:2]:
+        found = (re.findall(rf"--{name}: #(\w+)", part)[0] for name in ("ink", "paper", "external"))
+        ink, paper, colour = (
+            np.array([int((2 * c)[:2] if len(t) == 3 else c, 16) / 255
+                      for c in (t if len(t) == 3 else re.findall("..", t))]) for t in found
+        )  # fmt: skip
+        ground = DARKEST / 100 * colour + (1 - DARKEST / 100) * paper
+        bright = [np.where(c <= 0.03928, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
+                  @ (0.2126, 0.7152, 0.0722) for c in (ink, ground)]  # fmt: skip
+        assert (max(bright) + 0.05) / (min(bright) + 0.05) >= 4.5
 
 
-@pytest.mark.parametrize("samples", [1, 1500, 1501, 100_000])
-def test_thinned_curves_keep_their_shape(samples: int) -> None:
-    x = np.arange(samples, dtype=float)
-    a, b = thinned(x, 2 * x)
-    assert len(a) <= 1500
-    assert a[0] == 0.0
-    np.testing.assert_array_equal(b, 2 * a)
-    assert np.ptp(np.diff(a)) == 0 if len(a) > 2 else True
-    assert a[-1] >= samples - 1 - samples / len(a)
+@pytest.mark.slow
+def test_a_friction_curve_is_open_where_the_direction_changes() -> None:
+    run = run_named("plate")
+    for curve in run.drives.curves if run.drives else ():
+        speed, torque, sigma = curve_lines(curve)
+        gap = np.isnan(speed)
+        assert gap.sum() == 1
+        assert (speed[: gap.argmax()] <= 0).all() & (speed[gap.argmax() + 1 :] > 0).all()
+        np.testing.assert_array_equal(torque[~gap], curve.torque)
+        np.testing.assert_array_equal(np.isnan(sigma), gap)
 
 
-def test_a_spectrum_of_nothing_is_drawn_all_the_same() -> None:
-    """Perfect predictions leave zeros, which have no logarithm."""
-    x = np.linspace(0.3, 512.0, 40)
-    found = Panel("spectra", {"external": (x, np.zeros(40))}, "frequency [Hz]", log=True).svg
-    assert "spectra" in texts(found)
+@given(rngs, st.sampled_from([300, SEGMENT, 40 * SEGMENT]), st.floats(50, 1000))
+@few(10)
+def test_power_is_neither_lost_nor_found(rng: np.random.Generator, count: int, rate: float) -> None:
+    """Parseval's law; a tone stands at its frequency with its power; a mean counts nowhere."""
+    noise = 3.0 * rng.normal(size=count)
+    frequency, density = spectrum(noise + 50.0, rate)
+    total = rms_within(frequency, density, 0.0, np.inf)
+    assert total == pytest.approx(noise.std(), rel=0.3 if count == 300 else 0.06)
+    low, high = (rms_within(frequency, density, *band) for band in ((0, 7.0), (7.0, np.inf)))
+    assert np.hypot(low, high) == pytest.approx(total, rel=1e-12)
+    tone = rng.uniform(0.2, 0.3) * rate
+    frequency, density = spectrum(4.0 * np.sin(2 * np.pi * tone * np.arange(9000) / rate), rate)
+    assert frequency[density.argmax()] == pytest.approx(tone, abs=rate / SEGMENT)
+    assert rms_within(frequency, density, 0.9 * tone, 1.1 * tone) == pytest.approx(8**0.5, rel=0.01)
+    assert rms_within(*spectrum(np.array([1.0, -1.0, 1.0]), 10.0), 0.0, np.inf) == 0.0
+
+
+@given(rngs)
+@few(8)
+def test_what_is_painted_is_the_nearest_triangle(rng: np.random.Generator) -> None:
+    """Every pixel inside and none outside, whatever is beside the picture or without area."""
+    corners = rng.uniform(-40, 140, (4, 3, 3))
+    flat = np.tile(rng.uniform(0, 100, (1, 1, 3)), (1, 3, 1))
+    colours = np.eye(5)[:, :3] * [[1, 1, 1]]
+    colours[3:] = [[1, 1, 0], [0, 1, 1]]
+    picture = paint(np.concatenate([corners, flat]), colours, 100, 90)
+    assert picture.shape == (90, 100, 4)
+    at = np.stack(np.meshgrid(np.arange(100) + 0.5, np.arange(90) + 0.5), axis=-1)
+    depth, sure = np.full((4, 90, 100), 1e9), np.ones((90, 100), dtype=bool)
+    for k, triangle in enumerate(corners):
+        edges = np.vstack([triangle[:, :2].T, np.ones(3)])
+        share = np.linalg.solve(edges, np.dstack([at, np.ones((90, 100))]).reshape(-1, 3).T)
+        reach = np.linalg.norm(np.linalg.inv(edges)[:, :2], axis=1)[:, None]
+        away = (share / reach).min(axis=0).reshape(90, 100)  # pixels from the edge, inwards
+        depth[k][away > 0] = (triangle[:, 2] @ share).reshape(90, 100)[away > 0]
+        sure &= np.abs(away) > 0.8
+    order = np.sort(depth, axis=0)
+    inside = sure & (order[0] < 1e9) & (order[1] - order[0] > 3)
+    assert not picture[sure & (order[0] == 1e9)].any()
+    wanted = 255 * colours[depth.argmin(axis=0)]
+    np.testing.assert_array_equal(picture[inside][:, :3], wanted[inside])
+    assert (picture[inside][:, 3] == 255).all()
+
+
+@given(rngs)
+@few(5)
+def test_a_png_holds_its_picture(rng: np.random.Generator) -> None:
+    picture = rng.integers(0, 256, (7, 5, 4)).astype(np.uint8)
+    data, chunks, place = png(picture), {}, 8
+    while place < len(data):
+        (size,) = struct.unpack(">I", data[place : place + 4])
+        kind, held = data[place + 4 : place + 8], data[place + 8 : place + 8 + size]
+        (check,) = struct.unpack(">I", data[place + 8 + size : place + 12 + size])
+        assert check == zlib.crc32(kind + held)
+        chunks[kind], place = held, place + 12 + size
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    assert struct.unpack(">2I5B", chunks[b"IHDR"]) == (5, 7, 8, 6, 0, 0, 0)
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), dtype=np.uint8).reshape(7, 21)
+    np.testing.assert_array_equal(rows[:, 1:].reshape(7, 5, 4), picture)
+
+
+@pytest.mark.slow
+@given(trees((1, 6)), seeds, st.floats(-3, 6))
+@few(4)
+def test_a_portrait_has_everything_within_its_frame(tree: tb.Tree, seed: int, power: float) -> None:
+    """Robot, paths, arrows as long as forces are said to be, and no label over another."""
+    rng = np.random.default_rng(seed)
+    wrench = 10**power * rng.normal(size=6)
+    motion = rng.uniform(-0.5, 0.5, (30, tree.n))
+    svg = portrait(load_appearance(tree), motion, wrench, HOSTILE)
+    root = ET.fromstring(svg)
+    assert root.attrib["aria-label"] == HOSTILE
+    left, top, width, height = map(float, root.attrib["viewBox"].split())
+    numbers = [[float(x) for x in pair.split(",")] for line in root.iter()
+               for pair in line.attrib.get("points", "").split()]  # fmt: skip
+    for line in root.iter(f"{SVG}line"):
+        numbers += [[float(line.attrib[f"{c}{k}"]) for c in "xy"] for k in (1, 2)]
+    boxes = [(float(t.attrib["x"]), float(t.attrib["y"]), LETTER * len(t.text or ""))
+             for t in root.iter(f"{SVG}text")]  # fmt: skip
+    numbers += [[x + side * w / 2, y] for x, y, w in boxes for side in (-1, 1)]
+    low, high = np.min(numbers, axis=0), np.max(numbers, axis=0)
+    assert (low >= [left, top]).all()
+    assert (high <= [left + width, top + height]).all()
+    for k, (x, y, w) in enumerate(boxes):
+        for other in boxes[:k]:
+            beside = abs(x - other[0]) >= (w + other[2]) / 2 - 0.2
+            assert beside or abs(y - other[1]) >= HEIGHT - 0.2
+    said = [float(text.split()[0]) for text in texts(svg)[-2:]]
+    assert said == pytest.approx([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], rel=6e-3)
+    assert texts(portrait(load_appearance(tree), motion, None, "x")) == ["x", "y", "z"]
+
+
+def test_the_portrait_shows_the_robot_where_it_stands(puma: tb.Tree) -> None:
+    """A ball to the right, seen from the front: right of the origin; pixels count down."""
+    look = Appearance(puma, (ball(-1, 0.1, np.array([2.0, 0, 0])),))
+    svg = portrait(look, np.zeros((1, 3)), None, "ball")
+    ends = re.findall(r'<line x1="(\S+)" y1="(\S+)" x2="(\S+)" y2="(\S+)"', svg)
+    assert float(ends[0][0]) < 200
+    assert float(ends[-1][3]) < float(ends[-1][1])  # z is up

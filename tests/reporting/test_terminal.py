@@ -1,72 +1,234 @@
-"""What the terminal shows, as wide as it is."""
+"""What the terminal shows at any width, and what programs are given in its place."""
 
 from __future__ import annotations
 
+import json
+import re
+import sys
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from testbed.experiment.experiment_tables import Bound
-from testbed.experiment.unseen import validated
+import testbed as tb
+from testbed.campaign.campaign_summary import Summary
+from testbed.campaign.conduct import Standing
+from testbed.campaign.summary_files import changes
+from testbed.excitation.proof import Margin, Proof
+from testbed.identification.validate import Validation
+from testbed.parameters.identifiability import identifiability
+from testbed.parameters.joint_terms import with_joint_terms
+from testbed.parameters.symbols import summands
+from testbed.reporting import output
+from testbed.reporting.campaign_figures import marginal_figure, score_figure
+from testbed.reporting.campaign_lines import Throughput, duration, print_changes, print_summary
+from testbed.reporting.campaign_page import SHOWN
+from testbed.reporting.minimal_document import as_document, matrix_numbers
+from testbed.reporting.minimal_tables import (
+    Findings,
+    broken_name,
+    broken_sum,
+    print_latex,
+    print_sets,
+)  # fmt: skip
+from testbed.reporting.motion_tables import print_excitation, print_proof
 from testbed.reporting.terminal import print_estimates, print_run
-from tests.helpers import runs
-from tests.helpers.ideal import ideal
+from testbed.reporting.validation_tables import validation_tables
+from tests.helpers.console import printed
+from tests.helpers.pages import campaign, excitation, run_named
+from tests.helpers.paths import GOLDEN
+from tests.helpers.strategies import few, trees
+
+WIDTHS = st.integers(60, 140)
+LONG = "the_third_joint_of_the_left_index_finger"
+
+
+def findings(tree: tb.Tree) -> Findings:
+    dynamic, reaction = (tb.minimal_set(tree, model) for model in ("dynamic", "reaction"))
+    drives = with_joint_terms(tree, dynamic, ("rotor",))
+    return Findings(tree, dynamic, reaction, drives, identifiability(tree))
+
+
+def dense(text: str) -> str:
+    return re.sub(r"[\s│┃]", "", text)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("columns", [60, 72, 80, 110, 140])
-@pytest.mark.parametrize("robot", runs.ROBOTS)
-def test_no_number_is_cut_off_at_any_width(
-    robot: str, columns: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", ["ur5", "gantry"])
+def test_no_number_of_a_run_is_cut_and_the_first_screen_holds_it(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", str(columns))
-    run = runs.run_of(runs.robot(robot))
-    shown: tuple[Callable[[], None], ...] = (
-        lambda: print_run(run, Path("folder")),
-        lambda: print_estimates(list(run.estimates.values()), run.warnings),
-    )
-    for show in shown:
-        show()
-        said = capsys.readouterr().out
-        assert "…" not in said
-        table = [line for line in said.splitlines() if line.startswith(("│", "  "))]
-        assert table
-        assert max(map(len, table)) <= columns
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("robot", runs.ROBOTS)
-def test_a_run_fits_one_screen(
-    robot: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """40 rows of 100 columns, whatever is wrong: verdict, one cause, ten parameters."""
-    monkeypatch.setenv("COLUMNS", "100")
-    tree = runs.robot(robot)
-    recording = runs.noisy(ideal(tree))
-    weak = replace(recording, torque=1.06 * recording.measured("torque"))
-    bound = Bound(at_most=1e-9)
-    expect = {"external_max_z": bound, "internal_max_z": bound, "internal_to_external": bound}
-    claim = runs.experiment(expect=expect).model_copy(update={"claim": "All is well. " * 12})
-    run = validated(runs.run_of(tree, weak, claim), runs.noisy(ideal(tree, seed=8), 4))
-    assert len(run.warnings) > 1
+    """40 rows of 100 columns: verdict, one cause, ten parameters; all of it where it is asked."""
+    run = run_named(name)
     estimates = list(run.estimates.values())
-    shows: tuple[Callable[..., None], ...] = (
-        partial(print_run, run, Path("folder")),
-        partial(print_estimates, estimates, run.warnings),
+    names = {parameter for each in estimates for parameter in each.names}
+    for columns in (60, 80, 100, 140):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        shows: tuple[Callable[..., None], ...] = (
+            partial(print_run, run, Path("folder")),
+            partial(print_estimates, estimates, run.warnings),
+        )
+        for show in shows:
+            show(everything=False)
+            short = capsys.readouterr().out
+            show(everything=True)
+            whole = capsys.readouterr().out
+            assert "…" not in whole
+            table = [line for line in whole.splitlines() if line.startswith(("│", "  "))]
+            assert max(map(len, table)) <= columns
+            shown = [{n for n in names if f" {n} " in text} for text in (short, whole)]
+            assert len(shown[0]) >= min(10, len(names))
+            assert shown[1] == names
+            if columns == 100:
+                assert sum(-(-len(line) // 100) for line in short.splitlines()) <= 40
+            assert short.count("warning: ") <= 1
+
+
+@given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
+def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) -> None:
+    sizes = np.array([-1.23456e-101, np.nan])
+    values: dict[str, Any] = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
+    found = Validation("internal", names, ("N m", "N m"), (12345678, 0), mean=sizes, **values)
+    text = printed(width, lambda out: [out.print(t) for t in validation_tables(out, found)])
+    assert max(map(len, text.splitlines())) <= width
+    assert not re.search("…|nan", text)
+    assert [text.count(x) for x in ("-1.23e-101", "1.23e-101", "12345678")] == [1, 4, 1]
+
+
+@pytest.mark.slow
+@given(WIDTHS)
+@few(4)
+def test_a_motions_promises_and_limits_are_told_the_worst_first(width: int) -> None:
+    found = excitation()
+    text = printed(width, lambda out: print_excitation(out, found, Path("m"), everything=True))
+    lines = [set(line.split()) for line in text.splitlines()]
+    for k, name in enumerate(found.predicted.names):
+        row = {name, f"{found.predicted.sigma[k]:.2g}", f"{found.predicted.relative[k]:.2%}"}
+        assert any(row <= line for line in lines)
+    assert "…" not in text
+    assert str(len(found.design.proof.margins)) in text
+    short = printed(width, print_excitation, found, Path("m"))
+    known = {name: k for k, name in enumerate(found.predicted.names)}
+    shown = [
+        known[line.split()[0]]
+        for line in short.splitlines()
+        if line.split()[:1] and line.split()[0] in known
+    ]
+    assert shown == np.argsort(-found.predicted.relative)[:10].tolist()
+
+
+def test_a_limit_that_is_exceeded_comes_first_and_is_no_proof() -> None:
+    proof = Proof(
+        (Margin("velocity of 'a'", 0.25, 1.5), Margin("velocity of 'b'", -0.125, 2.5)), 9, 0
     )
-    for show in shows:
-        show(everything=False)
-        short = capsys.readouterr().out
-        show(everything=True)
-        whole = capsys.readouterr().out
-        rows = sum(max(1, -(-len(line) // 100)) for line in short.splitlines())
-        assert rows <= 40, short
-        names = {name for e in estimates for name in e.names}
-        shown = [{n for n in names if f" {n} " in text} for text in (short, whole)]
-        assert len(shown[0]) >= min(10, len(names))
-        assert shown[1] == names
-        assert sum(line.startswith("warning: ") for line in short.splitlines()) == 1
-        assert sum(line.startswith("warning: ") for line in whole.splitlines()) >= len(run.warnings)
+    text = printed(100, print_proof, proof)
+    rows = [line.split()[-2:] for line in text.splitlines() if "velocity of '" in line]
+    assert rows[:2] == [["-12.50%", "2.500"], ["25.00%", "1.500"]]
+    assert proof.worst.words in " ".join(text.split())
+
+
+@pytest.mark.slow
+@given(trees((2, 6)), WIDTHS)
+@few(6)
+def test_no_term_of_a_minimal_set_is_lost(tree: tb.Tree, width: int) -> None:
+    """On the terminal, in LaTeX, and in the document for programs."""
+    found = findings(tree)
+    text, document = (
+        printed(width, print_sets, found, "symbols"),
+        json.loads(json.dumps(as_document(found))),
+    )
+    assert "…" not in text
+    latex = printed(80, print_latex, found, "symbols")
+    assert [
+        line for line in latex.splitlines() if not line.startswith("% ") and " &= " not in line
+    ] == []
+    held = [document["S"], document["drives"]["columns"]]
+    for each in (found.dynamic, found.reaction):
+        written = document[each.model]
+        np.testing.assert_array_equal(written["matrix"], each.matrix)
+        np.testing.assert_array_equal(written["standard_matrix"], each.standard_matrix)
+        assert written["names"] == list(each.names)
+        held += [written["matrix"], written["standard_matrix"]]
+        for formula in each.formulas:
+            assert all(dense(piece) in dense(text) for piece in formula.left.pieces)
+            summed = summands(formula.right, "text")
+            left, third = formula.left, width // 3
+            both = (broken_sum(summed, third), summed), (broken_name(left, third), left.pieces)
+            for lines, pieces in both:
+                assert dense("".join(lines)) == dense("".join(pieces))
+                assert all(0 < len(line) <= third for line in lines)
+    assert matrix_numbers(found) == sum(np.size(each) for each in held)
+
+
+def test_the_pumas_set_is_written_as_the_paper_writes_it(puma: tb.Tree) -> None:
+    dynamic, reaction = (
+        tb.minimal_set(puma, model, zeros=True) for model in ("dynamic", "reaction")
+    )
+    golden = (GOLDEN / "minimal/puma562.tex").read_text(encoding="utf-8")
+    assert printed(80, print_latex, Findings(puma, dynamic, reaction, None), "symbols") == golden
+
+
+def _mean(summary: Summary, metric: str, factor: int, level: object) -> float:
+    own = [
+        f for f in summary.figures if f.metric == metric and summary.cells[f.cell][factor] == level
+    ]
+    return sum(f.mean * f.runs for f in own) / sum(f.runs for f in own)
+
+
+@pytest.mark.slow
+def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
+    """Means over all runs of a level; densities of enough runs only; nothing beside itself."""
+    summary = campaign()
+    marginals = marginal_figure(summary, SHOWN)
+    assert marginals is not None
+    for factor, level, metric, mean in marginals["rows"]:
+        k = summary.factors.index(factor)
+        wanted = 100 * _mean(summary, metric.replace(" ", "_"), k, float(level))
+        assert float(mean) == pytest.approx(wanted, rel=6e-3)
+    assert len(marginals["rows"]) == 4
+    scores = score_figure(summary.z)
+    assert scores is not None
+    for panel in scores["panels"]:
+        (edges, density) = panel.curves["external"]
+        assert np.trapezoid(density, edges) == pytest.approx(1.0)
+    for name, method, mean, rms in scores["rows"]:
+        z = summary.z[method][name]
+        assert (float(mean), float(rms)) == pytest.approx(
+            (z.mean(), np.sqrt(np.mean(z**2))), abs=6e-3
+        )
+    assert score_figure({"external": {"a": np.zeros(19)}}) is None
+    text = printed(100, print_summary, summary, [Path("file")])
+    assert len([line for line in text.splitlines() if re.match(r"\s*\d+ ", line)]) >= len(
+        summary.cells
+    )
+    lines = printed(100, print_changes, list(changes(summary, summary))).splitlines()[1:]
+    assert all(" 1 " in f"{line} " for line in lines if line.strip())
+
+
+@given(st.floats(0.1, 1e7))
+def test_a_time_is_told_in_the_largest_unit_that_fits(seconds: float) -> None:
+    number, unit = duration(seconds).split()
+    sizes = {"seconds": 1.0, "minutes": 60.0, "hours": 3600.0, "days": 86400.0}
+    assert float(number) * sizes[unit] == pytest.approx(seconds, rel=0.06)
+    assert float(number) >= 1.49 or unit == "seconds"
+
+
+def test_progress_is_told_with_failures_and_the_inner_block(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown = Throughput()
+    shown.of(Standing(4, 100, 1, 0.5))
+    assert re.findall(r"[\d.]+", shown.line)[:4] == ["4", "100", "1", "0.5"]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    outer, inner = output.Progress("outer"), output.Progress("inner")
+    live: list[list[bool]] = []
+    with outer:
+        with inner:
+            live.append([each._bar.live.is_started for each in (outer, inner)])
+        live.append([each._bar.live.is_started for each in (outer, inner)])
+    assert live == [[False, True], [True, False]]

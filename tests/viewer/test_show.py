@@ -1,96 +1,125 @@
-"""Which program is started, with what, and when it is not."""
+"""What stands where at first sight, and which program is started, with what, and when it is not."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import testbed as tb
 from testbed.errors import ViewerError
+from testbed.viewer import show
+from testbed.viewer.blueprint import blueprint, live_blueprint
+from testbed.viewer.live import Live
 from testbed.viewer.show import open_viewer, serve
+from tests.helpers.pages import run_named
+from tests.helpers.refusals import refuses
+from tests.helpers.viewer import free_port, tree
+from tests.viewer.test_recording import rrd, scene
 
-Started = list[tuple[str, list[str]]]
+SIDES = ("start", "end")
 
 
-@pytest.fixture
-def started(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Started:
-    """What would have been started; `rerun` lies beside Python, and another on the path."""
-    calls: Started = []
-    monkeypatch.setattr(os, "execv", lambda program, command: calls.append((program, command)))
+def views(part: Any) -> Iterator[Any]:
+    """All views of a blueprint's part."""
+    inner = getattr(part, "contents", None)
+    if isinstance(inner, list | tuple):
+        for each in inner:
+            yield from views(each)
+    else:
+        yield part
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur5", "plate", "half"])
+def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
+    """Opened on the same seconds; those of one unit on one scale, which their titles say."""
+    shown, there = scene(name), tree(rrd(name))
+    page = blueprint([shown], "notes")
+    tabs: Any = list(page.root_container.contents)[1]
+    assert tabs.contents[tabs.active_tab].name == "notes"
+    for view in views(page.root_container):
+        assert any(f"{at}/".startswith(f"{view.origin}/") for at in there), view.origin
+        scale = view.properties.get("ScalarAxis")
+        if view.origin.startswith(("/wrench", "/torque", "/residual", "/friction", "/overview")):
+            assert "[" in view.name
+        if "±" in view.name and scale is not None:
+            low, high = scale.range.pa_array.to_pylist()[0]
+            assert -low == high > float(view.name.rpartition("±")[2])
+    start, end = shown.window
+    assert start == shown.run.recording.time[0]
+    assert 0 < end - start <= 10.0
+    for view in views(page.root_container):
+        if view.origin.startswith(("/wrench", "/torque")):
+            (seen,) = view.properties["TimeAxis"].view_range.pa_array.to_pylist()
+            ends = [float(x["value"] if isinstance(x, dict) else x) for x in map(seen.get, SIDES)]
+            np.testing.assert_allclose(ends, [1e9 * start, 1e9 * end], atol=1e3)
+
+
+def test_while_it_is_simulated_there_are_robot_wrench_and_torques(puma: tb.Tree) -> None:
+    origins = [view.origin for view in views(live_blueprint("table6", puma, 1.5).root_container)]
+    assert origins[0] == "/world"
+    assert origins[1:7] == [f"/wrench/{axis}" for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")]
+    assert origins[7:] == ["/position", *(f"/torque/{name}" for name in puma.names)]
+
+
+@pytest.mark.parametrize("screen", ["DISPLAY", "WAYLAND_DISPLAY", ""])
+def test_the_viewer_is_started_for_this_machine_alone_where_there_is_a_screen(
+    screen: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The rerun beside Python, else that of the path; a page for a browser needs no screen."""
+    started: list[tuple[str, list[str]]] = []
+    monkeypatch.setattr(os, "execv", lambda program, command: started.append((program, command)))
     for folder in ("beside", "path"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "rerun").touch(mode=0o755)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "beside/python"))
-    monkeypatch.setenv("PATH", str(tmp_path / "path"))
     monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    return calls
-
-
-def test_the_viewer_shows_the_file_and_is_not_seen_from_outside(
-    started: Started, tmp_path: Path
-) -> None:
-    open_viewer(Path("run.rrd"))
-    assert started == [
-        (str(tmp_path / "beside/rerun"), ["rerun", "run.rrd", "--bind", "127.0.0.1"])
-    ]
-
-
-def test_a_page_is_served_to_this_machine_alone(started: Started, tmp_path: Path) -> None:
-    serve(Path("run.rrd"), 9123)
-    (call,) = started
-    program, command = call
-    assert program == str(tmp_path / "beside/rerun")
-    assert command[:3] == ["rerun", "run.rrd", "--serve-web"]
-    assert command[command.index("--web-viewer-port") + 1] == "9123"
-    assert command[command.index("--bind") + 1] == "127.0.0.1"
-
-
-@pytest.mark.parametrize(
-    ("platform", "screens", "opens"),
-    [
-        ("linux", {}, False),
-        ("linux", {"DISPLAY": ":0"}, True),
-        ("linux", {"WAYLAND_DISPLAY": "wayland-0"}, True),
-        ("darwin", {}, True),
-        ("win32", {}, True),
-    ],
-)
-def test_on_linux_a_screen_must_be_there(
-    started: Started,
-    monkeypatch: pytest.MonkeyPatch,
-    platform: str,
-    screens: dict[str, str],
-    opens: bool,
-) -> None:
-    monkeypatch.setattr(sys, "platform", platform)
-    monkeypatch.delenv("DISPLAY")
-    for name, value in screens.items():
-        monkeypatch.setenv(name, value)
-    if opens:
+    monkeypatch.setenv("PATH", str(tmp_path / "path"))
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    if screen:
+        monkeypatch.setenv(screen, "0")
         open_viewer(Path("run.rrd"))
-        assert len(started) == 1
     else:
-        with pytest.raises(ViewerError, match=r"no screen .* all in 'run.rrd'"):
+        with refuses(ViewerError, "run.rrd"):
             open_viewer(Path("run.rrd"))
-        assert started == []
-        serve(Path("run.rrd"), 9090)  # which needs none
-        assert len(started) == 1
-
-
-@pytest.mark.parametrize("start", [open_viewer, lambda path: serve(path, 9090)])
-def test_without_rerun_beside_python_the_one_on_the_path_is_taken(
-    started: Started, tmp_path: Path, start: Callable[[Path], Any]
-) -> None:
+    serve(Path("run.rrd"), 9123)
     (tmp_path / "beside/rerun").unlink()
-    start(Path("run.rrd"))
-    assert started[0][0] == str(tmp_path / "path/rerun")
+    serve(Path("run.rrd"), 9123)
     (tmp_path / "path/rerun").unlink()
-    with pytest.raises(ViewerError, match="pip install rerun-sdk"):
-        start(Path("run.rrd"))
-    assert len(started) == 1
+    with refuses(ViewerError, "rerun"):
+        serve(Path("run.rrd"), 9123)
+    programs = [str(tmp_path / at / "rerun") for at in ("beside", "path")]
+    assert [program for program, _ in started] == [programs[0]] * bool(screen) + programs
+    for _, command in started:
+        assert command[:2] == ["rerun", "run.rrd"]
+        assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert started[-1][1][command.index("--web-viewer-port") + 1] == "9123"
+
+
+@pytest.mark.slow
+def test_from_python_a_file_is_written_or_the_viewer_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[list[str]] = []
+    monkeypatch.setattr(show, "has_screen", lambda: True)
+    monkeypatch.setattr(show, "viewer_program", lambda: "rerun")
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **_: started.append(command))
+    run = run_named("silent")
+    assert tb.view(run, tmp_path / "run.rrd").read_bytes()[:4] == b"RRF2"
+    assert started == []
+    path = tb.view([run, run])
+    assert started == [["rerun", str(path), "--bind", "127.0.0.1"]]
+    monkeypatch.setattr(show, "has_screen", lambda: False)
+    with refuses(tb.TestbedError, ".rrd"):
+        tb.view(run)
+    port = free_port()
+    with refuses(ViewerError, str(port)):
+        Live("run", scene("silent").appearance, port)

@@ -1,0 +1,289 @@
+"""Pages of all kinds: complete, readable by everybody, safe to send, and of one mind with JSON."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import testbed as tb
+from testbed.experiment.experiment_tables import Bound
+from testbed.experiment.predictions import predict
+from testbed.experiment.summary import summary, verdict
+from testbed.experiment.unseen import validated
+from testbed.identification.estimate import METHODS
+from testbed.identification.influence import by_influence
+from testbed.reporting.contents import LONGEST, contents, parameter_rows
+from testbed.reporting.facts import asked
+from testbed.reporting.html import breakable, typeset, write_report
+from testbed.reporting.instrument_tables import CLEAR, instrument_tables
+from testbed.reporting.matrix_map import matrix_maps
+from testbed.reporting.sections import sections
+from tests.helpers.approved import hold, tags
+from tests.helpers.ideal import ideal
+from tests.helpers.pages import OTHERS, RUNS, page, plated, run_named, seen
+from tests.helpers.refusals import refuses
+from tests.helpers.runs import experiment, noisy, robot, run_of
+
+pytestmark = pytest.mark.slow
+
+SECTIONS = {
+    "ur5": "warnings errors parameters prediction spectra friction instrument map asked",
+    "gantry": "warnings errors parameters prediction spectra friction instrument map asked",
+    "plate": "warnings errors parameters prediction spectra friction drives instrument map asked",
+    "bodies": "warnings errors parameters claims prediction spectra friction bodies map asked",
+    "hostile": "warnings errors parameters prediction spectra friction map asked",
+    "half": "warnings errors parameters prediction spectra map asked",
+    "silent": "warnings prediction map asked",
+    "motion": "sigma motion limits",
+    "campaign": "heat marginals coverage scores sigma parameters failures",
+    "mapping": "values before after runner-ups",
+}  # fmt: skip
+"""What there is to read of each page."""
+
+
+def numbers_of(name: str) -> dict[str, Any]:
+    """The JSON beside a report."""
+    text = page(name).with_suffix(".json").read_text()
+    found: dict[str, Any] = json.loads(text, parse_constant=pytest.fail)
+    return found
+
+
+def plain(text: str) -> str:
+    """As a page writes it, without its tags."""
+    for written, sign in (("+-", "±"), ("^2", "²"), (" %", "\u00a0%")):
+        text = text.replace(written, sign)
+    return text
+
+
+def text_of(path: Path) -> str:
+    """What stands on a page outside of drawings."""
+    html = re.sub(r"(?s)<(svg|style)\b.*?</\1>", " ", path.read_text())
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", "", html))
+
+
+def test_a_whole_page_is_as_approved() -> None:
+    hold("ur5.html.txt", tags(page("ur5").read_text()))
+
+
+@pytest.mark.parametrize("name", SECTIONS)
+def test_a_page_is_complete_and_can_be_read_by_everybody(name: str) -> None:
+    """By those who read on a phone, who hear it, who are sent it without a network."""
+    found, text = seen(name), page(name).read_text()
+    assert set(SECTIONS) == {*RUNS, *OTHERS}
+    assert len(found.titles) == 1
+    assert " ".join(place for place, _ in found.heads) == SECTIONS[name]
+    assert found.links == found.heads  # the list of contents
+    for table in found.tables:
+        assert len(table) > 1 or name == "silent"
+        assert {len(row) for row in table} == {len(table[0])}, table[0]
+        assert all(table[0][1:])
+        assert all(row[0] for row in table[1:])
+    for home in found.homes:  # what is wider than the page scrolls, by keys too, and has a name
+        assert home["tabindex"] == "0"
+        assert home["role"] == "region"
+        assert home["aria-label"]
+    for drawing in found.drawings:
+        assert drawing["role"] == "img"
+        assert drawing["aria-label"].strip()
+        assert not {"width", "height"} & set(drawing)  # as wide as there is room
+        assert len(drawing["viewbox"].split()) == 4
+        over = drawing["aria-label"].rpartition(" over ")[2]
+        assert re.search(r"(\[.+\]|noise|sigma|encoder|explanation)$", over) or name in RUNS, over
+    drawn = {section: n for (section, tag), n in found.open.items() if tag == "svg"}
+    rows = {section: n for (section, tag), n in found.open.items() if tag == "tr"}
+    assert max(drawn.values(), default=0) <= 6 or name in OTHERS
+    assert max(rows.values(), default=0) <= 25
+    assert not re.search(r"<script|<link|@import|url\((?!#)|src=", text)
+    assert "http" not in re.sub(r'xmlns(:\w+)?="[^"]*"', "", text)
+    for target in re.findall(r'href="([^"]*)"', text):
+        assert target.startswith(("#", "data:image/png"))
+    said = re.sub(r"(?s)base64,[^\"]*|<style.*?</style>", "", text)
+    assert not re.search(r"(?<![\w-])(nan|-?inf|NaN|None)(?![\w-])", said)
+    assert "\u2026" not in said
+
+
+@pytest.mark.parametrize("name", ["hostile", "campaign", "mapping"])
+def test_hostile_names_stay_text(name: str) -> None:
+    """A joint's name from somebody's file must not run on the reader's machine."""
+    text = page(name).read_text()
+    assert "<script" not in text
+    shown = text_of(page(name)).replace("&lt;", "<").replace("&gt;", ">")
+    assert "<script>alert(1)</script>" in shown
+    assert "mathdefault" not in text
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
+    """Whoever reads the page, or computes with the JSON beside it, has the run's own numbers."""
+    run, numbers, found = run_named(name), numbers_of(name), seen(name)
+    words = [[[plain(cell).strip() for cell in row] for row in table] for table in found.tables]
+    for figure in [*numbers["figures"], *([numbers["errors"]] if numbers["errors"] else [])]:
+        table = [[plain(cell) for cell in row] for row in [figure["heads"], *figure["rows"]]]
+        assert table in words, figure["id"]
+        assert bool(figure["panels"]) == bool(run.estimates)
+    rows = {row["name"]: row for row in numbers["parameters"]}
+    assert list(rows) == by_influence(run.estimates.values(), run.truths)
+    shown = [row for table in words for row in table]
+    for each in rows.values():
+        length = 2 + len(each["cells"]) * (1 + bool(run.truths)) + bool(run.truths)
+        head = [each["name"], plain(each["unit"])]
+        (row,) = (one for one in shown if one[:2] == head and len(one) == length)
+        for cell, estimate in zip(each["cells"], run.estimates.values(), strict=True):
+            assert plain(cell["text"]) in row
+            if cell["value"] is None:
+                continue
+            k = estimate.names.index(each["name"])
+            assert (cell["value"], cell["sigma"]) == (estimate.values[k], estimate.sigma[k])
+            assert each["unit"] == estimate.units[k]
+            if each["name"] in run.truths:
+                z = (estimate.values[k] - run.truths[each["name"]]) / estimate.sigma[k]
+                assert cell["z"] == pytest.approx(z)
+                assert cell["width"] == pytest.approx(min(10 * abs(z), 50), abs=0.051)
+                assert cell["left"] == pytest.approx(50 - (z < 0) * cell["width"], abs=0.051)
+    said = plain(text_of(page(name))).replace("\u00a0", " ")
+    for line in [*summary(run), verdict(run)] if name != "hostile" else []:
+        assert plain(line).replace("\u00a0", " ").replace("<", "&lt;").replace("'", "&#39;") in said
+
+
+def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
+    run = run_named("ur5")
+    smooth = predict(run).smoothed(10.0)
+    figure = sections(predict(run), False)[0]
+    heads, rows = figure["heads"], {row[0]: row for row in figure["rows"]}
+    panels = iter(figure["panels"])
+    for signal in smooth.signals:
+        for c, channel in enumerate(signal.channels):
+            panel, row = next(panels), dict(zip(heads, rows[channel], strict=True))
+            assert panel.title == f"{channel} [{signal.units[c]}]"
+            spread = signal.measured[:, c].std()
+            assert float(row["spread (rms)"]) == pytest.approx(spread, rel=0.01)
+            for method in METHODS:
+                rest = signal.residual(method)[:, c]
+                size = np.sqrt(np.mean(rest**2))
+                assert float(row[f"residual rms, {method}"]) == pytest.approx(size, rel=0.01)
+                share = float(row[f"of spread, {method}"].rstrip("% "))
+                assert share == pytest.approx(100 * size / spread, rel=0.06)
+            for method, (time, drawn) in panel.below[f"residual [{signal.units[c]}]"].items():
+                at = np.searchsorted(smooth.motion.t, time)
+                np.testing.assert_array_equal(drawn, signal.residual(method)[at, c])
+    assert next(panels, None) is None
+
+
+def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(tmp_path: Path) -> None:
+    tree = robot("ur5")
+    other = noisy(ideal(tree, seed=8), 4)
+    run = validated(run_of(tree), other)
+    numbers = json.loads(write_report(run, tmp_path / "r.html", other).read_text())
+    table = numbers["figures"][0]
+    for method, found in run.validation.items():
+        column = table["heads"].index(f"over what is allowed, {method}")
+        told = {row[0]: row[column] for row in table["rows"] if row[column]}
+        assert told == {c: f"{x:.3g}" for c, x in zip(found.channels, found.ratio, strict=True)}
+
+
+def test_the_plates_matrix_is_shown_before_and_after() -> None:
+    """2 % of a large force are much of a small moment: errors count by what a channel reaches."""
+    run = plated()
+    (before, after), reach = matrix_maps(run), np.abs(run.recording.measured("wrench")).max(axis=0)
+    cells, left = dict(before["rows"]), dict(after["rows"])
+    assert float(cells["Mx"][2]["text"]) == pytest.approx(2 * reach[2] / reach[3], rel=0.06)
+    assert float(cells["Fy"][1]["text"]) == pytest.approx(1.0, rel=0.06)
+    assert float(left["Fy"][1]["text"]) == pytest.approx(0.1, rel=0.06)
+    assert cells["Fx"][0] == {"text": "0", "share": 0}
+    assert cells["Mx"][2]["share"] > cells["Fy"][1]["share"] > left["Fy"][1]["share"]
+    assert matrix_maps(run_named("ur5")) == []
+
+
+def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
+    run, bodies = plated(), run_named("bodies").consistent
+    assert run.drives is not None
+    assert bodies is not None
+    tables = {each["id"]: each["rows"] for each in numbers_of("plate")["figures"]}
+    assert [row[:2] for row in tables["drives"]] == [
+        [drive.joint, f"{drive.constant:.6g}"] for drive in run.drives.estimates
+    ]
+    rows = {row[0]: row for row in next(
+        each["rows"] for each in numbers_of("bodies")["figures"] if each["id"] == "bodies"
+    )}  # fmt: skip
+    assert list(rows) == list(bodies.links)
+    for k, link in enumerate(bodies.links):
+        mass = bodies.standard[k, 0]
+        assert float(rows[link][1]) == pytest.approx(bodies.prior[k, 0], rel=1e-3)
+        assert float(rows[link][2].split()[0]) == pytest.approx(mass, rel=1e-3)
+        centre = np.array(rows[link][3].split(), dtype=float)
+        np.testing.assert_allclose(centre * mass, bodies.standard[k, 1:4], atol=1e-3)
+
+
+def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:
+    """A size of what is mere chance would be believed."""
+    for name in ("ur5", "gantry", "plate"):
+        (external, *_), rows = run_named(name).estimates.values(), []
+        for table in instrument_tables(run_named(name)):
+            if table["heads"][:2] == ["fault", "chance"]:
+                chances = [float(row[1].removeprefix("below ")) for row in table["rows"]]
+                assert chances == sorted(chances)
+                assert table["traced"] == (max(chances) <= CLEAR) == (len(table["heads"]) == 4)
+                rows += table["rows"]
+        wanted = {test.nuisance.said: test.chance for test in external.trace_tests}
+        assert set(wanted) == {row[0] for row in rows}
+        for fault, chance, *_ in rows:
+            if "below" not in chance:
+                assert float(chance) == pytest.approx(wanted[fault], rel=0.06, abs=1e-99)
+
+
+def test_values_too_long_for_a_page_have_their_sigma_in_brackets() -> None:
+    """All of a page alike."""
+    for noise, sign in ((0.5, "+-"), (1e-6, "(")):
+        rows = parameter_rows(run_of(robot("puma"), noisy(ideal(robot("puma")), size=noise)))
+        texts = [c["text"] for row in rows for c in row["cells"] if c["sigma"]]
+        assert all(sign in text for text in texts)
+        assert max(len(text.replace("+-", "±")) for text in texts) <= LONGEST
+
+
+def test_names_and_options_break_where_they_can_be_read_on() -> None:
+    assert breakable("coulomb/left_hip<") == "coulomb/<wbr>left_<wbr>hip&lt;"
+    said = typeset("take 1e-06 by --lock-mimic or --set 'a.b=3'; 2 -- 3")
+    assert re.findall(r"<span[^>]*>(.*?)</span>", said) == ["1e-06", "--lock-mimic", "--set"]
+
+
+def test_what_was_asked_and_held_is_said() -> None:
+    run = run_named("ur5")
+    assert run.model is not None
+    held = replace(run.model, lock={"finger": 0.02, "thumb": None})
+    (said,) = (value for key, value in asked(replace(run, model=held)) if key == "held")
+    assert [word for word in ("finger", "0.02", "thumb", "rad") if word not in said] == []
+    assert "held" not in dict(asked(run))
+
+
+def test_a_claim_that_fails_names_its_figure() -> None:
+    expect = {"external_max_z": Bound(at_most=1e-9), "internal_max_z": Bound(at_most=9.0)}
+    run = run_of(robot("puma"), asked=experiment(expect=expect))
+    found = contents(run)
+    assert [(row["name"], row["holds"]) for row in found["verdicts"]] == [
+        (name.replace("_", " "), run.verdicts[name]) for name in expect
+    ]
+    assert found["holds"] is False
+    assert "external max z" in found["verdict"]
+
+
+def test_the_same_bits_every_time_and_both_files_or_none(tmp_path: Path) -> None:
+    run = run_named("bodies")
+    beside = tb.report(run, tmp_path / "r.html").with_suffix(".json")
+    for made in (tmp_path / "r.html", beside):
+        assert made.read_bytes() == page("bodies").with_suffix(made.suffix).read_bytes()
+    (tmp_path / "q.json").mkdir()
+    with pytest.raises(OSError, match="q.json"):
+        write_report(run, tmp_path / "q.html")
+    assert not (tmp_path / "q.html").exists()
+
+
+def test_a_folder_without_a_run_leaves_no_page(tmp_path: Path) -> None:
+    with refuses(tb.TestbedError, str(tmp_path)):
+        tb.report(tmp_path, tmp_path / "none.html")
+    assert not (tmp_path / "none.html").exists()

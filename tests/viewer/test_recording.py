@@ -1,0 +1,347 @@
+"""What is in the files for Rerun, read back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import rerun as rr
+from hypothesis import given
+from hypothesis import strategies as st
+
+import testbed as tb
+from testbed.arrays import Array
+from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
+from testbed.excitation.collision_model import Obstacle
+from testbed.experiment.growth import growing_errors, growth
+from testbed.experiment.matrix_errors import MatrixErrors
+from testbed.identification.estimate import METHODS
+from testbed.identification.influence import by_influence
+from testbed.identification.torque_constants import DriveEstimate
+from testbed.robot.visuals.appearance import bounds, load_appearance
+from testbed.robot.visuals.extents import extents
+from testbed.viewer.campaign_log import write_campaign_rrd
+from testbed.viewer.constant_bars import TALL, largest, log_constants
+from testbed.viewer.curves import tick
+from testbed.viewer.heat_map import CELL, log_matrix, picture
+from testbed.viewer.log import write_rrd
+from testbed.viewer.motion_log import write_motion_rrd
+from testbed.viewer.overview import MOST, Learned, learned, scale_of
+from testbed.viewer.robot_drawing import ARROW, quaternions
+from testbed.viewer.scene import Scene, means, plain, pressure, rounded_up, scene_of
+from tests.helpers.approved import hold
+from tests.helpers.pages import checked, run_named
+from tests.helpers.paths import GOLDEN, ROOT
+from tests.helpers.strategies import rngs
+from tests.helpers.viewer import columns, tensor, tree, words
+
+SCALARS = "Scalars:scalars"
+slow = pytest.mark.slow
+
+
+@cache
+def scene(name: str) -> Scene:
+    run = run_named(name)
+    return scene_of(run, growth(run))
+
+
+@cache
+def rrd(name: str) -> Path:
+    path = Path(mkdtemp()) / f"{name}.rrd"
+    write_rrd([scene(name)], path)
+    return path
+
+
+@slow
+def test_a_whole_recording_is_as_approved() -> None:
+    """Entities and their columns; what they hold is for the laws below."""
+    hold(
+        "ur5.rrd.txt",
+        (f"{at}: {', '.join(sorted(c))}" for at, c in sorted(tree(rrd("ur5")).items())),
+    )
+
+
+@slow
+def test_signals_predictions_and_residuals_are_in_the_file() -> None:
+    """Every sample; curves one over the other are all seen."""
+    shown, path = scene("ur5"), rrd("ur5")
+    for signals, at in ((shown.predictions.signals, ""), (shown.smooth.signals, "/residual")):
+        for signal in signals:
+            for c, channel in enumerate(signal.channels):
+                every = [signal.residual(m)[:, c] for m in METHODS] if at else [
+                    signal.measured[:, c], *(signal.predicted[m][:, c] for m in METHODS)
+                ]  # fmt: skip
+                place = f"{at}/{signal.kind}/{channel}"
+                found = columns(path, place, SCALARS).reshape(-1, len(every))
+                np.testing.assert_array_equal(found, np.column_stack(every))
+                widths = columns(path, place, "SeriesLines:widths", static=True)
+                assert (np.diff(widths) <= -1.0).all()
+    found = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
+    np.testing.assert_array_equal(found, shown.run.recording.position)
+
+
+@slow
+def test_estimates_are_shown_by_their_errors_a_body_a_plot() -> None:
+    """In percent, every parameter once, with its body; first those that add most to the signals."""
+    shown, path = scene("ur5"), rrd("ur5")
+    run = shown.run
+    for method in METHODS:
+        names, seen = run.estimates[method].names, []
+        errors = 100 * growing_errors(run, method, shown.growth[method])
+        matrix = run.estimates[method].base.matrix
+        for body, members in shown.bodies(method).items():
+            place = f"/estimate/{method}/{body + 1}"
+            there = np.isfinite(errors[:, members]).all(axis=1)
+            found = columns(path, place, SCALARS).reshape(-1, len(members))
+            np.testing.assert_array_equal(found, errors[there][:, members])
+            assert words(path, place, "SeriesLines:names") == [names[k] for k in members]
+            for k in members:  # what is regrouped comes from further out
+                touched = {int(column) // 10 for column in np.flatnonzero(matrix[k])}
+                assert body < 0 or min(touched) == body
+            seen += members
+        assert sorted(seen) == list(range(len(run.estimates[method].base.names)))
+    shared = set.intersection(*(set(each.base.names) for each in run.estimates.values()))
+    order = [n for n in by_influence(run.estimates.values(), run.truths) if n in shared]
+    first = learned(shown)
+    assert [each.name for each in first] == order[:MOST]
+    for each in first:
+        truth, base = run.truths[each.name], run.estimates["external"].base
+        off = 100 * (base.values[base.names.index(each.name)] - truth) / abs(truth)
+        assert each.errors["external"][-1] == pytest.approx(off)
+        assert abs(off) <= scale_of(first)
+    blind = replace(run, score=None, estimates={"external": run.estimates["external"]})
+    assert [x.errors["external"][-1] for x in learned(scene_of(blind, growth(blind)))] == [
+        0.0
+    ] * MOST
+    assert learned(scene_of(run)) == ()
+
+
+def test_the_scale_does_not_depend_on_when_the_clock_was_set() -> None:
+    """The first third of a recording, of which little is known, sets no scale."""
+    time, errors = np.linspace(0.0, 10.0, 21), np.append(np.full(6, 1e6), np.linspace(11, 0, 15))
+    every = [scale_of([Learned("m", time + by, {"external": errors})]) for by in (0, -3, 1e4)]
+    assert every == [15.0] * 3
+
+
+def assert_stands(path: Path, urdf: Path, motion: Array, names: tuple[str, ...]) -> None:
+    """Bodies in a file are where Pinocchio's frames are."""
+    model = pin.buildModelFromUrdf(str(urdf))
+    data, order = model.createData(), [list(model.names)[1:].index(name) for name in names]
+    for j, name in enumerate(names):
+        place = columns(path, f"/world/robot/{j + 1}", "Transform3D:translation").reshape(-1, 3)
+        turn = columns(path, f"/world/robot/{j + 1}", "Transform3D:quaternion").reshape(-1, 4)
+        assert len(place) == len(motion)
+        for k in range(0, len(motion), 97):
+            q = np.empty(model.nq)
+            q[order] = motion[k]
+            pin.forwardKinematics(model, data, q)
+            frame = data.oMi[model.getJointId(name)]
+            np.testing.assert_allclose(place[k], frame.translation, atol=1e-6)
+            there = pin.Quaternion(turn[k]).toRotationMatrix()
+            np.testing.assert_allclose(there, frame.rotation, atol=1e-6)
+
+
+@slow
+def test_the_robot_stands_as_it_stood_and_the_arrows_are_the_measured_reaction() -> None:
+    """Beside everything on the bedplate, where nothing hides them."""
+    shown, path = scene("ur5"), rrd("ur5")
+    run = shown.run
+    assert_stands(path, GOLDEN / "robots/ur5.urdf", shown.motion.q[shown.frames], run.tree.names)
+    assert shown.frames.step == round(run.recording.rate / 50)
+    assert shown.wrench is not None
+    wrench, look = means(shown.wrench, round(run.recording.rate / 50)), shown.appearance
+    for name, vectors in (("force", wrench[:, :3]), ("moment", wrench[:, 3:])):
+        found = columns(path, f"/world/bedplate/{name}", "Arrows3D:vectors").reshape(-1, 3)
+        scale = ARROW * look.reach / np.linalg.norm(vectors, axis=1).max()
+        np.testing.assert_allclose(found, vectors * scale, rtol=1e-5, atol=1e-6)
+        origins = columns(path, f"/world/bedplate/{name}", "Arrows3D:origins").reshape(-1, 3)
+        for low, high in (bounds(shape) for shape in look.shapes if shape.body < 0):
+            assert ((origins[:, 0] > high[0]) & (origins[:, 1] < low[1])).all()
+    for k, shape in enumerate(look.shapes):
+        home = f"robot/{shape.body + 1}" if shape.body >= 0 else "bedplate"
+        assert f"/world/{home}/shape{k}" in tree(path)
+    for j, joint in enumerate(run.tree.joints):
+        assert words(path, f"/world/robot/{j + 1}/axis", "Arrows3D:labels") == [joint.name]
+
+
+@slow
+def test_bodies_that_can_exist_hang_on_their_links_with_the_estimates_size() -> None:
+    """Model file, truth and estimate one in the other, each with its own second moments."""
+    run, path = run_named("bodies"), rrd("bodies")
+    assert run.consistent is not None
+    for j, own in enumerate(run.consistent.standard):
+        place = f"/world/robot/{j + 1}/body"
+        assert {f"{place}/{name}" for name in ("prior", "truth", "estimate")} & set(tree(path))
+        half = columns(path, f"{place}/estimate", "Ellipsoids3D:half_sizes", static=True)
+        centre = columns(path, f"{place}/estimate", "Ellipsoids3D:centers", static=True).ravel()
+        np.testing.assert_allclose(centre * own[0], own[1:4], atol=1e-5)
+        trace = own[[4, 6, 9]].sum() / 2 - own[1:4] @ own[1:4] / own[0]  # about the centre
+        assert own[0] * (half**2).sum() / 5 == pytest.approx(trace, rel=1e-3)
+
+
+@slow
+def test_friction_is_drawn_to_scale_and_its_axes_say_which() -> None:
+    shown, path = scene("plate"), rrd("plate")
+    rest, speed = shown.predictions.unexplained_torque, shown.motion.qd
+    assert rest is not None
+    for j, name in enumerate(shown.run.tree.names):
+        axes = shown.friction_axes(j)
+        points = columns(path, f"/friction/{name}/points", "Points2D:positions", static=True)
+        step = len(rest) // 2000 or 1
+        wanted = np.column_stack([speed[::step, j], -rest[::step, j]]) / axes
+        np.testing.assert_allclose(points.reshape(-1, 2), wanted, atol=1e-5)
+        ticks = columns(path, f"/friction/{name}/axes/ticks", "Points2D:positions", static=True)
+        labels = words(path, f"/friction/{name}/axes/ticks", "Points2D:labels")
+        assert [label.split(" ", 1)[1] for label in labels] == ["rad/s", "rad/s", "N m", "N m"]
+        x, y = ticks.reshape(-1, 2).T
+        values = [float(label.split()[0]) for label in labels]
+        np.testing.assert_allclose([*(x[:2] * axes[0]), *(-y[2:] * axes[1])], values, rtol=1e-5)
+        strips = columns(path, f"/friction/{name}/by_plate", "LineStrips2D:radii", static=True)
+        radii = strips.reshape(-1, 3)
+        assert (radii[:, 0] > 2 * radii[:, 1:].max(axis=1)).all()  # the band is thinner
+
+
+@slow
+def test_constants_and_the_matrix_are_drawn_as_wrong_as_they_are(tmp_path: Path) -> None:
+    """Bars as long as two sigma to either side, cells as dark as they are wrong, by one scale."""
+    constants = (("waist", 1.08, 2e-3), ("elbow", 0.96, 5e-3))
+    drives = [DriveEstimate(name, off, sd, (), 0.1, "N m", 100) for name, off, sd in constants]
+    rng = np.random.default_rng(0)
+    matrix = MatrixErrors(rng.normal(size=(6, 6)), 0.1 * rng.uniform(size=(6, 6)))
+    path = tmp_path / "drives.rrd"
+    stream = rr.RecordingStream("testbed", recording_id="drives")
+    stream.save(path)
+    log_constants(stream, drives, "/constants")
+    log_matrix(stream, matrix, "/plate")
+    stream.disconnect()
+    strips = columns(path, "/constants/bars", "LineStrips2D:strips", static=True).reshape(-1, 2, 2)
+    for bar, drive in zip(strips[::3], drives, strict=True):
+        ends = sorted(-bar[:, 1] * largest(drives) / TALL + 1)
+        wanted = drive.constant + np.array([-2, 2]) * drive.sigma
+        np.testing.assert_allclose(ends, wanted, atol=1e-6)
+    said = words(path, "/plate/before/numbers", "Points2D:labels")
+    np.testing.assert_allclose(np.array(said, dtype=float), matrix.error.ravel(), rtol=0.06)
+    light = picture(matrix.error, matrix.most)[::CELL, ::CELL].sum(axis=2).ravel().astype(int)
+    assert (np.diff(light[np.argsort(np.abs(matrix.error).ravel())]) <= 0).all()
+    assert picture(matrix.sigma, matrix.most).sum() > picture(matrix.error, matrix.most).sum()
+    assert "/plate/before/numbers" in tree(rrd("plate"))
+
+
+@slow
+def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
+    tmp_path: Path,
+) -> None:
+    half, silent = scene("half"), scene("silent")
+    write_rrd([half, silent], tmp_path / "two.rrd")
+    there = {
+        entity.split("/")[2] for entity in tree(tmp_path / "two.rrd") if entity.startswith("/run1/")
+    }
+    assert "torque" in there
+    assert not {"wrench", "friction"} & there
+    assert not [entity for entity in tree(tmp_path / "two.rrd") if "/force" in entity]
+    assert "/run2/world/robot/3" in tree(tmp_path / "two.rrd")
+
+
+@slow
+def test_notes_say_every_warning_and_names_are_no_markup() -> None:
+    hostile = scene("hostile")
+    assert "<script" not in hostile.notes.replace("\\<script", "")
+    look = replace(hostile.appearance, warnings=("mesh 'arm.stl'",))
+    assert plain("mesh 'arm.stl'") in replace(hostile, appearance=look).notes
+    assert scene("ur5").notes.count("\n- ") == len(run_named("ur5").warnings)
+    for name in run_named("plate").tree.names:
+        assert f"| {name} |" in scene("plate").notes
+
+
+@slow
+def test_a_motion_is_shown_with_no_less_left_than_is_proven(tmp_path: Path) -> None:
+    found = checked()
+    box = Obstacle(np.array([1.0, 0, 0.5]), np.array([0.1, 0.2, 0.5]))
+    look, path = load_appearance(found.rules.tree), tmp_path / "motion.rrd"
+    write_motion_rrd(path, found.motion, found.rules, found.proof, look, (box,))
+    left = columns(path, "/left/1", SCALARS)
+    proven = 100 * min(m.left for m in found.proof.margins if m.label.startswith("velocity"))
+    assert proven <= left.min() <= proven + 1.0
+    size = columns(path, "/world/obstacles", "Boxes3D:half_sizes", static=True)
+    np.testing.assert_allclose(size.ravel(), box.half, rtol=1e-6)
+    motion = found.motion.at(np.linspace(0, found.motion.period, len(left))).q
+    assert_stands(path, ROOT / "models/puma562.urdf", motion, found.rules.tree.names)
+
+
+@slow
+def test_a_campaign_is_bars_of_scores_and_points_of_both_sigmas(tmp_path: Path) -> None:
+    """Scores far out count in the outermost bars; points by powers of ten, larger ones higher."""
+    scores = np.array([-9.0, -3.9, 0.1, 0.1, 0.12, 3.99, 5.0, 4.0])
+    kept = (
+        ("m1", 0, 1e-3, 1e-2),
+        ("K3d", 1, 10.0, 0.1),
+        ("exact", 1, 0.0, 0.1),
+        ("alone", 1, 1.0, np.nan),
+    )
+    parts = tuple(ParameterErrors(cell, "external", name, 8, 1.0, 0, 0, spread, 0, sigma, 7, 0.1)
+                  for name, cell, sigma, spread in kept)  # fmt: skip
+    figures = (Figure(1, "external_rms_relative_error", 8, 0.0123, 0.001),)
+    about, z = {"name": "noise", "claim": ""}, {"external": {"m1/a": scores}}
+    path = tmp_path / "campaign.rrd"
+    write_campaign_rrd(
+        Summary(about, ("noise",), {0: (0.5,), 1: (2.0,)}, 16, (), parts, figures, z), path
+    )
+    (place,) = (each for each in tree(path) if each.startswith("/scores"))
+    middles, wanted = tensor(path, place, "BarChart:abscissa"), np.zeros(32)
+    for score in scores:
+        wanted[np.abs(middles - np.clip(score, -3.99, 3.99)).argmin()] += 1
+    np.testing.assert_array_equal(tensor(path, place, "BarChart:values"), wanted)
+    points = columns(path, "/sigma/external", "Points2D:positions", static=True).reshape(-1, 2)
+    np.testing.assert_allclose(points, [[-3.0, 2.0], [1.0, 1.0]], atol=1e-6)
+    assert words(path, "/sigma/external", "Points2D:labels") == ["m1, cell 0", "K3d, cell 1"]
+    (text,) = words(path, "/notes", "TextDocument:text")
+    assert text.splitlines()[-1].split(" | ") == ["2.0", figures[0].metric, "8", "0.0123"]
+
+
+@given(rngs)
+def test_the_centre_of_pressure_balances_the_moments(rng: np.random.Generator) -> None:
+    force, point = rng.normal(size=(20, 3)), rng.normal(size=(20, 2))
+    force[:, 2] = 1 + np.abs(force[:, 2])
+    wrench = np.column_stack([force, np.cross(np.column_stack([point, np.zeros(20)]), force)])
+    np.testing.assert_allclose(pressure(wrench), point, atol=1e-9)
+    assert np.isnan(pressure(wrench * np.array([1, 1, -1, 1, 1, 1]))).all()  # pulled
+
+
+@given(st.integers(1, 40), st.integers(1, 9), rngs)
+def test_means_keep_every_sample(samples: int, size: int, rng: np.random.Generator) -> None:
+    signal = rng.normal(size=(samples, 2))
+    wanted = [signal[k : k + size].mean(axis=0) for k in range(0, samples, size)]
+    np.testing.assert_allclose(means(signal, size), wanted, atol=1e-12)
+
+
+@given(st.floats(1e-6, 1e6))
+def test_axes_end_at_round_numbers(end: float) -> None:
+    above, below = rounded_up(end), tick(end)
+    assert end * (1 - 1e-9) <= above < 1.51 * end
+    assert end / 2.51 < below <= end * (1 + 1e-9)
+    for found in (above, below):
+        assert float(f"{found:.1e}") == pytest.approx(found)
+
+
+@given(rngs)
+def test_rotations_are_read_back_from_quaternions(rng: np.random.Generator) -> None:
+    for w in (rng.normal(), 0.0):
+        turn = pin.Quaternion(*np.array([w, *rng.normal(size=3)])).normalized().toRotationMatrix()
+        found = quaternions(turn[None])[0]
+        assert found[3] >= 0
+        np.testing.assert_allclose(pin.Quaternion(found).toRotationMatrix(), turn, atol=1e-9)
+
+
+def test_the_box_around_a_body_holds_its_shapes_and_no_more(puma: tb.Tree) -> None:
+    """A consistent body has its mass within; one without shapes may have it anywhere."""
+    shapes = load_appearance(puma).shapes
+    found = extents([shape for shape in shapes if shape.body != 1], puma.n)
+    assert np.isinf(found[1]).all()
+    for body in (0, 2):
+        own = np.array([bounds(shape) for shape in shapes if shape.body == body])
+        np.testing.assert_array_equal(found[body], [own[:, 0].min(axis=0), own[:, 1].max(axis=0)])
