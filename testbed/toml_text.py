@@ -19,7 +19,7 @@ LARGEST_FILE = 1_000_000
 MODELS = (".urdf", ".xml", ".mjcf")
 """Endings of model files, which people run where they mean an experiment."""
 
-FAULTS = 240
+FAULTS = 270
 """Characters for faults of a file in one message."""
 
 LONGEST_SHOWN = 60
