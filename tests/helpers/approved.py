@@ -11,9 +11,6 @@ import re
 from collections import defaultdict
 from itertools import zip_longest
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from tests.helpers.paths import ROOT
 
 APPROVED = ROOT / "tests/approved"
@@ -50,11 +47,6 @@ def hold(name: str, text: str, within: float = SAME) -> None:
         assert same(was, now, within), (
             f"{place.name}, line {line}:\n  approved: {was}\n  now:      {now}"
         )
-
-
-def numbers(values: ArrayLike, digits: int = 6) -> str:
-    """Numbers one after the other, no zero with a sign."""
-    return " ".join(f"{value + 0.0:.{digits}g}" for value in np.ravel(values))
 
 
 def same(was: str | None, now: str | None, within: float = SAME) -> bool:

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.axe import axe, complaints
-from tests.helpers.browser import browser
+from tests.helpers.browser import axe, browser, complaints
 
 pytestmark = pytest.mark.slow
 

@@ -22,12 +22,11 @@ from testbed.reporting.matrix_map import matrix_maps
 from testbed.reporting.sections import sections
 from testbed.viewer.drive_notes import log_curve, notes_of_drives, notes_of_plate
 from testbed.viewer.scene import scene_of
-from tests.helpers.cases import cases
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
 
 
-@pytest.fixture(scope="module", params=cases(["puma", "gantry"], 1))
+@pytest.fixture(scope="module", params=["puma", pytest.param("gantry", marks=pytest.mark.slow)])
 def run(request: pytest.FixtureRequest) -> Run:
     tree = robot(request.param)
     settings = tb.Settings(drives="given")
