@@ -8,15 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
+from itertools import accumulate
 
 LONGEST_MESSAGE = 500
-"""Characters of a message; more would drive everything else off the terminal."""
+"""Characters of a message; more would drive everything else off the terminal.
+
+Messages have 300 at most, but where they print lines for a mapping or list a loop's joints."""
 LONGEST_NAME = 200
 """Names longer than this are not searched for likely typing errors: that takes too long."""
 ENOUGH = 3
 """Values for each unknown that are enough of a motion that does not repeat."""
-LISTED, SEARCHED = 30, 2000
-"""Names that a message lists, and that are searched for likely typing errors, of many."""
+LISTED, WIDTH = 6, 100
+"""Names that a line lists of many, and characters that an error's may have together."""
+NEAR, SEARCHED = 5, 2000
+"""Likely meant names that come first in a list, and names that are searched for them."""
 
 
 def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
@@ -43,6 +48,22 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
 def plural(count: int, noun: str) -> str:
     """A number with its noun: "1 sample", "2 samples"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def few(names: Sequence[str], width: int | None = None, by: str = ", ") -> str:
+    """The first names of a list, and how many there are more.
+
+    Args:
+        names: Of parameters, for example.
+        width: Characters that they may have together, the first being whole; default: `LISTED`
+            names, whatever their length.
+        by: What stands between them.
+    """
+    ends = accumulate((len(name) + len(by) for name in names), initial=0)
+    fit = LISTED if width is None else sum(end <= width for end in ends) - 1
+    told = names[: max(fit, 1)]
+    more = f" and {len(names) - len(told)} more" if len(names) > len(told) else ""
+    return by.join(told) + more
 
 
 def _spelled(character: str) -> str:
@@ -76,8 +97,8 @@ class InertiaError(ModelError):
     def __init__(self, source: str, flaws: Sequence[str]) -> None:
         self.flaws = tuple(flaws)
         super().__init__(
-            f"{source}: {'; '.join(flaws)}. Correct the file, or take the nearest bodies that can "
-            "be: `testbed new` writes them into an experiment file ([robot.repair])"
+            f"{source}: {few(self.flaws, WIDTH, '; ')}. Correct the file, or take the nearest "
+            "bodies that can be: `testbed new` writes them into an experiment file ([robot.repair])"
         )
 
 
@@ -101,12 +122,12 @@ class MimicError(ModelError):
         names = list(dict.fromkeys(hold))
         first, master = next(iter(masters.items()))
         more = f" ({len(masters)} such joints)" if len(masters) > 1 else ""
-        options = " ".join(f"--lock {name}" for name in names[:4]) + " ..." * (len(names) > 4)
+        options = " ".join(f"--lock {name}" for name in names[:2]) + " ..." * (len(names) > 2)
         super().__init__(
             f"{source}: joint '{first}' follows '{master}'{more}, which a tree cannot express. "
-            f"{options} holds followed and followers; --lock-mimic holds followers only, where "
-            "their masters' zeros take them (in an experiment lock and lock_mimic under [robot]; "
-            f"in Python lock={{'{names[0]}': None}}, or lock=dict.fromkeys(mimic_joints(path)))"
+            f"{options} holds followed and followers, --lock-mimic followers only (in an "
+            "experiment lock and lock_mimic under [robot]; in Python "
+            "lock=dict.fromkeys(mimic_joints(path)))"
         )
 
 
@@ -129,10 +150,10 @@ class UnknownName(TestbedError):
         self.name = name
         self.known = tuple(known)
         short = [each for each in self.known if len(each) <= LONGEST_NAME]
-        near = get_close_matches(name, short[:SEARCHED], 1) if len(name) <= LONGEST_NAME else []
+        near = get_close_matches(name, short[:SEARCHED], NEAR) if len(name) <= LONGEST_NAME else []
         hint = f"; did you mean '{near[0]}'?" if near else ""
-        listed = ", ".join([*short[:LISTED], *["..."] * (len(short) > LISTED)])
-        super().__init__(f"unknown {what} '{name}'{hint} (known: {listed})")
+        listed = few(list(dict.fromkeys([*near, *short])), WIDTH)
+        super().__init__(f"unknown {what} '{printable(name, WIDTH)}'{hint} (known: {listed})")
 
 
 class RecordingError(TestbedError):
@@ -168,7 +189,7 @@ class UnseenParameters(TestbedError):
             said = (
                 f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns "
                 "and cannot tell "
-                f"apart {', '.join(names)}: record a longer or richer motion of the joints "
+                f"apart {few(self.names, WIDTH)}: record a longer or richer motion of the joints "
                 "concerned"
             )
         super().__init__(said)

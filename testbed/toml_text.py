@@ -11,13 +11,19 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from testbed.errors import ExperimentError, UnknownName
+from testbed.errors import ExperimentError, UnknownName, few, printable
 
 LARGEST_FILE = 1_000_000
 """Bytes of a TOML file."""
 
 MODELS = (".urdf", ".xml", ".mjcf")
 """Endings of model files, which people run where they mean an experiment."""
+
+FAULTS = 270
+"""Characters for faults of a file in one message."""
+
+LONGEST_SHOWN = 60
+"""Characters of a value, or of a word of --set, in a message."""
 
 LONGEST_KEY = 1000
 """Parts of a dotted key: the parser's memory grows with their square."""
@@ -84,6 +90,7 @@ def override(content: dict[str, Any], settings: Iterable[str]) -> None:
     """
     for setting in settings:
         key, equals, value = setting.partition("=")
+        setting = printable(setting, LONGEST_SHOWN)
         if not equals or not key.strip():
             raise ExperimentError(f"--set '{setting}': write it as table.key=value")
         *tables, last = _parts(key.strip(), setting)
@@ -152,20 +159,20 @@ def checked(model: type[Checked], content: dict[str, Any], source: str) -> Check
 
 
 def complaints(error: ValidationError, model: type[BaseModel]) -> str:
-    """All faults in one line, unknown keys with the known ones."""
-    lines = []
+    """The first faults in one line, unknown keys with those that may be meant."""
+    unknown, lines = [], []  # a key that is misspelt is missing, too: the first leads
     for fault in error.errors(include_url=False):
         where = [str(part) for part in fault["loc"]]
         if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             *tables, key = where
-            lines.append(_unknown(model, tables, key))
+            unknown.append(_unknown(model, tables, key))
         else:
             said = _in_toml(fault["msg"].removeprefix("Value error, "))
             found = "" if fault["type"] == "missing" else f", found {_short(fault['input'])}"
             label = ".".join(part for part in where if "[" not in part)
             found = "" if fault["type"] == "value_error" else found
             lines.append(f"{label}: {said}{found}" if label else said)
-    return "; ".join(dict.fromkeys(lines))
+    return few(list(dict.fromkeys([*unknown[:1], *lines, *unknown])), FAULTS, "; ")
 
 
 def _in_toml(said: str) -> str:
@@ -175,9 +182,9 @@ def _in_toml(said: str) -> str:
     return said
 
 
-def _short(value: Any, limit: int = 60) -> str:
+def _short(value: Any) -> str:
     text = repr(value)
-    return text if len(text) <= limit else f"{text[:limit]}..."
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _unknown(model: type[BaseModel], tables: list[str], key: str) -> str:

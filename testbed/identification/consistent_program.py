@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from testbed.arrays import Array
-from testbed.errors import SettingsError
+from testbed.errors import WIDTH, SettingsError, few
 from testbed.identification.conditions import Conditions
 from testbed.identification.conic import Cone, minimise
 from testbed.identification.evidence import Evidence
@@ -196,7 +196,9 @@ def _inside(problem: Scaled) -> Array:
     if not found.solved or found.x[-1] <= ROOM:
         prices = np.abs(np.concatenate(found.prices[:2]))
         names = np.array([*exact.names, *bounds.names])[prices > PRICED * prices.max(initial=0.0)]
-        raise SettingsError(f"no bodies obey all that is asked: {'; '.join(dict.fromkeys(names))}")
+        raise SettingsError(
+            f"no bodies obey all that is asked: {few(list(dict.fromkeys(names)), WIDTH, '; ')}"
+        )
     z = found.x[:-1]
     return (
         z if not exact.names else z - np.linalg.pinv(exact.rows) @ (exact.rows @ z - exact.values)

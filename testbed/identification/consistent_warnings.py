@@ -9,8 +9,8 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
+from testbed.errors import few
 from testbed.identification.estimate import Estimate
-from testbed.identification.finding import few
 from testbed.identification.rigid_bodies import possibility
 from testbed.parameters.prior import Prior
 from testbed.robot.friction import LAWS, ROTOR

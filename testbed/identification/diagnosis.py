@@ -12,9 +12,9 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import ENOUGH, plural
+from testbed.errors import ENOUGH, few, plural
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import Finding, components, few
+from testbed.identification.finding import Finding, components
 from testbed.identification.noise_warnings import noise_warnings
 from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility

@@ -9,9 +9,6 @@ import numpy as np
 
 from testbed.arrays import Array
 
-LISTED = 6
-"""Most names in one line."""
-
 ALIKE = 2
 """Most findings of one kind that are told in one line with their cause."""
 
@@ -110,16 +107,6 @@ def _line(alike: Sequence[Finding], most: int) -> str:
     said = [f"{each.subject} {each.found}" for each in alike[:most]]
     said += [f"and {len(alike) - most} more like it"] * (len(alike) > most)
     return f"{'; '.join(said)}; likely {', or '.join(alike[0].causes)}; {alike[0].remedy}"
-
-
-def few(names: Sequence[str]) -> str:
-    """The first names of a list, and how many there are more.
-
-    Args:
-        names: Of parameters, for example.
-    """
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return ", ".join(names[:LISTED]) + more
 
 
 def components(vector: Array) -> str:

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import SettingsError
+from testbed.errors import SettingsError, few
 from testbed.identification.coloured import Refined, further_values
-from testbed.identification.finding import few
 from testbed.identification.known import Facts, facts
 from testbed.identification.noise.units import Beside
 from testbed.identification.normal_equations import NormalEquations

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from testbed.errors import few
 from testbed.identification.estimate import Estimate
-from testbed.identification.finding import few
 from testbed.identification.noise.found_noise import FoundNoise
 
 SMALL_CHANCE = 1e-3

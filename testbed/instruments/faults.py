@@ -38,10 +38,8 @@ def fault_named(kind: str) -> type[Fault]:
         kind: Its name.
 
     Raises:
-        SettingsError: There is none; says those of the same device, or all.
+        SettingsError: There is none.
     """
     if kind not in KINDS:
-        device = [known for known in KINDS if known.split("_")[0] == kind.split("_", maxsplit=1)[0]]
-        said = UnknownName("kind of fault", kind, device or KINDS)
-        raise SettingsError(f"{said}; `testbed faults` lists all")
+        raise SettingsError(f"{UnknownName('kind of fault', kind, KINDS)}; see `testbed faults`")
     return KINDS[kind]

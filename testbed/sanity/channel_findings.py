@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from testbed.identification.finding import Finding, components, few
+from testbed.errors import few
+from testbed.identification.finding import Finding, components
 from testbed.recordings.columns import AXES
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.finding import Finding, components, few
+from testbed.errors import few
+from testbed.identification.finding import Finding, components
 from testbed.robot.tree import Tree
 from testbed.sanity.cures import OF_BASE, OF_PLATE, WHAT, Cure, numbers, remedy
 from testbed.sanity.mistakes import Mistake, own_joints

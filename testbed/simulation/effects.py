@@ -57,5 +57,5 @@ def effect_named(kind: str) -> type[Effect]:
         SettingsError: There is none.
     """
     if kind not in KINDS:
-        raise SettingsError(str(UnknownName("kind of effect", kind, KINDS)))
+        raise SettingsError(f"{UnknownName('kind of effect', kind, KINDS)}; see `testbed effects`")
     return KINDS[kind]

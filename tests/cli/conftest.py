@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import testbed as tb
@@ -16,6 +15,7 @@ from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log
 from tests.helpers.measured import measured
 from tests.helpers.paths import GOLDEN, ROOT
+from tests.helpers.plates import resting
 from tests.helpers.runs import MODELS, robot, without
 from tests.scenarios.scenarios import result
 
@@ -41,16 +41,6 @@ set = ["measurement.fault=[{ kind = 'plate_delay', delay = 0.02 }]"]
 """
 
 
-def resting(tree: tb.Tree) -> tb.Recording:
-    """Ten poses, held for a second each, on a plate with little noise."""
-    rng = np.random.default_rng(0)
-    q = np.repeat(rng.uniform(-1, 1, (10, tree.n)), 200, axis=0)
-    motion = tb.Motion(np.arange(len(q)) / 200, q, 0 * q, 0 * q)
-    tare = tb.pedestal_wrench(tree)
-    wrench = tb.base_wrench(tree, motion) + tare + 0.1 * rng.normal(size=(len(q), 6))
-    return tb.Recording(tree.names, motion.t, q, wrench=wrench, tare=tare)
-
-
 @pytest.fixture(scope="session")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Robots, recordings with and without a signal, a run, what was identified, other files."""
@@ -71,7 +61,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     measured(robot("puma"), 2, duration=8.0).save(folder / "other.parquet")
     for signal in ("torque", "wrench"):
         without(found, signal).save(folder / f"no_{signal}.parquet")
-    resting(robot("puma")).save(folder / "rest.parquet")
+    resting(robot("puma"), 0).save(folder / "rest.parquet")
     words = ("identify", "one.parquet", "--model", PUMA, "--zeros", "--json")
     (folder / "result.json").write_text(command_line(*words, cwd=folder).stdout)
     return folder

@@ -57,14 +57,12 @@ COMMANDS = {
                 "centre chance joint parameters rank warnings"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
                       "centre mass poses robot_mass"),
-    "payload, rest, text": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest", ""),
     "payload, text": (f"payload one.parquet other.parquet {ROBOT}", ""),
     "report": ("report OUT/run --out OUT/run.html", ""),
     "view": (f"view OUT/run no_torque.parquet {ROBOT} --save OUT/run.rrd", ""),
     "campaign": ("campaign quick.toml --workers 0 --out OUT/many", ""),
     "campaign, plan": ("campaign quick.toml --dry-run --limit 3", ""),
     "campaign, summary": ("campaign --summary OUT/many --rrd OUT/many.rrd", ""),
-    "campaign, against": ("campaign --summary OUT/many --against OUT/many", ""),
     "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
                "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
                "complete criterion file fundamental gain harmonics predicted proof random searches "
@@ -81,15 +79,13 @@ COMMANDS = {
     "doctor": ("doctor --json", "checks"),
     "doctor, text": ("doctor", ""),
     "faults": ("faults", ""),
-    "faults, one": ("faults plate_pose", ""),
     "effects": ("effects", ""),
-    "effects, one": ("effects tilt", ""),
     "warmup": ("warmup", ""),
 }  # fmt: skip
 """Words of each, and the keys of its JSON; nothing where it speaks to people."""
 FIRST = {
     "report": "run", "view": "run", "campaign, summary": "campaign",
-    "campaign, against": "campaign", "excite, check": "excite", "excite, exceeded": "excite",
+    "excite, check": "excite", "excite, exceeded": "excite",
     "view, motion": "excite", "identify, plate": "calibrate",
 }  # fmt: skip
 """What must have run before."""
@@ -130,13 +126,6 @@ def test_a_command_does_what_it_is_asked_to(name: str, told: Told, out: Path) ->
         assert " ".join(sorted(json.loads(done.stdout))) == keys
     written = re.findall(r"--(?:out|page|trajectory|save|rrd|write) OUT/(\S+)", words)
     assert [each for each in written if not (out / each).exists()] == []
-
-
-def test_a_plan_counts_the_runs_that_are_asked_for(told: Told, place: Path) -> None:
-    """Two cells of two replicates, of which a limit leaves three."""
-    everything = command_line("campaign", "quick.toml", "--dry-run", cwd=place).stdout
-    for text, runs in ((everything, 4), (told("campaign, plan").stdout, 3)):
-        assert re.findall(r"(\d+) (?:cells|replicates|runs)", text) == ["2", "2", str(runs)]
 
 
 def test_every_command_is_here_and_helps_with_an_example() -> None:
@@ -233,15 +222,6 @@ def test_a_calibrated_plate_is_taken_back_and_its_doubt_is_in_sigma(told: Told) 
     ]
     assert len(both) >= 9
     assert all(after > before for before, after in both)
-
-
-def test_half_a_recording_gives_its_half_of_the_answer(place: Path) -> None:
-    for lacking, method in (("torque", "external"), ("wrench", "internal")):
-        done = command_line(
-            *shlex.split(f"identify no_{lacking}.parquet {ROBOT} --zeros --json"), cwd=place
-        )
-        assert done.returncode == 0, done.stderr
-        assert set(json.loads(done.stdout)) - {"model", "settings"} == {method}
 
 
 def test_what_is_printed_of_bodies_is_written(told: Told, out: Path) -> None:

@@ -51,29 +51,19 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     assert shown.returncode == 0, shown.stderr
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "cure"),
-    [
-        ('unit = "N m"\nside = "motor"', 'unit = "N m"\nside = "joint"', 'side = "motor"'),
-        ("[0, -1.5707963267948966", "[0, 0", "offset = [0, -1.5708, 1.5708"),
-        ("[torque]", "[torque]\nsign = [1, -1, 1, 1, 1, 1]", "[torque] sign = [1, 1, 1, 1, 1, 1]"),
-    ],
-)
-def test_a_mistake_in_a_mapping_is_refused_with_its_cure(
-    old: str, new: str, cure: str, tmp_path: Path
-) -> None:
+def test_a_mistake_in_a_mapping_is_refused_with_its_cure(tmp_path: Path) -> None:
     """By every command that takes it; imported unchecked, by the next."""
-    mapping = altered(tmp_path, old, new)
+    mapping = altered(tmp_path, "[0, -1.5707963267948966", "[0, 0")
     words = ("import", mapping, "--out", "x.parquet", *MODEL)
     for refusing in (words, ("report", mapping, *MODEL)):
         done = command_line(*refusing, cwd=tmp_path)
         assert done.returncode == 2
-        assert cure in done.stderr
+        assert "offset = [0, -1.5708, 1.5708" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
     assert command_line(*words, "--unchecked", cwd=tmp_path).returncode == 0
     refused = command_line("identify", "x.parquet", *MODEL, cwd=tmp_path)
     assert refused.returncode == 2
-    assert cure in refused.stderr
+    assert "offset = [0, -1.5708, 1.5708" in refused.stderr
 
 
 def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: Path) -> None:
@@ -82,15 +72,13 @@ def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: P
     before = (tmp_path / "map.toml").read_text()
     assert command_line("import", "--guess", log, "--out", "map.toml", cwd=tmp_path).returncode == 2
     assert (tmp_path / "map.toml").read_text() == before
-    for head, period, rate in (("timestamp_ms", 4, 250), ("time (ms)", 4, 250), ("t", 0.01, 100)):
-        rows = "".join(f"{period * k},0,{k}\n" for k in range(9))
-        (tmp_path / "log.csv").write_text(f"{head},q_hip_deg,tau_hip\n{rows}")
-        words = ("new", "--recording", "log.csv", "--out", f"{rate}.toml")
-        (tmp_path / f"{rate}.toml").unlink(missing_ok=True)
-        assert command_line(*words, cwd=tmp_path).returncode == 0
-        text = (tmp_path / f"{rate}.toml").read_text()
-        assert f"\nrate = {rate} " in text
-        assert 'columns = ["q_hip_deg"]' in text
+    rows = "".join(f"{4 * k},0,{k}\n" for k in range(9))
+    (tmp_path / "log.csv").write_text(f"timestamp_ms,q_hip_deg,tau_hip\n{rows}")
+    words = ("new", "--recording", "log.csv", "--out", "new.toml")
+    assert command_line(*words, cwd=tmp_path).returncode == 0
+    text = (tmp_path / "new.toml").read_text()
+    assert "\nrate = 250 " in text
+    assert 'columns = ["q_hip_deg"]' in text
 
 
 def test_commands_take_a_mapping_for_its_recording(place: Path) -> None:

@@ -6,9 +6,7 @@ import shutil
 from pathlib import Path
 from typing import get_args, get_type_hints
 
-import click
 import pytest
-import typer
 from typer.models import OptionInfo
 
 from testbed.cli.commands import app
@@ -16,17 +14,6 @@ from testbed.cli.reading import Reading
 from tests.helpers.command import command_line
 from tests.helpers.runs import MODELS
 
-VALUES = {
-    ("calibrate", "--out"): Path("plate.toml"),
-    ("excite", "--out"): Path("motion.toml"),
-    ("excite", "--rate"): 1000.0,
-    ("identify", "--method"): "both",
-    ("identify", "--fixed"): "lump",
-    ("equations", "--form"): "full",
-    ("equations", "--language"): "paper",
-    ("view", "--port"): 9090,
-}
-"""As docs/ and the README say them."""
 ROBOT = "--model puma562.xml"
 WRITERS = {
     ("run", "--out"): "table.toml",
@@ -54,23 +41,6 @@ ENDINGS = {
 READ = {"--model", "--prior", "--plate", "--loaded", "--validate", "--against", "--recording"}
 READ |= {"--tls-ca", "--tls-cert", "--tls-key"}
 FOLDERS = {("run", "--out"), ("campaign", "--out")}
-
-
-def options() -> dict[tuple[str, str], click.Parameter]:
-    """Of all commands, by command and first name."""
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    return {
-        (name, option.opts[0]): option
-        for name, command in commands.items()
-        for option in command.params
-    }
-
-
-def test_nothing_unusual_is_done_unless_it_is_asked_for() -> None:
-    """Every switch is off, and few options have a value: a result goes with its command line."""
-    found = {at: option for at, option in options().items() if option.default}
-    assert [at for at, option in found.items() if getattr(option, "is_flag", False)] == []
-    assert {at: option.default for at, option in found.items()} == VALUES
 
 
 def test_no_writer_is_left_out_here() -> None:

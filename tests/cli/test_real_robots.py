@@ -22,9 +22,12 @@ ROBOTS = {
     "a hand, links that break the triangle": "allegro_hand_description/urdf/allegro_left_hand",
     "a gripper that touches": "ur_description/urdf/ur5_gripper",
     "joints without limits": "double_pendulum_description/urdf/double_pendulum_continuous",
+}
+SLOWER = {
     "weak motors, held by the waist": "simple_humanoid_description/urdf/simple_humanoid",
     "limbs that are points": "icub_description/robots/icub_reduced",
 }
+"""Steps of 5e-5 s, or a period that many parameters need: for the night."""
 SHORT, LONG = 4.0, 10.0
 """Seconds that most are recorded for, and a period that is usual."""
 MOST_SIGMAS = 6.0
@@ -32,10 +35,14 @@ MOST_SIGMAS = 6.0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ROBOTS)
-def test_any_robot_runs_as_new_writes_it(what: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "robot",
+    [*ROBOTS.values(), *(pytest.param(r, marks=pytest.mark.nightly) for r in SLOWER.values())],
+    ids=[*ROBOTS, *SLOWER],
+)
+def test_any_robot_runs_as_new_writes_it(robot: str, tmp_path: Path) -> None:
     """Else whoever has another robot than ours stops at the second command."""
-    made = command_line("new", str(REAL / f"{ROBOTS[what]}.urdf"), "--out", "r.toml", cwd=tmp_path)
+    made = command_line("new", str(REAL / f"{robot}.urdf"), "--out", "r.toml", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     motion = tomllib.loads((tmp_path / "r.toml").read_text())["motion"]
     period = 1 / motion["fundamental"]  # of many parameters only a whole one holds enough values

@@ -14,7 +14,6 @@ import pytest
 from testbed.cli import checkup
 from testbed.errors import TestbedError
 from testbed.reporting.output import Progress
-from testbed.viewer import show
 from tests.helpers.command import command_line
 
 PUMA = "one.parquet --model puma562.xml"
@@ -22,26 +21,18 @@ LONG = {
     "experiment.simulate:simulate": ("run table.toml", "simulate table.toml --out x.parquet"),
     "experiment.evaluate:evaluate": ("run table.toml --set motion.duration=2",),
     "experiment.comparison:compare": ("compare variants.toml",),
-    "experiment.excite:excite": ("excite two.urdf",),
-    "experiment.motions:checked_motion": ("excite table.toml --check",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
-    "experiment.growth:growth": (f"view {PUMA} --save x.rrd",),
     "recordings.importing.pieces:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
     "sanity.accept:accepted_import": ("import map.toml --out x.parquet --model two.urdf",),
-    "sanity.accept:accept": ("identify map.toml --model two.urdf",),
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),
     "identification.prior_choice:consistent_by_held_out": (f"identify {PUMA} --consistent",),
     "identification.calibration:calibrate": (f"calibrate {PUMA} --known mass=20",),
-    "identification.rest:poses_at_rest": (f"payload one.parquet {PUMA} --at-rest",),
-    "reporting.html:write_report": (f"report {PUMA}",),
     "viewer.log:write_rrd": (f"view {PUMA} --save x.rrd",),
     "campaign.conduct:conduct": ("campaign quick.toml --workers 0",),
-    "symbolic.equations:equations": ("equations two.urdf",),
-    "parameters.minimal_set:minimal_set": ("minimal two.urdf",),
     "kernel.numba_engine:warm_up": ("warmup",),
 }  # fmt: skip
 """What may take long, and the commands that do it."""
@@ -94,13 +85,3 @@ def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.Monkey
         assert (found[name].fine, found[name].needed) == (fine, needed), name
         assert (cure in found[name].line) is not fine, name
         assert found[name].line.startswith("ok" if fine else "MISSING" if needed else "- "), name
-
-
-def test_the_doctor_says_how_to_get_a_viewer(monkeypatch: pytest.MonkeyPatch) -> None:
-    for program, screen, good in ((None, True, False), ("r", False, True), ("r", True, True)):
-        monkeypatch.setattr(show, "viewer_program", lambda found=program: found)
-        monkeypatch.setattr(show, "has_screen", lambda found=screen: found)
-        (viewer,) = (each for each in checkup.checkup() if each.name == "viewer")
-        assert viewer.fine is good
-        assert ("pip install" in viewer.cure) is not good
-        assert ("--save" in viewer.found) is (good and not screen)

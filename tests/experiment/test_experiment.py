@@ -72,7 +72,7 @@ def test_what_is_not_understood_is_named() -> None:
     ):
         with refuses(ExperimentError, *culprits):
             tb.Experiment.load(TABLE6, [setting])
-    with pytest.raises(ExperimentError, match="external_rms_relative_error"):  # all are listed
+    with pytest.raises(ExperimentError, match="external_rms_relative_error"):
         tb.Experiment.load(TABLE6, ["expect.external_rms.at_most=1"])
     with pytest.raises(ExperimentError) as caught:  # all faults at once
         tb.Experiment.load(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])

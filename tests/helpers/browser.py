@@ -1,8 +1,9 @@
-"""A headless Chromium by way of its driver: enough of WebDriver to look at a page."""
+"""A headless Chromium by its driver, enough of WebDriver to look at a page; and axe-core."""
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import socket
 import subprocess
@@ -14,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.helpers.paths import ROOT
 
 ARGUMENTS = [
     "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -97,3 +100,39 @@ def browser(folder: Path, width: int = 1000, dark: bool = False) -> Iterator[Bro
     finally:
         running.terminate()
         running.wait()
+
+
+GRAVE = ("serious", "critical")
+
+
+def axe() -> str:
+    """The source of axe-core, or skipped where it is not: `npm install --no-save axe-core`."""
+    given = os.environ.get("AXE_CORE", str(ROOT / "node_modules/axe-core/axe.min.js"))
+    if not Path(given).exists():
+        pytest.skip("no axe-core: npm install --no-save axe-core, or AXE_CORE=.../axe.min.js")
+    return Path(given).read_text()
+
+
+def complaints(seen: Browser, source: str) -> list[str]:
+    """Rules that a browser's page breaks seriously or critically, with some elements.
+
+    Args:
+        seen: With the page open.
+        source: Axe's.
+    """
+    seen.command("Runtime.evaluate", {"expression": source})
+    found = seen.command(
+        "Runtime.evaluate",
+        {
+            "expression": "axe.run(document, {resultTypes: ['violations']}).then(r => r.violations"
+            ".map(v => ({rule: v.id, impact: v.impact, elements: v.nodes.map("
+            "n => n.target.join(' ') + ' ' + n.html.slice(0, 90))})))",
+            "awaitPromise": True,
+            "returnByValue": True,
+        },
+    )["result"]["value"]
+    return [
+        f"{v['impact']} {v['rule']}, {len(v['elements'])} elements: {'; '.join(v['elements'][:3])}"
+        for v in found
+        if v["impact"] in GRAVE
+    ]

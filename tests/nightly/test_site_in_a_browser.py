@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.axe import axe, complaints
-from tests.helpers.browser import browser
+from tests.helpers.browser import axe, browser, complaints
 from tests.helpers.site import built, navigation
 
 pytestmark = pytest.mark.nightly

@@ -14,7 +14,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
-from testbed.identification.finding import few
+from testbed.errors import few
 from testbed.identification.known import Facts, free
 from testbed.identification.nuisances.foretold import Foretold, RowFilter
 from testbed.identification.nuisances.nuisance import Nuisance
@@ -29,8 +29,8 @@ DEPENDENT = 1e-6
 NAMED = 1e-6
 """Share of a combination, in units of its largest, that is worth a name."""
 
-MOST = 2
-"""Numbers that are open and named, with what imitates each."""
+SHORT = 40
+"""Characters for what imitates a number that is open."""
 
 SEED = 1996
 
@@ -138,15 +138,15 @@ def still_open(
         known: Names of the facts.
         nuisances: Kinds that are estimated.
     """
-    told = "; ".join(f"{each.name} from {few(each.by)}" for each in open_ones[:MOST])
-    zero = "; while the zero of Fz is unknown, the mass alone does not" * (
+    first, more = open_ones[0], len(open_ones) - 1
+    told = f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+    zero = " (the zero of Fz is unknown: the mass alone does not)" * (
         MASS in known and BIAS.kind in nuisances
     )
     return (
-        f"no motion tells {told}{' ...' * (len(open_ones) > MOST)}: what is known has to. A total "
-        f"mass (mass=20) and a gain (gain/Fz=1) fix the scale{zero}; so does a gain with "
-        "a measured centre of mass (centre/x=0.1), a payload of known mass (--loaded), or any of "
-        "these itself"
+        f"no motion tells {told}: state what is known. A total mass (mass=20) and a gain "
+        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1), "
+        "or a payload of known mass (--loaded)"
     )
 
 
