@@ -77,6 +77,7 @@ def test_doubt_about_the_plate_counts_as_drawn_plates_say() -> None:
     assert 0.6 < np.sqrt(np.mean((added / scatter)[matters] ** 2)) < 1.6
 
 
+@pytest.mark.slow
 def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None:
     """As it is, and read again from its file to the last bit."""
     tree, plate = robot("puma"), result("plate")

@@ -192,6 +192,7 @@ def test_the_speed_at_which_friction_fades_is_found() -> None:
     np.testing.assert_allclose(found.base.values, truth, rtol=2e-2, atol=2e-2)
 
 
+@pytest.mark.slow
 def test_what_tells_no_drives_is_refused() -> None:
     """Another method, no torques, too few rows."""
     tree = driven("puma")
