@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 import testbed as tb
-from testbed.instruments.chain import Instrument, measure, measured_again
-from testbed.instruments.fault import Fault
+from testbed.instruments.chain import Instrument, measure
 from testbed.recordings.recording import Recording, Truth
 from tests.helpers.measured import random_fourier
 
@@ -33,9 +32,3 @@ def clean(tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500
     )
     usual = replace(USUAL, rate=rate)
     return measure(usual, tree.names, states.t, truth, tare, {}, seed)
-
-
-def with_faults(recording: Recording, seed: int, *faults: Fault) -> Recording:
-    """The same motion and noise, as an instrument with faults shows it; without the truth."""
-    usual = replace(USUAL, rate=recording.rate, fault=faults)
-    return measured_again(recording, usual, seed).blind()

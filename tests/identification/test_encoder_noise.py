@@ -15,7 +15,6 @@ from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.noise.counts import Counts
 from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
-from testbed.identification.passes import Passes
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, make_plan
 from testbed.kernel.layout import layout
@@ -62,7 +61,7 @@ def test_whole_counts_are_told_from_noise(name: str) -> None:
     """With a tenth of a count of noise, beside a joint that rests; not with a whole one."""
     tree = robot(name)
     for seed, speed in enumerate((0.1, 1.0)):
-        fine = measured(tree, seed, speed=speed)
+        fine = measured(tree, seed, speed=speed, duration=10.0)
         for count in (COUNT, 2 * np.pi / 4096):
             moves = np.arange(tree.n) != 2
             resting = replace(fine, position=fine.position * moves)
@@ -123,43 +122,7 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
     assert (coarse.sigma > fine.sigma).mean() > 0.8
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "model", "least"), [("gantry", "reaction", 1e-4), ("puma", "dynamic", 1e-3)]
-)
-def test_columns_change_as_with_real_noise(name: str, model: Model, least: float) -> None:
-    """As large, column by column, and as much alike from row to row.
-
-    What moves noise into the filter's band, a coefficient that changes within it, is left out:
-    it rules columns that change very little.
-    """
-    tree, size = robot(name), 2e-4
-    recording = measured(tree, 4, duration=120.0, speed=0.3, noise=0.0)
-    noise = size * np.random.default_rng(0).normal(size=recording.position.shape)
-    plan = planned(tree, recording, model)
-    noisy = planned(tree, replace(recording, position=recording.position + noise), model)
-    combined = np.eye(len(plan.layout.basis))
-    rows = [
-        np.concatenate([c for c, _ in Passes(p, 1, lambda a, b: None, 1).rows(combined)], axis=1)
-        for p in (plan, noisy)
-    ]
-    real = rows[1] - rows[0]
-    maker = NoisyColumns(
-        noisy, PositionNoise(np.full(tree.n, size), np.zeros(tree.n)), np.eye(len(combined))
-    )
-    made = np.concatenate(
-        [maker(noisy.signals(noisy.source.part(w.first, w.last), w), w.row)
-         for w in noisy.windows()], axis=1
-    )  # fmt: skip
-    squares = (real**2).sum(axis=1)
-    some = squares > least * squares.max()
-    for lag in (0, 1, 2):
-        now, then = slice(lag, None), slice(None, made.shape[1] - lag)
-        one, other = ((d[:, now] * d[:, then]).sum(axis=1)[some] for d in (real, made))
-        np.testing.assert_allclose(other / squares[some], one / squares[some], atol=0.3)
-
-
-@pytest.mark.parametrize("rate", [130.0, 200.0, 1000.0])
+@pytest.mark.parametrize("rate", [130.0, 1000.0])
 def test_made_noise_has_the_spectrum_of_filtered_white_noise(rate: float) -> None:
     """Variances at a row, and from row to row, at any rate; the same for any cut into blocks."""
     tree = robot("puma")

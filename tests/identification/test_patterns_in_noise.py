@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -46,6 +44,7 @@ def test_chances_of_repetition_are_no_smaller_than_they_say() -> None:
             share = np.mean(chances < level)
             assert share < level + 4 * np.sqrt(level * (1 - level) / len(chances))
         assert np.mean(chances < 0.5) > 0.2
+        assert repetition(noise, made(noise, 104, 1)) is None  # too few rows
     alone = Autoregression(np.zeros((1, 0)), np.ones(1))
     for seed in range(9):  # of one channel: by the normal law, for two looks
         one = repetition(alone, made(alone, 200, seed))
@@ -73,14 +72,6 @@ def test_what_repeats_is_found_with_its_share(noise: Autoregression, periods: in
         assert again.chance == pytest.approx(found.chance, rel=1e-9)
 
 
-def test_a_little_in_every_channel_is_found_by_all_together() -> None:
-    """No channel alone would tell; and of too few rows nothing is said."""
-    pairs = [(made(WHITE, 200, seed), made(WHITE, 100, 50 + seed)) for seed in range(9)]
-    found = [repetition(WHITE, noise + 0.5 * np.tile(once, 2)) for noise, once in pairs]
-    assert np.median([each.chance for each in found if each is not None]) < 1e-4
-    assert repetition(WHITE, made(WHITE, 104, 1)) is None
-
-
 @given(rngs, st.integers(200, 2000), st.integers(1, 8))
 def test_the_period_of_a_motion_is_found(
     rng: np.random.Generator, period: int, joints: int
@@ -94,14 +85,7 @@ def test_the_period_of_a_motion_is_found(
     seen[:, -1] = 0.0
     assert period_of(seen) == pytest.approx(period, abs=2)
     assert period_of(seen[: int(1.4 * period)]) is None
-
-
-def test_motions_that_repeat_nothing_have_no_period() -> None:
-    time = np.arange(3000) / 3000
-    walk = np.cumsum(np.random.default_rng(2).normal(size=(3000, 2)), axis=0)
-    chirp = np.sin(2 * np.pi * 20 * time**2)[:, None]
-    for position in (walk, chirp, np.zeros((3000, 2)), np.arange(3.0)[:, None]):
-        assert period_of(position) is None
+    assert period_of(np.cumsum(rng.normal(size=(3000, 2)), axis=0)) is None
 
 
 TRUE = np.array([3.0, -2.0, 0.5])
@@ -144,20 +128,9 @@ def test_a_delay_is_found_from_anywhere() -> None:
     assert 0 < beside_gaps.delay < 0.025
 
 
-@pytest.mark.parametrize(("gaps", "slow"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.6)])
-def test_chance_makes_no_delays(gaps: float, slow: float) -> None:
-    """Nor do rows that were dropped, or noise that goes on."""
-    z = [delay_in(late_by(0.0, seed, gaps, slow), TRUE).z for seed in range(60)]
-    assert 0.6 < np.std(z) < 1.3
-    assert np.max(np.abs(z)) < UNLIKELY
-
-
-def test_a_delay_is_not_told_by_too_few_lags_or_a_model_that_leaves_nothing() -> None:
-    """Noise that is foretold wholly is no certainty."""
-    given = late_by(0.0, 4)
-    fit = weighted_fit(given)
-    nothing = replace(fit, noise=replace(fit.noise, sigma=np.array([0.0, fit.noise.sigma[1]])))
-    start = np.zeros(3)
-    assert lateness(given, nothing, start, 1.0, 10.0) == lateness(given, fit, start, 1.0, 10.0)
-    for few in (given.at_once, replace(given, products=given.products[:2])):
-        assert lateness(few, fit, start, 1.0, 10.0) is None
+def test_chance_makes_no_delays() -> None:
+    """Nor do rows that were dropped, or noise that goes on: a good recording would be shifted."""
+    for gaps, slow in ((0.1, 0.0), (0.0, 0.6)):
+        z = [delay_in(late_by(0.0, seed, gaps, slow), TRUE).z for seed in range(30)]
+        assert 0.6 < np.std(z) < 1.3
+        assert np.max(np.abs(z)) < UNLIKELY

@@ -34,6 +34,8 @@ from testbed.identification.wishes import Wishes
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.joined import Joined
+from testbed.recordings.measured_base import with_base_joints
+from testbed.robot.free_base import on_free_base
 from testbed.sanity.solved_mapping import solved
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.faulty import clean
@@ -162,7 +164,7 @@ def _tree_of_30() -> Run:
 
 def _free_base() -> Run:
     tree, recording = humanoid(10.0, 100.0, 7, 1.0)
-    return run(tree, recording)
+    return run(on_free_base(tree), with_base_joints(recording))
 
 
 def _drives() -> Run:
