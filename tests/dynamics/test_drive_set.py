@@ -11,8 +11,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.witnesses import verify_drives
-from testbed.errors import ModelError, SettingsError, UnknownName
-from testbed.identification.drive_findings import identify_drives
+from testbed.errors import ModelError, UnknownName
 from testbed.identification.predict import own_torque
 from testbed.robot.shafts import with_shafts
 from testbed.robot.tree import Joint, Kind
@@ -109,11 +108,3 @@ def test_what_is_no_shaft_is_refused(given: dict[str, dict[str, float]], culprit
     """One joint, a turn of zero, a joint's name, the same shaft again, a joint that slides."""
     with refuses(ModelError, culprit):
         with_shafts(chain(Z, Y, X, last="prismatic"), given)
-
-
-def test_coupled_joints_are_not_held_against_the_plate_one_by_one() -> None:
-    tree = with_shafts(chain(Z, Y), WRIST)
-    recording = ideal(tree)
-    plate = tb.identify(tree, recording, "external", settings=EXACT)
-    with refuses(SettingsError, "robot.coupling"):
-        identify_drives(tree, recording, plate)

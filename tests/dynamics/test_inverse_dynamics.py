@@ -69,18 +69,6 @@ def test_the_papers_robot_has_the_golden_forces(puma: tb.Tree, golden: Any) -> N
     np.testing.assert_allclose(tb.base_wrench(puma, given), wrench, rtol=1e-10, atol=1e-10)
 
 
-def test_a_robot_at_rest_weighs_on_the_plate(puma: tb.Tree) -> None:
-    """The sign that all wrenches have: upwards, m g; moment about O^0: lever times weight."""
-    rest = tb.Motion(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), np.zeros((1, 3)))
-    mass = sum(inertia.mass for inertia in puma.inertias)
-    lever = sum(inertia.first_moment[1] for inertia in puma.inertias)
-    wrench = tb.base_wrench(puma, rest)[0]
-    np.testing.assert_allclose(wrench, [0, 0, mass * 9.81, lever * 9.81, 0, 0], atol=1e-12)
-    weight = 25 * puma.gravity
-    moment = np.cross(puma.pedestal.com, -weight)
-    np.testing.assert_allclose(tb.pedestal_wrench(puma), [*-weight, *moment])
-
-
 @given(robots(), rngs, st.sampled_from(MODELS), st.booleans())
 def test_regressors_times_parameters_are_the_forces(
     robot: Robot, rng: np.random.Generator, model: Model, zeros: bool

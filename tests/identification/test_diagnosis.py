@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -26,30 +25,18 @@ from tests.helpers.runs import robot
 pytestmark = pytest.mark.slow
 
 TOLD = {
-    "wrench and tare negated": "negative-mass of the robot's total mass",
     "tare 0": "tare of the tare's force",
-    "wrench in lbf": "negative-mass of the robot's total mass",
     "moments in N mm": "no-rigid-bodies of the external estimate",
-    "Fx of opposite sign": "residual of channel Fx",
     "Fz of opposite sign": "negative-mass of the robot's total mass",
     "Mz of opposite sign": "residual of channel Mz",
     "Fy dead": "constant-channel of channel Fy",
     "My saturated at half": "saturation of channel My",
-    "Mx and My exchanged": "residual of channel My",
-    "plate turned 5 deg about x": "residual of channel Mz",
-    "moment point off by 20 cm along x": "residual of channel Mz",
     "torques of opposite sign": "negative-friction of the friction coulomb/waist",
     "torques in N mm": "effort of the torque of 'waist'",
-    "torque of elbow of opposite sign": "negative-friction of the friction coulomb/elbow",
-    "torque of elbow saturated at half": "saturation of the torque of 'elbow'",
-    "torque of waist dead": "constant-channel of the torque of 'waist'",
     "torques of shoulder and elbow exchanged": "residual of the torque of 'elbow'",
     "encoders in degrees": "encoder-range of the encoder of 'waist'",
-    "encoder of shoulder in degrees": "encoder-range of the encoder of 'shoulder'",
-    "encoder of shoulder of opposite sign": "no-rigid-bodies of the external estimate",
-    "gravity upwards": "negative-mass of the robot's total mass",
 }
-"""What must be among the findings of a gross fault."""
+"""What must be among the findings of a gross fault; `python -m benchmarks faults` has them all."""
 
 
 def both(tree: tb.Tree, recording: Recording, zeros: bool = True) -> dict[Method, Estimate]:
@@ -270,16 +257,3 @@ def test_one_cause_comes_first_with_what_follows_from_it() -> None:
     assert len(folded([ENCODER, residual])) == 1
     (line,) = folded([error, bodies[1]])
     assert line.startswith(bodies[1].subject)
-
-
-def test_many_of_one_kind_are_counted(puma: tb.Tree, recording: Recording) -> None:
-    found = tb.identify(puma, scaled(recording, -1.0), "internal", zeros=True)
-    negative = [each for each in found.findings if each.code == "negative-friction"]
-    assert len(negative) == 6
-    (line,) = folded(negative)
-    assert line in found.warnings
-    places = [line.find(f"{each.subject} {each.found}") for each in negative]
-    assert all(one < other for one, other in pairwise([-1, *places[:2]]))
-    assert set(places[2:]) == {-1}
-    assert " 4 " in line
-    assert line.count(negative[0].remedy) == 1

@@ -123,22 +123,6 @@ def test_threads_files_maps_and_streams_give_the_same_bits(
             same(tb.identify(tree, source, method, settings=treated, threads=3), wanted)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("method", "settings"), TREATED)
-def test_compiled_and_plain_engine_give_one_estimate(
-    method: Method, settings: Settings, tree: tb.Tree, recording: Recording
-) -> None:
-    short = recording.part(0, 4000)
-    given_now = noisy(encoders(short) if settings is FILTERED else short)
-    one, other = (
-        tb.identify(tree, given_now, method, settings=replace(settings, engine=engine))
-        for engine in ("compiled", "numpy")
-    )
-    np.testing.assert_allclose(one.values, other.values, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(one.sigma, other.sigma, rtol=1e-6)
-    np.testing.assert_array_equal(one.samples, other.samples)
-
-
 def test_as_many_threads_work_as_asked_and_no_more_is_read_than_they_need(
     tree: tb.Tree,
     recording: Recording,

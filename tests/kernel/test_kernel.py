@@ -8,16 +8,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from benchmarks.robots import load, robots
 from testbed.arrays import Array
 from testbed.identification.filters import motion_taps, row_weights
-from testbed.kernel import compiler, gram, numba_engine, numpy_engine
+from testbed.kernel import gram, numba_engine, numpy_engine
 from testbed.kernel.layout import Layout, independent_columns, layout
 from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.parameters.rules import Model
@@ -154,35 +152,6 @@ def test_rows_are_the_minimal_regressor(
     assert 64 <= found.rows.block <= 320
 
 
-@pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("name", ["arm3", "puma6", "tree30"])
-def test_rows_are_those_of_pinocchio(name: str, model: Model) -> None:
-    """Phi delta = phi K pi: the minimal rows times K are Pinocchio's regressor."""
-    urdf = robots()[name]
-    tree, rng = load(urdf), np.random.default_rng(1)
-    q, qd, qdd = rng.uniform(-2, 2, (3, 64, tree.n))
-    minimal = tb.minimal_set(tree, model)
-    found = layout(tree, minimal)
-    z = rows_of(found, plain(found, q, qd, qdd))
-    floating = (pin.JointModelFreeFlyer(),) if model == "reaction" else ()
-    robot = pin.buildModelFromXML(urdf, *floating)
-    data, root = robot.createData(), len(floating)
-    order = [robot.getJointId(joint) - 1 - root for joint in tree.names]
-    columns = np.concatenate([10 * (k + root) + np.arange(10) for k in order])
-    for sample in range(64):
-        states = [np.zeros(6 * root + tree.n) for _ in range(3)]
-        for state, values in zip(states, (q, qd, qdd), strict=True):
-            state[np.array(order) + 6 * root] = values[sample]
-        if root:
-            states[0] = np.concatenate([[0, 0, 0, 0, 0, 0, 1.0], states[0][6:]])
-        theirs = pin.computeJointTorqueRegressor(robot, data, *states)[:, columns]
-        theirs = theirs[:6] if root else theirs[order]
-        for c, own in enumerate(found.channels):
-            at = found.rows.start[c]
-            row = z[at : at + len(own), sample] @ found.basis[own] @ minimal.standard_matrix
-            assert np.abs(row - theirs[c]).max() <= 5e-15 * np.abs(theirs).max()
-
-
 @given(rngs)
 def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.Generator) -> None:
     """But for columns that nearly depend on earlier ones: these come last."""
@@ -196,8 +165,3 @@ def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.G
     assert independent_columns(np.array([[1.0, 1.0, 0.0], [0.0, 0.01, 1.0]]), [0, 1, 2]) == [0, 2]
     for size, wanted in ((1e-5, [0, 1]), (1e-7, [0])):
         assert independent_columns(np.array([[1.0, 1.0], [0.0, size]]), [0, 1]) == wanted
-
-
-def test_warming_up_compiles_and_says_where_to() -> None:
-    assert numba_engine.warm_up() == str(compiler.settings.CACHE_DIR)
-    assert len(gram.sweep.signatures) == 1

@@ -7,25 +7,10 @@ from fractions import Fraction
 
 import numpy as np
 
-from testbed.kernel.constants import COSINE, NB, PER_PI, PI, ROUND, SINE
+from testbed.kernel.constants import NB, PER_PI, PI, ROUND
 from testbed.kernel.screws import sine_cosine
 
 PI_DIGITS = Fraction(314159265358979323846264338327950288419716939937510, 10**50)
-
-
-def test_the_polynomials_are_taylors_series_to_rounding() -> None:
-    """In exact fractions, over all that is left after whole turns."""
-    half = Fraction(math.pi / 2) ** 2
-    for coefficients, skip in ((SINE, 3), (COSINE, 4)):
-        for k in range(200):
-            z, total = half * Fraction(k, 199), Fraction(0)
-            for coefficient in coefficients:
-                total = total * z + Fraction(coefficient)
-            series = sum(
-                Fraction((-1) ** (n + skip // 2), math.factorial(2 * n + skip)) * z**n
-                for n in range(24)
-            )
-            assert abs(float(total - series)) < 1.2e-17
 
 
 def test_whole_turns_are_taken_off_without_rounding() -> None:
