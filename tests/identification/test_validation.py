@@ -154,6 +154,17 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     assert not silent.findings
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_masses_and_truth_are_not_looked_at(puma: tb.Tree, method: Method) -> None:
+    estimate = tb.identify(puma, ideal(puma, seed=1), method, settings=EXACT)
+    other = ideal(puma, seed=2)
+    plain = validate(puma, other, estimate, settings=EXACT)
+    heavier = replace(puma, inertias=puma.inertias[::-1])
+    blind = validate(heavier, other.blind(), estimate, settings=EXACT)
+    np.testing.assert_array_equal(plain.residual, blind.residual)
+    np.testing.assert_array_equal(plain.ratio, blind.ratio)
+
+
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
     estimate, other = tb.identify(puma, ideal(puma), settings=EXACT), ideal(puma, seed=2)
     said = stated(estimate)
