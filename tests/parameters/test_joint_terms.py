@@ -84,14 +84,12 @@ def test_what_tells_a_rotor_from_the_bodies() -> None:
 
 def test_a_rotor_may_be_told_only_against_another() -> None:
     """Where known zeros make two joints move one inertia, each with its rotor."""
-    gravities = ((0.0, 0.0, -9.81), (2.97, -4.95, -7.93), (0.0, 0.0, 0.0))
-    for seed, told in ((26, "rotor/j1-rotor/j4"), (360, "rotor/j2-0.371036")):
-        rng = np.random.default_rng(seed)
-        tree = random_robot(rng, int(rng.integers(2, 7)), gravity=gravities[seed % 3]).tree()
-        zeros = [name for name in parameter_names(tree) if rng.random() < 0.7]
-        found = drives(tree, "offset", "rotor", zeros=zeros)
-        assert any(name.startswith(told) for name in found.names)
-        assert verify_drives(tree, found).holds
+    rng = np.random.default_rng(26)
+    tree = random_robot(rng, int(rng.integers(2, 7)), gravity=(0.0, 0.0, 0.0)).tree()
+    zeros = [name for name in parameter_names(tree) if rng.random() < 0.7]
+    found = drives(tree, "offset", "rotor", zeros=zeros)
+    assert any(name.startswith("rotor/j1-rotor/j4") for name in found.names)
+    assert verify_drives(tree, found).holds
 
 
 def test_the_unknowns_of_a_robot_are_matrix_times_its_parameters(puma: Tree) -> None:
