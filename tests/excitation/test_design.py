@@ -18,7 +18,7 @@ from testbed.excitation.barrier_search import Inside, Point, minimise
 from testbed.excitation.criteria import CRITERIA, CriterionName, e_optimal
 from testbed.excitation.design import Wish, _start, criterion, design
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import Instrument, information_of, relative_scale
+from testbed.excitation.information import Instrument, _inverse, information_of, relative_scale
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
 from testbed.excitation.prediction import Pipeline, moving, predict
@@ -121,6 +121,16 @@ def test_criteria_are_what_they_say_and_their_slopes_are_right(
         assert CRITERIA[name](factor * here)[0] - value == pytest.approx(np.log(factor))
     longest = np.log(np.linalg.eigvalsh(here)[-1])
     assert longest - np.log(6) / 8 - 1e-12 <= e_optimal(here)[0] <= longest + 1e-12
+
+
+def test_what_is_no_information_has_no_inverse() -> None:
+    """Infinite, about nothing, or contradicting itself; sizes may differ by many orders."""
+    for wrong in ([[np.inf, 0], [0, 1]], [[np.nan, 0], [0, 1]], [[0, 0], [0, 1]], [[1, 2], [2, 1]]):
+        assert _inverse(np.array(wrong)) is None
+    far = np.array([[1e12, 1e2], [1e2, 1e-4]])
+    found = _inverse(far)
+    assert found is not None
+    np.testing.assert_allclose(found @ far, np.eye(2), atol=1e-3)
 
 
 @dataclass

@@ -197,6 +197,12 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
         with pytest.raises((TestbedError, OSError)) as error:
             read_result(path)
         assert "\n" not in str(error.value), part
+    found = content["external"]
+    ragged = {"covariance": [[1.0], *found["covariance"][1:]]}
+    for odd in (ragged, {"residual": [-1.0, *found["residual"][1:]]}):
+        path.write_text(json.dumps(content | {"external": found | odd}))
+        with refuses(TestbedError, *odd):
+            read_result(path)
     many, large = b'{"external": {"names": ' + b"9" * 10_000 + b"}}", b" " * (LARGEST_RESULT + 1)
     for text in (b"", b"\xff\xfe\x00", b"PAR1", b"[" * 100_000, b"[]", b"{}", many, large):
         path.write_bytes(text)
