@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
-import random
-import shutil
 import statistics
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +14,8 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import binomtest
 
-from benchmarks.campaign import kills
-from testbed.arrays import Array
 from testbed.campaign import campaign_folder
-from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
+from testbed.campaign.bundle import Bundle, Outcome, Status, carry_out_bundle
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.campaign_folder import CampaignFolder
 from testbed.campaign.campaign_summary import binomial_bounds, pooled, read_campaign, summarise
@@ -62,73 +57,47 @@ class Killed(BaseException):
     """The end of the process, as far as Python can play it."""
 
 
-def dying(after: int) -> Odd:
-    """An engine whose process ends after some bundles."""
-    left = [after]
+@pytest.mark.slow
+def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
+    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As kill -9 leaves it: no tidying up; table and new rows may then hold the same runs."""
+    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
+    once, compact, left = pq.ParquetWriter.write_table, CampaignFolder.compact, [0]
 
-    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
+    def countdown(error: BaseException) -> None:
         left[0] -= 1
         if left[0] < 0:
-            raise Killed
+            raise error
+
+    def work(bundle: Bundle) -> tuple[list[Outcome], float]:
+        countdown(Killed())
         return made_up(bundle)
 
-    return Odd(work, size=2, seed=after)
+    def on_a_full_disk(self: pq.ParquetWriter, rows: object) -> None:
+        countdown(OSError(errno.ENOSPC, "No space left on device"))
+        once(self, rows)
 
-
-def unfinished(after: int) -> Callable[[CampaignFolder], None]:
-    """Compaction that ends before new rows are removed, or is not begun at all."""
-    once = CampaignFolder.compact
-
-    def compact(self: CampaignFolder) -> None:
-        if after % 4 == 1:
-            raise Killed
+    def compacted_in_part(self: CampaignFolder) -> None:
         kept = {path: path.read_bytes() for path in (self.path / "new").glob("*")}
-        once(self)
+        compact(self)
         for path, content in kept.items():
             path.write_bytes(content)
+        countdown(Killed())
 
-    return compact
-
-
-@pytest.mark.slow
-def test_ended_at_any_moment_it_goes_on(
-    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """No tidying up: as after kill -9. Table and new rows may then hold the same runs."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
-    for after in range(1, 12, 2):
+    times = {"engine": (1, 5, 9), "disk": (3, 8), "compaction": (0, 1)}
+    for cause, after in [(each, after) for each, moments in times.items() for after in moments]:
+        left[0], place = after, tmp_path / f"{cause}{after}"
         with monkeypatch.context() as patch:
-            patch.setattr(CampaignFolder, "compact", unfinished(after))
-            with pytest.raises(Killed):
-                conduct(campaign, tmp_path / f"r{after}", dying(after))
-        conduct(campaign, tmp_path / f"r{after}", Odd())
-        assert table(tmp_path / f"r{after}") == whole
-        assert not list((tmp_path / f"r{after}" / "new").iterdir())
-
-
-@pytest.mark.slow
-def test_a_full_disk_costs_what_had_no_place_and_nothing_else(
-    tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for room in (3, 8):
-        left = [room]
-
-        class Full(pq.ParquetWriter):  # type: ignore[misc]
-            """A writer that finds the disk full after some tables, and leaves half of one."""
-
-            def write_table(self, table: object, left: list[int] = left) -> None:
-                left[0] -= 1
-                if left[0] < 0:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-                super().write_table(table)
-
-        with monkeypatch.context() as patch:
-            patch.setattr(pq, "ParquetWriter", Full)
-            with refuses(ExperimentError, "No space left on device"):
-                conduct(campaign, tmp_path / "r", Odd(size=2))
-        conduct(campaign, tmp_path / "r", Odd(size=2))
-        assert table(tmp_path / "r") == whole
-        shutil.rmtree(tmp_path / "r")
+            if cause == "disk":
+                patch.setattr(pq.ParquetWriter, "write_table", on_a_full_disk)
+            elif cause == "compaction":
+                patch.setattr(CampaignFolder, "compact", compacted_in_part)
+            with pytest.raises(ExperimentError if cause == "disk" else Killed):
+                conduct(campaign, place, Odd(work if cause == "engine" else made_up, 2, after))
+        conduct(campaign, place, Odd())
+        assert table(place) == whole
+        assert not list((place / "new").iterdir())
 
 
 @pytest.mark.slow
@@ -136,46 +105,43 @@ def test_bundles_their_order_and_parts_do_not_show(
     tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is there is not done again; progress counts; files of few rows do not pile up."""
-    parts = [Odd(size=1), Odd(size=3, seed=1), Odd(seed=2)]
-    for engine, limit in zip(parts, (5, 17, None), strict=True):
-        conduct(campaign, tmp_path / "parts", engine, limit)
-    assert [len(engine.asked) for engine in parts] == [5, 12, 23]
+    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
+    seen: list[Standing] = []
+
+    def look(standing: Standing) -> None:
+        seen.append(standing)
+        assert len(list((tmp_path / "parts/new").glob("*.parquet"))) <= max(4, standing.done / 2)
+
+    parts = [Odd(size=1), Odd(size=3, seed=1), Odd(seed=2), Odd()]
+    for engine, limit in zip(parts, (5, 17, None, None), strict=True):
+        conduct(campaign, tmp_path / "parts", engine, limit, progress=look)
+    assert [len(engine.asked) for engine in parts] == [5, 12, 23, 0]
     assert table(tmp_path / "parts") == whole
-    conduct(campaign, tmp_path / "parts", again := Odd())
-    assert again.asked == []
+    assert [each.done for each in seen[:5]] == [1, 2, 3, 4, 5]
+    assert seen[-1].done == 40
     found = rows(tmp_path / "whole")
     assert [row["run"] for row in found] == list(places_of(campaign))
     assert [(row["replicate"], row["cell"]) for row in found[:3]] == [(0, 0), (0, 1), (1, 0)]
     assert [row["factor/noise"] for row in found[:2]] == [0.5, 2.0]
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
-    seen: list[tuple[Standing, int]] = []
-
-    def look(standing: Standing) -> None:
-        seen.append((standing, len(list((tmp_path / "r/new").glob("*.parquet")))))
-
-    conduct(campaign, tmp_path / "r", Odd(size=1), progress=look)
-    assert [each.done for each, _ in seen] == list(range(1, 41))
-    assert {(each.total, each.failed) for each, _ in seen} == {(40, 0)}
-    assert all(each.rate > 0 and files <= max(4, each.done / 2) for each, files in seen)
 
 
 def test_failed_runs_are_rows_killed_ones_are_tried_again_others_are_kept_apart(
     tmp_path: Path, campaign: Campaign
 ) -> None:
     names = list(places_of(campaign))
-    bad = {names[3]: "failed", names[8]: "killed"}
+    bad: dict[str, Status] = {names[3]: "failed", names[8]: "killed"}
 
     def work(bundle: Bundle) -> tuple[list[Outcome], float]:
         found, seconds = made_up(bundle)
-        marked = [replace(o, status=bad.get(o.run, o.status)) for o in found]  # type: ignore[arg-type]
-        return [Outcome(o.run, o.status, "because") if o.run in bad else o for o in marked], seconds
+        given = [Outcome(o.run, bad.get(o.run, o.status), "because") for o in found]
+        pairs = zip(found, given, strict=True)
+        return [new if new.run in bad else old for old, new in pairs], seconds
 
     standings: list[Standing] = []
     folder = conduct(campaign, tmp_path / "r", Odd(work), progress=standings.append)
     assert (standings[-1].done, standings[-1].total, standings[-1].failed) == (40, 40, 2)
     assert [error for _, error in folder.failures()] == ["because", "because"]
     assert folder.failures()[0][0].startswith("testbed run ")
-    assert len(rows(tmp_path / "r")) == 40
     folder = conduct(campaign, tmp_path / "r", again := Odd())
     assert again.asked == [names[8]]
     assert len(folder.failures()) == 1
@@ -209,18 +175,22 @@ def test_a_rule_for_stopping_looks_at_whole_rounds_alone(tmp_path: Path) -> None
 def test_a_folder_is_written_by_one_command_and_by_no_other_kind(
     tmp_path: Path, campaign: Campaign
 ) -> None:
-    """Who is refused it leaves no file open."""
     with campaign_folder.own_folder(tmp_path / "r", campaign.tables):
         before = len(list(Path("/dev/fd").iterdir()))
-        for _ in range(5):
-            with refuses(ExperimentError, str(tmp_path / "r")):
-                conduct(campaign, tmp_path / "r", Odd())
+        with refuses(ExperimentError, str(tmp_path / "r")):
+            conduct(campaign, tmp_path / "r", Odd())
         assert len(list(Path("/dev/fd").iterdir())) == before
-    (tmp_path / "letters").mkdir()
-    (tmp_path / "letters/to-mum.txt").write_text("dear")
-    for place in ("letters", "letters/to-mum.txt"):
+    letters = tmp_path / "letters"
+    letters.mkdir()
+    (letters / "results.parquet").write_text("dear mum")
+    with refuses(TestbedError, str(letters)):
+        read_campaign(letters)
+    (letters / "results.parquet").rename(letters / "to-mum.txt")
+    with refuses(TestbedError, str(letters)):
+        read_campaign(letters)
+    for place in (letters, letters / "to-mum.txt"):
         with refuses(ExperimentError, "to-mum.txt"):
-            conduct(campaign, tmp_path / place, Odd())
+            conduct(campaign, place, Odd())
 
 
 @pytest.mark.slow
@@ -245,17 +215,12 @@ def test_real_runs_give_the_same_bits_in_any_bundles_and_recordings_are_kept(
         assert len({path.read_bytes() for path in kept}) == 1
 
 
-@pytest.mark.slow
-def test_a_kill_at_a_random_moment_costs_nothing() -> None:
-    """Kill -9 of a worker; of the command and the scheduler, too: python -m benchmarks campaign."""
-    assert kills("worker", 1, 20, random.Random(1).randrange(1000))["same_table"] == 1
-
-
 # a bundle on a worker
 
 
-@pytest.fixture
-def bundle(tmp_path: Path) -> Bundle:
+@pytest.mark.slow
+def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors that are none of testbed's with their kind; without memory, it may be tried again."""
     kept: list[Bundle] = []
 
     def work(bundle: Bundle) -> tuple[list[Outcome], float]:
@@ -263,39 +228,26 @@ def bundle(tmp_path: Path) -> Bundle:
         return made_up(bundle)
 
     conduct(Campaign.load(campaign_file(tmp_path, 1, NOISES)), tmp_path / "r", Odd(work))
-    return kept[0]
-
-
-@pytest.mark.slow
-def test_a_run_that_fails_says_why(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Errors that are none of testbed's with their kind; without memory, it may be tried again."""
+    bundle = kept[0]
     with refuses(ExperimentError, "testbed"):
         carry_out_bundle(replace(bundle, code="another"))
     (run, words), *rest = bundle.runs
     wrong = (("0" * len(run), words), (run, (*words, "seed=many")), *rest)
     (first, second, *_), seconds = carry_out_bundle(replace(bundle, runs=wrong))
-    assert (first.status, second.status, "seed" in second.error) == ("failed", "failed", True)
-    assert (first.run, first.metrics, first.recording, seconds > 0) == (
-        wrong[0][0],
-        None,
-        None,
-        True,
-    )
-
-    def raising(error: Exception) -> Callable[..., Any]:
-        def work(*_: object, **__: object) -> None:
-            raise error
-
-        return work
-
+    assert (first.run, first.status, first.metrics) == ("0" * len(run), "failed", None)
+    assert (second.status, "seed" in second.error, seconds > 0) == ("failed", True, True)
     for error, status, said in (
         (ExperimentError("no plate"), "failed", "no plate"),
         (ZeroDivisionError("by nothing"), "failed", "ZeroDivisionError: by nothing"),
         (MemoryError("none left"), "killed", "MemoryError: none left"),
     ):
+
+        def fail(*_: object, error: Exception = error, **__: object) -> None:
+            raise error
+
         for module, name in ((evaluate, "evaluate"), (simulation, "simulate_motions")):
             with monkeypatch.context() as patch:
-                patch.setattr(module, name, raising(error))
+                patch.setattr(module, name, fail)
                 outcomes, _ = carry_out_bundle(bundle)
             assert {(each.status, each.error) for each in outcomes} == {(status, said)}
 
@@ -329,11 +281,9 @@ def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_
     (outcome,), _ = engine._answer(Answer(killed), single, [])  # type: ignore[misc]
     assert (outcome.run, outcome.status) == ("run 0", "killed")
     for wrong, kind, culprit in (
-        (Answer(ExperimentError("other files")), ExperimentError, "other files"),
         (Answer(KeyError("x")), ExperimentError, "KeyError"),
         (Answer(distributed.client.FutureCancelledError("k", "r")), SchedulerLost, "scheduler"),
         (Answer(distributed.comm.CommClosedError("gone")), SchedulerLost, "scheduler"),
-        (Answer(None, "cancelled"), SchedulerLost, "scheduler"),
         (Answer(None, "lost"), SchedulerLost, "scheduler"),
     ):
         with refuses(kind, culprit):
@@ -353,17 +303,13 @@ def test_a_summary_is_of_the_tables_numbers_and_a_comparison_of_what_changed(
     campaign = Campaign.load(campaign_file(tmp_path, 25, NOISES))
     conduct(campaign, tmp_path / "r", Odd())
     summary, found = summarise(read_campaign(tmp_path / "r")), rows(tmp_path / "r")
-
-    def columns(cell: int | None, name: str) -> list[Array]:
-        here = [row for row in found if cell in (None, row["cell"])]
-        k = here[0]["external/names"].index(name)
-        return [
-            np.array([r[f"external/{c}"][k] for r in here]) for c in ("values", "truth", "sigma")
-        ]
-
     assert len(summary.parameters) == 2 * 2
     for each in (*summary.parameters, *pooled(summary.parameters)):
-        value, truth, sigma = columns(None if each.cell < 0 else each.cell, each.parameter)
+        here = [row for row in found if each.cell in (-1, row["cell"])]
+        k = here[0]["external/names"].index(each.parameter)
+        value, truth, sigma = (
+            np.array([r[f"external/{c}"][k] for r in here]) for c in ("values", "truth", "sigma")
+        )
         assert each.runs == len(value) == (50 if each.cell < 0 else 25)
         assert each.bias == pytest.approx(np.mean(value - truth), rel=1e-9)
         assert each.rms == pytest.approx(np.sqrt(np.mean((value - truth) ** 2)))
@@ -386,11 +332,3 @@ def test_a_summary_is_of_the_tables_numbers_and_a_comparison_of_what_changed(
     of_error = [each for each in told if abs(each.ratio - 3.0) < 1e-9]
     assert len(of_error) == 2
     assert all(each.sigmas > 3 for each in of_error)
-
-
-def test_a_folder_without_a_readable_table_is_said(tmp_path: Path) -> None:
-    for content in (None, "not a table"):
-        if content:
-            (tmp_path / "results.parquet").write_text(content)
-        with refuses(TestbedError, str(tmp_path)):
-            read_campaign(tmp_path)

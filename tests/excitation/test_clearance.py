@@ -68,15 +68,6 @@ def test_distances_of_balls_are_those_of_their_centres_and_change_as_differences
         assert {j for j in range(tree.n) if row[j] > 0} == between  # others move neither or both
 
 
-def test_bounds_of_how_fast_bodies_near_each_other_are_no_idle_ones(puma: tb.Tree) -> None:
-    rng = np.random.default_rng(0)
-    collision, limits = collision_model(puma, balls_on(puma, rng)), limits_of(puma)
-    meter, bound = DistanceMeter(collision, far=50.0), levers(collision, limits)
-    many = rng.uniform(limits.low, limits.high, (40, 3))
-    most = np.max([np.abs(meter.measure(q, slopes=True).slopes) for q in many], axis=0)
-    assert (most / np.maximum(bound, 1e-12)).max() > 0.3
-
-
 @few(5)
 @given(trees((2, 4)), rngs)
 def test_shapes_that_are_passed_over_are_not_the_nearest(

@@ -159,6 +159,7 @@ def test_a_start_is_at_rest_joins_the_motion_and_tells_its_largest_acceleration(
         assert here > 0.99 * size[:, j].max()
 
 
+@pytest.mark.slow
 def test_a_motion_of_the_puma_goes_from_rest_to_rest_within_all_limits(puma: tb.Tree) -> None:
     """Its path is the motion's own; where motors do not hold the weight it cannot begin."""
     limits = limits_of(puma)

@@ -81,20 +81,15 @@ def test_a_fault_is_said_and_its_remedy_takes_its_error_away(tmp_path: Path) -> 
 
 def test_what_a_comparison_cannot_mean_is_named(tmp_path: Path) -> None:
     for variants, culprit in {
-        'variant = "none"': "variant",
         '[[variant]]\nname = "x"\nset = ["motion.duration=3"]': "motion",
-        '[[variant]]\nname = "x"\nset = ["measurement.rate=500"]': "measurement.rate",
         '[[variant]]\nname = "x"\nset = ["seed=4"]': "seed",
-        '[[variant]]\nname = "x"\nset = ["measurement.nothing=1"]': "nothing",
         '[[variant]]\nname = "x"\nremedied.external_max_z = { at_most = 1.0 }': "remedy",
-        '[[variant]]\nname = "x"\nsays = 3': "says",
         '[[variant]]\nset = ["seed=4"]': "name",
         "": "variant",
     }.items():
         with refuses(TestbedError, culprit):
             Comparison.load(written(tmp_path, variants), SHORT)
     ours = Comparison.load(ROOT / "experiments/faults.toml")
-    assert len(ours.variants) > 10
     assert all(variant.says is not None for variant in ours.variants[1:])
 
 

@@ -56,24 +56,16 @@ def test_what_is_not_understood_is_named() -> None:
     for setting, *culprits in (
         ("motion.duraton=7", "[motion]", "'duraton'", "'duration'"),
         ("duration=3", "'duration'", "motion.duration"),
-        ("speed=1", "'speed'"),
         ("expect={internal_rms_relative_error={}}", "at_most"),
-        ("motion.duration=-1", "motion.duration"),
-        ("motion.duration=fast", "'fast'"),
         (f"motion.duration={'w' * 500}", "motion.duration", "w" * 50),
         ("motion.harmonics=2.5", "motion.harmonics"),
-        ("seed=-1", "seed"),
         ("name=../up", "name"),
         ("motion.duration", "motion.duration"),
         ("name.first=1", "'name'"),
-        ("identification.cutoff=none", "identification.cutoff"),
-        ('model="a\\u0000b"', "model"),
         ('motion.file="a\\u0000b"', "motion.file"),
     ):
         with refuses(ExperimentError, *culprits):
             tb.Experiment.load(TABLE6, [setting])
-    with pytest.raises(ExperimentError, match="external_rms_relative_error"):
-        tb.Experiment.load(TABLE6, ["expect.external_rms.at_most=1"])
     with pytest.raises(ExperimentError) as caught:  # all faults at once
         tb.Experiment.load(TABLE6, ["motion.duration=-1", "speed=1", "seed=-4"])
     assert all(word in str(caught.value) for word in ("duration", "speed", "seed"))
@@ -131,22 +123,18 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
     for word, culprit in (
         ("measurement.torque_constant_error.wrist=0.1", "'wrist'"),
         ("motion.max_velocity.wrist=0.1", "'wrist'"),
-        ("motion.max_acceleration.wrist=0.1", "'wrist'"),
         ('robot.base="measured"', "robot.base"),
     ):
         with refuses(ExperimentError, culprit):
             robot_of(tb.Experiment.load(TABLE6, [word]))
-    for words in (
-        ["simulation.bandwidth=1e6"],
-        ["motion.fundamental=1e9"],
-        ["motion.fundamental=1e-12"],
-        ["motion.duration=1e-3", "motion.fundamental=20.0"],
-        ["simulation.step=1e-9"],
-        ["simulation.step=1e-320"],
-        ["simulation.step=3e-4"],
+    for word, culprit in (
+        ("simulation.bandwidth=1e6", "bandwidth"),
+        ("motion.fundamental=1e-12", "fundamental"),
+        ("simulation.step=1e-320", "step"),
+        ("simulation.step=3e-4", "step"),
     ):
-        with refuses(ExperimentError, words[0].partition(".")[2].partition("=")[0].split("_")[0]):
-            tb.simulate(tb.Experiment.load(TABLE6, words))
+        with refuses(ExperimentError, culprit):
+            tb.simulate(tb.Experiment.load(TABLE6, [word]))
 
 
 def test_a_claim_holds_or_fails() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,20 +88,6 @@ def test_assumptions_go_with_the_robots_size_and_it_runs(
     written(path, tmp_path)
     recording = simulate(tb.Experiment.load(tmp_path / "new.toml", sorted(short)))
     assert np.isfinite(recording.position).all()
-
-
-def test_assumptions_of_the_puma_are_those_of_what_ships_and_scale_with_mass(puma: tb.Tree) -> None:
-    found = assumptions(puma)
-    assert (found.force_noise, found.moment_noise, found.torque_noise) == (0.5, 0.1, 0.5)
-    assert (found.step, found.clearance, found.joints) == (5e-4, None, {})
-    heavy = puma.without_friction()
-    tenth = [tb.Inertia(0.1 * i.mass, 0.1 * i.first_moment, 0.1 * i.tensor) for i in puma.inertias]
-    one, ten = assumptions(replace(heavy, inertias=tuple(tenth))), assumptions(heavy)
-    for name in ("force_noise", "moment_noise", "torque_noise"):
-        assert getattr(ten, name) == pytest.approx(10 * getattr(one, name), rel=1e-9)
-    for joint in puma.names:
-        for key in ("coulomb", "viscous"):
-            assert ten.joints[joint][key] == pytest.approx(10 * one.joints[joint][key], rel=0.06)
 
 
 def test_friction_is_assumed_from_the_load_within_the_whole_range(tmp_path: Path) -> None:

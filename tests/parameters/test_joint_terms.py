@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.dynamics.witnesses import verify_drives
 from testbed.errors import UnknownName
-from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.joint_terms import DriveSet, with_joint_terms
 from testbed.robot.friction import COULOMB, LAWS, OFFSET, ROTOR, VISCOUS, JointLaw
 from testbed.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
-from tests.helpers.robots import random_robot
 from tests.helpers.strategies import trees
 
 ASKED = ((ROTOR,), (OFFSET,), (OFFSET, ROTOR), LAWS)
@@ -80,18 +78,6 @@ def test_what_tells_a_rotor_from_the_bodies() -> None:
     assert own(found) == own(drives(trunk, "rotor")) == []
     assert {"K*1zz+rotor/j1", "K2yy+rotor/j2", "K3yy+rotor/j3"} <= set(found.names)
     assert verify_drives(fork, found).holds
-
-
-def test_a_rotor_may_be_told_only_against_another() -> None:
-    """Where known zeros make two joints move one inertia, each with its rotor."""
-    gravities = ((0.0, 0.0, -9.81), (2.97, -4.95, -7.93), (0.0, 0.0, 0.0))
-    for seed, told in ((26, "rotor/j1-rotor/j4"), (360, "rotor/j2-0.371036")):
-        rng = np.random.default_rng(seed)
-        tree = random_robot(rng, int(rng.integers(2, 7)), gravity=gravities[seed % 3]).tree()
-        zeros = [name for name in parameter_names(tree) if rng.random() < 0.7]
-        found = drives(tree, "offset", "rotor", zeros=zeros)
-        assert any(name.startswith(told) for name in found.names)
-        assert verify_drives(tree, found).holds
 
 
 def test_the_unknowns_of_a_robot_are_matrix_times_its_parameters(puma: Tree) -> None:
