@@ -27,6 +27,7 @@ from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot
@@ -130,6 +131,13 @@ def test_an_estimate_knows_its_parts(puma: tb.Tree) -> None:
     assert [term.joint for term in terms if term.kind == "rotor"] == ["elbow"]
     for array in (base.values, found.values, found.covariance, found.residual):
         assert not array.flags.writeable
+
+
+@pytest.fixture(scope="module")
+def puma_recording() -> Recording:
+    """Ten seconds of the PUMA through the instrument of table6."""
+    settings = ["motion.duration=10", "simulation.step=2.5e-4", "motion.candidates=10"]
+    return tb.simulate(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
 
 
 @pytest.mark.parametrize("method", METHODS)

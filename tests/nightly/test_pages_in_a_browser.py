@@ -9,8 +9,7 @@ import pytest
 
 from testbed.recordings.recording import Truth
 from testbed.viewer.live import Live
-from tests.helpers.axe import axe, complaints
-from tests.helpers.browser import browser
+from tests.helpers.browser import axe, browser, complaints
 from tests.helpers.pages import OTHERS, RUNS, page
 from tests.helpers.viewer import headless_viewer, settled
 from tests.viewer.test_recording import rrd, scene
