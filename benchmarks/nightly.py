@@ -19,6 +19,7 @@ CHECKS: dict[str, tuple[str, ...]] = {
     "statistics and documents": ("-m", "pytest", "-q", "-m", "nightly", "tests"),
     "coverage of intervals": (*BENCHMARKS, "coverage", "--runs", "40"),
     "detection of faults": (*BENCHMARKS, "detection", "--runs", "20"),
+    "gross faults": (*BENCHMARKS, "faults", "--seconds", "20"),
     "mistakes of mappings": (*BENCHMARKS, "mistakes", "--count", "30"),
     "solved mappings": (*BENCHMARKS, "mappings", "--count", "20"),
     "odd mappings": (*BENCHMARKS, "mappings", "--odd"),

@@ -163,7 +163,7 @@ def test_impossible_wishes_name_what_contradicts() -> None:
         ({"prior_error": 0.0}, "prior_error"),
     ):
         with refuses(tb.TestbedError, culprit):
-            Wishes(**words)  # type: ignore[arg-type]
+            Wishes(**words)
     tree, estimate, prior = robot("puma"), estimate_of("puma"), prior_of(robot("puma"))
     masses = {f"mass/{joint.body}": 1.0 for joint in tree.joints}
     for known, culprits in (

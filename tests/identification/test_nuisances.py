@@ -264,4 +264,4 @@ def test_nuisances_that_cannot_be_asked_for_are_refused() -> None:
         tb.Settings(nuisances=["poses"])
     for words in ({"nuisances": ["pose"] * 2}, {"nuisances": ["pose"], "noise": "white"}):
         with refuses(SettingsError, "nuisances"):
-            tb.Settings(**words)  # type: ignore[arg-type]
+            tb.Settings(**words)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +63,7 @@ def headed(rng: np.random.Generator, kind: str, name: str, unit: str) -> str:
     return str(form.format(name, pick(rng, SPELT[kind][unit])))
 
 
-def clock(rng: np.random.Generator, time: Array, epoch: bool) -> dict[str, Array]:
+def clock(rng: np.random.Generator, time: Array, epoch: bool) -> dict[str, Any]:
     """Stamps in some unit, whole but for seconds and milliseconds, perhaps since 1970."""
     unit = pick(rng, ("s", "ms", "us", "ns"))
     name = pick(rng, ("t ({})", "Time ({})", "timestamp_{}", "time [{}]")).format(unit)
@@ -98,7 +98,9 @@ def test_a_guess_converts_the_log_back(
     names = list(pick(rng, ROBOTS)[: rng.integers(2, 8)])
     n, rate = len(names), float(pick(rng, (50, 125, 200, 250, 500)))
     time = np.arange(400) / rate
-    size, speed, phase = rng.uniform([[0.2], [2], [0]], [[1.5], [6], [6]], (3, n))
+    size, speed, phase = rng.uniform(
+        np.array([[0.2], [2], [0]]), np.array([[1.5], [6], [6]]), (3, n)
+    )
     angle = speed * time[:, None] + phase
     truth = {
         "position": size * np.sin(angle) + rng.uniform(-1, 1, n),
@@ -168,7 +170,7 @@ def test_a_rate_is_as_round_as_its_stamps_allow(rate: float, since: int, unit: s
 def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path: Path) -> None:
     """Columns of joints alone; a second torque; a counter that begins again; a base's pose."""
 
-    def guess(columns: str, row: str, *names: str) -> dict[str, dict[str, Any]]:
+    def guess(columns: str, row: str, *names: str) -> Mapping[str, Mapping[str, Any]]:
         rows = [row.replace("K", f"{k}").replace("R", f"{k % 3}") for k in range(5)]
         for name in names:
             (tmp_path / f"{name}.csv").write_text("\n".join([columns, *rows]) + "\n")

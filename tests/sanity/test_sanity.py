@@ -213,7 +213,7 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
     """A spike with its channel and instant; an encoder that stands; a plate that does."""
     tree, recording = right("puma")
 
-    def checked(lacks: str = "", **signals: Any) -> Any:
+    def checked(signals: dict[str, Any], lacks: str = "") -> Any:
         changed = replace(recording, **signals)
         found = check_sanity(tree, without(changed, lacks) if lacks else changed)
         assert found.cures == ()
@@ -222,22 +222,22 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
     for signal, channel in (("position", tree.names[2]), ("wrench", "Fz")):
         values = np.array(recording.measured(signal))
         values[700, 2] += 10 * np.ptp(values[:, 2])
-        (said,) = checked(**{signal: values}).certain
+        (said,) = checked({signal: values}).certain
         assert said.causes == ("spikes",)
         assert channel in said.subject
         assert f"{recording.time[700]:.6g} s" in said.found
     dead = recording.position * [1, 0, 1]
     for lacks in ("", "wrench"):
-        found = checked(lacks, position=dead)
-        (said,) = (*found.certain, *found.likely)
+        found = checked({"position": dead}, lacks)
+        (said,) = [*found.certain, *found.likely]
         assert tree.names[1] in said.subject
     still: dict[str, Any] = {
         name: np.repeat(recording.measured(name)[:1], recording.samples, axis=0)
         for name in ("position", "torque", "wrench")
     }
-    found = checked(wrench=still["wrench"])
+    found = checked({"wrench": still["wrench"]})
     assert [each.subject for each in found.certain] == ["the plate"]
-    found = checked(**still)
+    found = checked(still)
     assert found.certain == ()
     assert [each.subject for each in found.likely] == ["the robot"]
 
