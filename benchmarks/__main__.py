@@ -200,16 +200,18 @@ def faults(
     seconds: Annotated[float, typer.Option(help="Duration of the recordings.")] = 60.0,
     seeds: Annotated[int, typer.Option(help="Clean recordings of each of three robots.")] = 0,
 ) -> None:
-    """Wrong data: errors of the estimates, and who says so; clean data, about which nobody may."""
+    """Wrong data: errors of the estimates, and who says so; exit code 1 if harm goes unnoticed."""
     from benchmarks.faults import clean, results, total
 
     lines = []
     for line in results(seconds):
         lines.append(line)
         _print(line)
-    _print(total(lines))
+    found = total(lines)
+    _print(found)
     for line in clean(seeds, min(seconds, 20.0)) if seeds else ():
         _print(line)
+    raise typer.Exit(int(bool(found["silent"])))
 
 
 @app.command()

@@ -229,8 +229,9 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
     dead = recording.position * [1, 0, 1]
     for lacks in ("", "wrench"):
         found = checked({"position": dead}, lacks)
-        (said,) = [*found.certain, *found.likely]
-        assert tree.names[1] in said.subject
+        findings: list[Any] = [*found.certain, *found.likely]
+        assert len(findings) == 1
+        assert tree.names[1] in findings[0].subject
     still: dict[str, Any] = {
         name: np.repeat(recording.measured(name)[:1], recording.samples, axis=0)
         for name in ("position", "torque", "wrench")
