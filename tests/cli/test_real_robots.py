@@ -21,6 +21,7 @@ ROBOTS = {
     "two arms, two grippers": "baxter_description/urdf/baxter",
     "a hand, links that break the triangle": "allegro_hand_description/urdf/allegro_left_hand",
     "a gripper that touches": "ur_description/urdf/ur5_gripper",
+    "a small finger": "finger_edu_description/robots/finger_edu",
     "joints without limits": "double_pendulum_description/urdf/double_pendulum_continuous",
 }
 SLOWER = {
