@@ -28,12 +28,6 @@ def _print(line: dict[str, Any]) -> None:
     print(json.dumps(line), flush=True)
 
 
-def _said(line: dict[str, Any]) -> dict[str, Any]:
-    """A line, as it is printed."""
-    _print(line)
-    return line
-
-
 @app.command()
 def minimal(
     trees: Annotated[int, typer.Option(help="Random trees to verify besides.")] = 0,
@@ -189,9 +183,8 @@ def hostile(
     from benchmarks.hostile.kills import kills as killed
     from benchmarks.hostile.program import hostile as tried
 
-    lines = [_said(tried(kind, inputs, seed)) for kind in KINDS if only in kind]
-    if kills:
-        lines.append(_said(killed(kills, seed)))
+    lines = list(_printed(tried(kind, inputs, seed) for kind in KINDS if only in kind))
+    lines += _printed(killed(count, seed) for count in (kills,) if count)
     raise typer.Exit(int(any(line["not treated well"] for line in lines)))
 
 

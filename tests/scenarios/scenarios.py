@@ -131,9 +131,12 @@ def figures_of_table(rows: list[dict[str, Any]]) -> Iterator[tuple[str, ArrayLik
             yield name, values
 
 
+SHORT = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
+"""Settings of runs that MuJoCo simulates."""
+
+
 def _puma() -> Run:
-    settings = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
-    return tb.carry_out(tb.Experiment.load(ROOT / "experiments/table6.toml", settings))
+    return tb.carry_out(tb.Experiment.load(ROOT / "experiments/table6.toml", SHORT))
 
 
 NOISES_OF_UR5 = {"encoder": 1e-5, "force": 0.3, "moment": 0.06, "torque": 0.3}
@@ -141,9 +144,8 @@ NOISES_OF_UR5 = {"encoder": 1e-5, "force": 0.3, "moment": 0.06, "torque": 0.3}
 
 
 def _ur5() -> Run:
-    settings = ["motion.duration=8", "simulation.step=5e-4", "motion.candidates=4"]
-    settings += [f"measurement.{name}_noise={size}" for name, size in NOISES_OF_UR5.items()]
-    return tb.carry_out(tb.Experiment.of_model(GOLDEN / "robots/ur5.urdf", settings))
+    noises = [f"measurement.{name}_noise={size}" for name, size in NOISES_OF_UR5.items()]
+    return tb.carry_out(tb.Experiment.of_model(GOLDEN / "robots/ur5.urdf", [*SHORT, *noises]))
 
 
 def _panda() -> Run:
