@@ -56,12 +56,17 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] 
         "id": "marginals",
         "title": "Errors over each factor",
         "says": "The mean over the runs of a level that have a result, whatever the other factors.",
-        "legend": LEGEND,
+        "legend": _legend(panels),
         "panels": panels,
         "caption": "Rms over the parameters that joint torques can tell.",
         "heads": ["factor", "level", "metric", "mean [%]"],
         "rows": rows,
     }
+
+
+def _legend(panels: Sequence[Panel]) -> dict[str, str]:
+    """Of the methods that are drawn."""
+    return {k: label for k, label in LEGEND.items() if any(k in each.curves for each in panels)}
 
 
 def _mean(figures: Sequence[Figure]) -> float:
@@ -102,7 +107,7 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> dict[str, Any] | None:
         "title": "Do intervals of 95 % hold the truth?",
         "says": "Points are the share of intervals that hold the truth; bars, the coverage that so "
         "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line.",
-        "legend": {"measured": "95 %"} | LEGEND,
+        "legend": {"measured": "95 %"} | _legend(panels),
         "panels": panels,
         "caption": "Bounds of Clopper and Pearson.",
         "heads": ["parameter", "method", "runs", "coverage [%]"],
@@ -141,7 +146,7 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
         "id": "scores",
         "title": "Errors in sigmas",
         "says": "If sigma is honest, errors over sigmas follow the normal law.",
-        "legend": {"measured": "normal law"} | LEGEND,
+        "legend": {"measured": "normal law"} | _legend(panels),
         "panels": panels,
         "caption": "All parameters and runs; the table has them one by one.",
         "heads": ["parameter", "method", "mean of z", "rms of z"],
@@ -170,12 +175,13 @@ def sigma_figure(parts: Sequence[ParameterErrors]) -> dict[str, Any] | None:
         if own:
             curves[method] = np.array([e.sigma for e in own]), np.array([e.spread for e in own])
     points = tuple(kind for kind in curves if kind != "measured")
+    panel = Panel("obtained sigma", curves, "predicted sigma", log=True, points=points)
     return {
         "id": "sigma",
         "title": "Predicted and obtained sigma",
         "says": "Below the line, estimates are better than they say; above it, worse.",
-        "legend": {"measured": "as predicted"} | LEGEND,
-        "panels": [Panel("obtained sigma", curves, "predicted sigma", log=True, points=points)],
+        "legend": {"measured": "as predicted"} | _legend([panel]),
+        "panels": [panel],
         "caption": "Each in the unit of its parameter.",
         "heads": ["method", "parameters and cells", "median of obtained over predicted"],
         "rows": [

@@ -16,6 +16,7 @@ from testbed.campaign.conduct import Standing
 from testbed.campaign.estimated_cost import bytes_of, seconds_of
 from testbed.campaign.summary_files import Change
 from testbed.errors import plural, printable
+from testbed.experiment.assumptions import rounded
 from testbed.identification.estimate import METHODS
 from testbed.reporting.output import Progress
 
@@ -23,13 +24,13 @@ LISTED = 20
 """Cells or failures that are listed one by one."""
 
 SHOWN_METRICS = (
-    ("external error", "external_rms_relative_error"),
-    ("largest z", "external_max_z"),
-    ("internal error", "internal_rms_relative_error"),
-    ("its largest z", "internal_max_z"),
-    ("consistent error", "consistent_rms_relative_error"),
+    ("external error [%]", "external_rms_relative_error", 100.0),
+    ("largest z", "external_max_z", 1.0),
+    ("internal error [%]", "internal_rms_relative_error", 100.0),
+    ("its largest z", "internal_max_z", 1.0),
+    ("consistent error [%]", "consistent_rms_relative_error", 100.0),
 )
-"""Heads of columns and what stands in them, means over a cell."""
+"""Heads of columns, what stands in them, means over a cell, and their unit."""
 
 
 def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
@@ -132,14 +133,16 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
         out.print(printable(line), soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     there = {each.metric for each in summary.figures}
-    metrics = [(name, metric) for name, metric in SHOWN_METRICS if metric in there]
-    for head in ("cell", "levels", *(name for name, _ in metrics)):
+    metrics = [each for each in SHOWN_METRICS if each[1] in there]
+    for head in ("cell", "levels", *(name for name, *_ in metrics)):
         table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
     means = {(each.cell, each.metric): each.mean for each in summary.figures}
     for number, levels in list(summary.cells.items())[:LISTED]:
-        values = [means.get((number, metric)) for _, metric in metrics]
+        values = [unit * means.get((number, metric), math.nan) for _, metric, unit in metrics]
         said = ", ".join(map(str, levels)) or "-"
-        shown = ("-" if value is None else f"{value:.3g}" for value in values)
+        shown = (
+            "-" if value is None else f"{rounded(value * unit, 3):g}" for value, unit in values
+        )
         table.add_row(str(number), printable(said), *shown)
     out.print(table)
     if len(summary.cells) > LISTED:

@@ -15,6 +15,8 @@ COLUMNS = 3
 """Plots beside each other on a wide page."""
 APART = 0.32
 """Of points in one row, in rows."""
+LEAST_ROOM = 5e-3
+"""Beside values that are nearly equal, part of their size."""
 
 
 def named_panels(
@@ -47,7 +49,7 @@ def named_panels(
         low, high = 10.0 ** np.floor(np.log10(low)), 10.0 ** np.ceil(np.log10(high))
         limits = (low, max(high, 10 * low))
     else:
-        room = 0.04 * (high - low) or 1.0
+        room = max(0.04 * (high - low), LEAST_ROOM * max(abs(low), abs(high))) or 1.0
         limits = (low - room, high + room)
     panels = []
     count = COLUMNS if len(names) > MOST_ROWS else 1
