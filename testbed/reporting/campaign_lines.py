@@ -140,9 +140,7 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
     for number, levels in list(summary.cells.items())[:LISTED]:
         values = [unit * means.get((number, metric), math.nan) for _, metric, unit in metrics]
         said = ", ".join(map(str, levels)) or "-"
-        shown = (
-            "-" if value is None else f"{rounded(value * unit, 3):g}" for value, unit in values
-        )
+        shown = ("-" if math.isnan(value) else f"{rounded(value, 3):g}" for value in values)
         table.add_row(str(number), printable(said), *shown)
     out.print(table)
     if len(summary.cells) > LISTED:
