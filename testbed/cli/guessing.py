@@ -39,13 +39,16 @@ def write_mapping(
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
+    from testbed.sanity.mistakes import own_joints
     from testbed.sanity.solved_mapping import missing, solved
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
     folder = out.parent if out else Path()
     with output.Progress("reading"):
-        draft = guessed(files, folder, () if tree is None else tree.names)
+        draft = guessed(
+            files, folder, () if tree is None else [tree.names[k] for k in own_joints(tree)]
+        )
     if tree is not None:
         with output.Progress("solving for what names do not tell") as bar:
             found = solved(draft, out or folder / "mapping.toml", tree, bar)

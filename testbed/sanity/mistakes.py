@@ -172,8 +172,9 @@ def position_hypotheses(
             yield Mistake("degrees", tuple(turning))
         if np.ptp(position[:, turning], axis=0).max() < LITTLE:
             yield Mistake("radians", tuple(turning))
-    if tree.floating and not before & {"base_unit", "quaternion_order"}:
+    if tree.floating and "base_unit" not in before:
         yield from (Mistake("base_unit", (), (factor,)) for factor in BASE_UNITS)
+    if tree.floating and "quaternion_order" not in before:
         yield Mistake("quaternion_order", (), SCALAR_LAST)
     yield from (Mistake("position_sign", (joint,)) for joint in own)
     if tree.n > MOST_JOINTS:

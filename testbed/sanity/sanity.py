@@ -244,8 +244,12 @@ def _others(tree: Tree, found: list[Explanation]) -> tuple[tuple[str, ...], floa
 
 def _alike(one: Explanation, other: Explanation) -> bool:
     """Whether two explanations are the same, zeros and turns to a few degrees."""
-    pairs = zip_longest(one.mistakes, other.mistakes, fillvalue=Mistake("zero"))
+    pairs = zip_longest(_sorted(one), _sorted(other), fillvalue=Mistake("zero"))
     return all(a == b or _near(a, b) for a, b in pairs)
+
+
+def _sorted(one: Explanation) -> list[Mistake]:
+    return sorted(one.mistakes, key=lambda each: (each.kind, each.joints))
 
 
 def _near(one: Mistake, other: Mistake) -> bool:

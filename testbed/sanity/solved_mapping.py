@@ -20,7 +20,8 @@ from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.importing.pieces import pieces
-from testbed.recordings.recording import Recording
+from testbed.recordings.measured_base import on_its_base
+from testbed.recordings.source import Source
 from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.alignment import aligned
@@ -100,13 +101,13 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     if missing(draft):
         return Solved(draft)
     draft = _with_starts(draft, out)
-    source = _recording(draft, out)
+    source = _recording(draft, out, tree)
     first = found = check_sanity(tree, source, progress)
     for _ in range(ROUNDS):
         better = _better(draft, found, tree)
         if better is draft:
             break
-        draft, source = better, _recording(better, out)
+        draft, source = better, _recording(better, out, tree)
         found = check_sanity(tree, source, progress)
     found.require()
     if found.best is None:
@@ -114,7 +115,7 @@ def solved(draft: Draft, out: Path, tree: Tree, progress: Progress | None = None
     draft = _by_the_data(draft, found, open_keys)
     late = _with_clocks(draft, source, tree)
     if late is not draft:
-        draft, found = late, check_sanity(tree, _recording(late, out), progress)
+        draft, found = late, check_sanity(tree, _recording(late, out, tree), progress)
     draft, warnings = _with_plate(draft, found), [each.text for each in found.likely]
     short = _too_short(found)
     if short or any(each.code == FOREIGN for each in found.likely):
@@ -176,7 +177,8 @@ def missing(draft: Draft) -> list[str]:
 def _better(draft: Draft, found: Sanity, tree: Tree) -> Draft:
     """What the search says instead; the same where it finds nothing wrong."""
     codes = {each.code for each in found.certain}
-    if codes == {WEIGHT} and found.best is not None and "tare" not in draft.tables["wrench"]:
+    zeroed = "tare" in draft.tables.get("wrench", {"tare"})
+    if codes == {WEIGHT} and found.best is not None and not zeroed:
         return _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
     if found.cures:
         return _cured(draft, found)
@@ -232,13 +234,15 @@ def _assumed(draft: Draft, tree: Tree) -> Draft:
             draft = draft.saying(kind, "unit", unit, ASSUMED)
     if tables.get("torque", {}).get("gain", None) == "":
         draft = draft.saying("torque", "gain", 1.0, f"{ASSUMED}: torque of one unit [N m]")
-    plate = tables.get("wrench", {})
-    if plate:
+    for name in [each for each in tables if each == "wrench" or each.startswith("plates.")]:
+        plate = tables[name]
         units = [each or usual for each, usual in zip(plate["units"], ("N", "N m"), strict=True)]
         if units != plate["units"]:
-            draft = draft.saying("wrench", "units", units, ASSUMED)
+            draft = draft.saying(name, "units", units, ASSUMED)
         if not plate["sense"]:
-            draft = draft.saying("wrench", "sense", "on_robot", ASSUMED)
+            draft = draft.saying(name, "sense", "on_robot", ASSUMED)
+    if tables.get("base", {}).get("unit", None) == "":
+        draft = draft.saying("base", "unit", "m", ASSUMED)
     return draft
 
 
@@ -265,10 +269,10 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
     return draft
 
 
-def _recording(draft: Draft, out: Path) -> Recording:
+def _recording(draft: Draft, out: Path, tree: Tree) -> Source:
     """The recording that a mapping makes; the longest, if it is cut where a source was silent."""
     made, _ = pieces(out, checked(MappingFile, draft.content, str(out)))
-    return max(made, key=lambda each: each.samples)
+    return on_its_base(max(made, key=lambda each: each.samples), tree)
 
 
 def _cured(draft: Draft, found: Sanity) -> Draft:
@@ -311,7 +315,7 @@ def _by_the_data(draft: Draft, found: Sanity, keys: set[tuple[str, str]]) -> Dra
     return draft
 
 
-def _with_clocks(draft: Draft, source: Recording, tree: Tree) -> Draft:
+def _with_clocks(draft: Draft, source: Source, tree: Tree) -> Draft:
     """Delays and drifts that are clear."""
     found = [each for each in clock_offsets(tree, source) if each.late or each.drifts]
     if not found:

@@ -187,6 +187,7 @@ def test_files_names_other_words_and_what_does_not_grow_are_understood(tmp_path:
     assert "time" not in guess("count,q", "R,0", "log")["sources.log"]
     base = "base_x,base_y,base_z,quat_w,quat_x,quat_y,quat_z"
     found = guess(f"t,q1,{base}", "K,1,0,0,1,1,0,0,0", "walk")
-    assert found["base"]["position"] == [""] * 3  # to be filled in
+    assert found["base"]["position"] == ["base_x", "base_y", "base_z"]
+    assert found["base"]["unit"] == ""  # to be filled in
     with pytest.raises(ExperimentError):
         tb.Recording.from_mapping(tmp_path / "map.toml")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ import pytest
 import testbed as tb
 from benchmarks.inverse_recordings import truth
 from testbed.recordings.importing.guess import guessed
-from testbed.sanity.solved_mapping import ASSUMED, solved
+from testbed.sanity.solved_mapping import ASSUMED, missing, solved
+from tests.helpers.riding import riding
 from tests.scenarios.scenarios import result
 
 pytestmark = pytest.mark.slow
@@ -49,3 +51,32 @@ def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
         else:
             assert found.warnings
             assert found.draft.notes["position", "unit"].startswith(ASSUMED)
+
+
+@pytest.mark.parametrize("plates", [1, 2])
+def test_a_bases_unit_and_quaternion_are_solved_and_places_of_several_plates_are_asked(
+    plates: int, tmp_path: Path
+) -> None:
+    """Seven numbered columns of the pose, in mm and x, y, z, w; the second plate has a tenth."""
+    tree, made = riding(6)
+    pose, wrench = made.measured("base"), made.measured("wrench")
+    columns: dict[str, Any] = {"t": made.time}
+    columns |= {f"q_{n}": q for n, q in zip(made.names, made.position.T, strict=True)}
+    turned = np.column_stack([1e3 * pose[:, :3], pose[:, [4, 5, 6, 3]]])
+    columns |= {f"base_{k}": each for k, each in enumerate(turned.T)}
+    for plate, part in enumerate((0.9, 0.1)[:plates]):
+        columns |= {
+            f"plate{plate}_{n}": each for n, each in zip(AXES, part * wrench.T, strict=True)
+        }
+    np.savez(tmp_path / "log.npz", **columns)
+    draft = guessed([tmp_path / "log.npz"], tmp_path, made.names)
+    found = solved(draft, tmp_path / "mapping.toml", tree).draft
+    if plates == 2:
+        assert missing(found) == [f"plates.plate_{k}.place" for k in range(2)]
+        return
+    assert not missing(found)
+    assert found.tables["base"]["unit"] == "mm"
+    assert found.tables["base"]["quaternion"] == [f"base_{k}" for k in (6, 3, 4, 5)]
+
+
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")

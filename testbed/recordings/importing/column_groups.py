@@ -16,6 +16,12 @@ from testbed.recordings.importing.column_names import (
     words_of,
 )
 
+TURNS = {"quat", "quaternion", "orientation", "rotation", "qw", "qx", "qy", "qz"}
+"""Words of a base's quaternion."""
+
+RATES = {"vel", "velocity", "angular", "linear", "lin", "ang", "twist", "acc", "acceleration"}
+"""Words of a base's columns that are not its pose."""
+
 
 @dataclass(frozen=True)
 class Group:
@@ -115,19 +121,46 @@ def best_group(groups: Sequence[Group], count: int | None) -> Group | None:
     return max(groups, key=likely, default=None)
 
 
-def plate_columns(columns: Sequence[ColumnName]) -> list[ColumnName]:
-    """The six columns of a wrench, forces first; fewer, as they are, where they are not all there.
+def plate_columns(columns: Sequence[ColumnName]) -> dict[str, list[ColumnName]]:
+    """The six columns of each plate, forces first; fewer, as they are, where none has all.
 
     Args:
         columns: Those that look like a wrench's.
+
+    Returns:
+        By what tells the plates apart in their columns' names.
     """
     sets: dict[str, dict[tuple[int, int], ColumnName]] = {}
     for column in columns:
         if column.role is not None:
             sets.setdefault(_without_role(column), {}).setdefault(column.role, column)
-    whole = [[each[role] for role in sorted(each)] for each in sets.values() if len(each) == 6]
-    whole += [list(each.columns) for each in grouped(columns) if len(each.columns) == 6]
-    return next(iter(whole), list(columns))
+    whole = {
+        name: [each[role] for role in sorted(each)] for name, each in sets.items() if len(each) == 6
+    }
+    if whole:
+        return whole
+    six = (list(each.columns) for each in grouped(columns) if len(each.columns) == 6)
+    return {"": next(six, list(columns))}
+
+
+def base_columns(columns: Sequence[ColumnName]) -> tuple[list[str], list[str]]:
+    """Columns of a base's place (x, y, z) and quaternion (w, x, y, z), empty where not named.
+
+    Seven that are only numbered are in this order.
+
+    Args:
+        columns: Those that look like a base's.
+    """
+    own = [each for each in columns if not each.beside and RATES.isdisjoint(each.words)]
+    turn = [each for each in own if not TURNS.isdisjoint(each.words)]
+    if len(own) == 7 and all(each.words[-1].isdigit() for each in own):
+        names = [each.name for each in own]
+        return names[:3], names[3:]
+
+    def along(of: Sequence[ColumnName], axes: str) -> list[str]:
+        return [next((c.name for c in of if c.words[-1] in (a, f"q{a}")), "") for a in axes]
+
+    return along([each for each in own if each not in turn], "xyz"), along(turn, "wxyz")
 
 
 def at_the_hand(column: ColumnName) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import RecordingError, printable
-from testbed.recordings.importing.column_groups import at_the_hand
+from testbed.recordings.importing.column_groups import at_the_hand, base_columns
 from testbed.recordings.importing.column_names import ColumnName
 from testbed.recordings.importing.draft import Draft
 from testbed.recordings.importing.foreign_table import ForeignTable
@@ -22,7 +22,7 @@ from testbed.recordings.importing.likely_signals import (
     BY_BOTH,
     LikelySignal,
     LikelySource,
-    likely_plate,
+    likely_plates,
     likely_signals,
     likely_sources,
     values_of,
@@ -77,8 +77,11 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
             draft = draft.saying(name, *said)
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
-    for said in _plate(likely_plate(sources)):
-        draft = draft.saying("wrench", *said)
+    plates = likely_plates(sources)
+    for name, source, columns in plates:
+        table = "wrench" if len(plates) == 1 else f"plates.{_key(name)}"
+        for said in _plate(source, columns, alone=len(plates) == 1):
+            draft = draft.saying(table, *said)
     for said in _base(sources):
         draft = draft.saying("base", *said)
     return draft
@@ -173,11 +176,13 @@ def _unit(kind: Kind, found: LikelySignal) -> Iterator[Said]:
         yield "gain", "", f"torque of one {raw[0]}, joint by joint [N m]"
 
 
-def _plate(plate: tuple[LikelySource, list[ColumnName]] | None) -> Iterator[Said]:
-    """The wrench's keys."""
-    if plate is None:
-        return
-    source, columns = plate
+def _key(name: str) -> str:
+    """What tells a plate from the others, as a key."""
+    return re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "plate"
+
+
+def _plate(source: LikelySource, columns: Sequence[ColumnName], *, alone: bool) -> Iterator[Said]:
+    """A plate's keys."""
     yield "source", source.name, ""
     odd = "" if len(columns) == 6 else "six are wanted: force x, y, z, moment x, y, z"
     hand = "they look like those of a sensor at the tool: leave [wrench] out then"
@@ -191,7 +196,10 @@ def _plate(plate: tuple[LikelySource, list[ColumnName]] | None) -> Iterator[Said
         if each.role == (0, 2)
     ]
     yield "sense", "", f"on_robot (at rest upwards) or on_plate{''.join(pull)}"
-    yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
+    if alone:
+        yield "# place", {"xyz": [0, 0, 0], "rpy": [0, 0, 0]}, "of the sensor [m, rad]"
+    else:
+        yield "place", "", "of the sensor [m, rad], as { xyz = [0, 0, 0], rpy = [0, 0, 0] }"
 
 
 def _listing(kind: str) -> str:
@@ -207,10 +215,14 @@ def _of_all(columns: Sequence[ColumnName], kind: str) -> str:
 def _base(sources: Sequence[LikelySource]) -> Iterator[Said]:
     """Keys of a base that moves, if columns look like it."""
     for source in sources:
-        columns = [c.name for c in source.columns if c.kind == "base"]
-        if columns:
-            yield "source", source.name, ""
-            yield "position", ["", "", ""], f"of these: {json.dumps(columns)}"
-            yield "unit", "", "m, cm, mm, inch"
-            yield "quaternion", ["", "", "", ""], "w, x, y, z, in this order"
-            return
+        columns = [each for each in source.columns if each.kind == "base"]
+        place, turn = base_columns(columns)
+        if not any((*place, *turn)):
+            continue
+        listed = f"of these: {json.dumps([each.name for each in columns])}"
+        units = {each.unit for each in columns if each.name in place}
+        yield "source", source.name, ""
+        yield "position", place, "" if all(place) else listed
+        yield "unit", (units.pop() or "") if len(units) == 1 else "", "m, cm, mm, inch"
+        yield "quaternion", turn, "w, x, y, z, in this order" + f", {listed}" * (not all(turn))
+        return

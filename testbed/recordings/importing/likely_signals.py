@@ -269,17 +269,22 @@ def values_of(signal: LikelySignal) -> Array:
     return np.stack([read[name] for name in names], axis=1)
 
 
-def likely_plate(sources: Sequence[LikelySource]) -> tuple[LikelySource, list[ColumnName]] | None:
-    """The plate's columns: of the first source that has six, else of the first that has any.
+def likely_plates(
+    sources: Sequence[LikelySource],
+) -> list[tuple[str, LikelySource, list[ColumnName]]]:
+    """Columns of all plates that have six; else of the first source that has any.
 
     Args:
         sources: Where to look.
+
+    Returns:
+        What tells a plate from the others, its source and its columns.
     """
     found = []
     for source in sources:
         columns = [c for c in source.columns if c.kind == "wrench" and not c.beside]
         own = [c for c in columns if not at_the_hand(c)]
         if columns:
-            found.append((source, plate_columns(own or columns)))
-    whole = [each for each in found if len(each[1]) == 6 and not at_the_hand(each[1][0])]
-    return next(iter([*whole, *found]), None)
+            found += [(n, source, each) for n, each in plate_columns(own or columns).items()]
+    whole = [each for each in found if len(each[2]) == 6 and not at_the_hand(each[2][0])]
+    return whole or found[:1]
