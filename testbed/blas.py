@@ -6,7 +6,11 @@ from contextlib import AbstractContextManager
 from functools import cache
 from typing import Any
 
+import numpy as np
+from scipy import linalg
 from threadpoolctl import ThreadpoolController
+
+from testbed.arrays import Array
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
@@ -18,3 +22,19 @@ def one_blas_thread() -> AbstractContextManager[Any]:
 @cache
 def _libraries() -> ThreadpoolController:
     return ThreadpoolController()
+
+
+def eigh(matrix: Array) -> tuple[Array, Array]:
+    """Eigenvalues (m,), from the least, and eigenvectors in columns (m, m) of a symmetric matrix.
+
+    NumPy's divide and conquer (LAPACK's syevd) gives up on a few good matrices of a hundred
+    columns and more; relatively robust representations (syevr) then do it.
+
+    Args:
+        matrix: (m, m).
+    """
+    try:
+        size, axes = np.linalg.eigh(matrix)
+    except np.linalg.LinAlgError:
+        size, axes = linalg.eigh(matrix, driver="evr")
+    return size, axes

@@ -19,6 +19,7 @@ from scipy.linalg import block_diag, null_space
 from scipy.stats import chi2
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.errors import SettingsError
 from testbed.identification.calibration import Calibration, calibration_of, settings_of
 from testbed.identification.diagnosis import quality_warnings
@@ -223,7 +224,7 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     """Of a covariance in which some facts have none, and its rank."""
     size = np.sqrt(np.maximum(np.diagonal(matrix), 0.0))
     scale = np.where(size > 0, size, 1.0)
-    spread, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
+    spread, axes = eigh(matrix / np.outer(scale, scale))
     kept = spread > SMALLEST * spread[-1]
     root = axes[:, kept] / np.sqrt(spread[kept]) / scale[:, None]
     return root @ root.T, int(kept.sum())

@@ -17,6 +17,7 @@ from scipy.linalg import block_diag
 from scipy.stats import chi2, norm
 
 from testbed.arrays import Array, readonly
+from testbed.blas import eigh
 from testbed.identification.drive_regression import JointRegression, Torques
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import scaled_inverse
@@ -148,7 +149,7 @@ def _root(covariance: Array) -> Array:
     """R with R R' the covariance, (p, r): what is known exactly does not move."""
     size = np.sqrt(np.diagonal(covariance))
     scale = np.where(size > 0, size, 1.0)
-    spread, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
+    spread, axes = eigh(covariance / np.outer(scale, scale))
     kept = spread > EXACT
     return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(spread[kept]))
 
@@ -199,7 +200,7 @@ def _disagreement(bodies: Estimate, values: Array, covariance: Array) -> Disagre
     unit = spread / np.outer(scale, scale)
     said = np.diagonal(unit) > INFORMATIVE
     z = (moved[said] / scale[said]) / np.sqrt(np.diagonal(unit)[said])
-    sizes, axes = np.linalg.eigh((unit + unit.T) / 2)
+    sizes, axes = eigh((unit + unit.T) / 2)
     kept = sizes > INFORMATIVE
     along = (moved / scale) @ axes[:, kept] / np.sqrt(sizes[kept])
     chance = float(chi2.sf(along @ along, max(int(kept.sum()), 1)))

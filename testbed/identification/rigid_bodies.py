@@ -17,6 +17,7 @@ from scipy import special
 from scipy.linalg import block_diag
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.conic import Cone, minimise
 from testbed.identification.estimate import Estimate
 from testbed.parameters.pseudo_inertia import standard_of_coordinates
@@ -71,7 +72,7 @@ def possibility(
     base = estimate.base
     scale = sizes(base.values, base.units)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
-    spread, axes = np.linalg.eigh(covariance)
+    spread, axes = eigh(covariance)
     spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
     white = (axes / np.sqrt(spread)).T
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))

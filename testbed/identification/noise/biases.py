@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.noise.fits import NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.scaled import scaled_solve
@@ -45,7 +46,7 @@ def constants(given: LaggedProducts) -> Constants:
     counts = squares[:, m + 1, m + 1]
     imitating = scaled_solve(normal, mixed)
     left = np.diag(counts) - mixed.T @ imitating
-    spread, axes = np.linalg.eigh((left + left.T) / 2)
+    spread, axes = eigh((left + left.T) / 2)
     told = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
     return Constants(axes[:, told], (imitating @ axes[:, ~told]).T)
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.noise.fits import NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.scaled import square_root
@@ -70,7 +71,7 @@ def undiluted(found: NoiseFit, made: LaggedProducts) -> Undiluted:
     """
     m = len(found.values)
     white, root = found.normal(made), square_root(found.inverse)
-    share, axes = np.linalg.eigh(root.T @ white[:m, :m] @ root)
+    share, axes = eigh(root.T @ white[:m, :m] @ root)
     directions, kept = root @ axes, np.clip(share, 0.0, MOST)
     taken = white[:m, :m] @ found.values - white[:m, m]
     taken = directions.T @ taken * np.where(share > MOST, MOST / np.maximum(share, MOST), 1.0)

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.noise.autoregression import (
     HIGHEST,
     Autoregression,
@@ -145,7 +146,7 @@ def _at_least(share: float, least: Array, matrix: Array) -> Array:
     """A covariance that is nowhere below a share of another one."""
     root = np.linalg.cholesky(least)
     inverse = np.linalg.inv(root)
-    spread, axes = np.linalg.eigh(inverse @ matrix @ inverse.T)
+    spread, axes = eigh(inverse @ matrix @ inverse.T)
     half = root @ axes * np.sqrt(np.maximum(spread, share))
     return np.asarray(half @ half.T)
 

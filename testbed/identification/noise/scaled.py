@@ -10,6 +10,7 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 
 ROUNDING = 1e-15
 """Least eigenvalue, of a matrix with a diagonal of ones, that is no rounding."""
@@ -50,7 +51,7 @@ def square_root(matrix: Array) -> Array:
         return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
     except np.linalg.LinAlgError:
         scale = np.sqrt(np.maximum(np.diagonal(matrix), np.finfo(float).tiny))
-        size, axes = np.linalg.eigh(matrix / np.outer(scale, scale))
+        size, axes = eigh(matrix / np.outer(scale, scale))
         return np.asarray(scale[:, None] * axes * np.sqrt(np.maximum(size, ROUNDING)))
 
 
@@ -67,5 +68,5 @@ def inverse_root(matrix: Array) -> Array:
     if not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR:
         inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
         return np.asarray(scale[:, None] * inverse.T)
-    size, axes = np.linalg.eigh(unit)
+    size, axes = eigh(unit)
     return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))

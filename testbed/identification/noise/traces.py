@@ -20,6 +20,7 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.noise.autoregression import Autoregression
 from testbed.identification.noise.fits import whitened_fit
 from testbed.identification.noise.lagged_products import LaggedProducts
@@ -160,7 +161,7 @@ def _scales(squares: Array) -> Array:
 
 def _orthonormal(squares: Array) -> Array:
     """T with T' squares T = 1, of the directions that are no combinations of others."""
-    spread, axes = np.linalg.eigh((squares + squares.T) / 2)
+    spread, axes = eigh((squares + squares.T) / 2)
     told = spread > IMITATED
     return np.asarray(axes[:, told] / np.sqrt(spread[told]))
 

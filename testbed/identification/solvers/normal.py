@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.errors import UnseenParameters
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.solvers.least_squares import Fit, Rows, refuse
@@ -34,7 +35,7 @@ def by_normal_equations(equations: NormalEquations, weights: Array, rows: Rows) 
         raise UnseenParameters(names, 0, len(names), int(equations.used.sum()))
     values, inverse = np.full(len(scale), np.nan), np.full(matrix.shape, np.nan)
     unit = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
-    spread, directions = np.linalg.eigh(unit)
+    spread, directions = eigh(unit)
     lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
     names, used = tuple(np.array(equations.unknowns)[seen]), int(equations.used.sum())
     if lost.any():

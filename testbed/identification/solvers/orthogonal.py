@@ -37,10 +37,11 @@ def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows
     scale = np.sqrt(np.diagonal(matrix))
     scale[scale == 0] = 1.0
     unit = matrix / np.outer(scale, scale)
-    if np.linalg.cond(unit) < TRIANGLE**2:
-        triangle = linalg.cholesky(unit)
-    else:
+    factor, failed = linalg.lapack.dpotrf(unit)
+    if failed or np.linalg.cond(unit) >= TRIANGLE**2:
         triangle = _triangle(root, scale, rows)
+    else:
+        triangle = np.triu(factor)
     _, spread, directions = np.linalg.svd(triangle)
     lost = spread <= RANK_TOLERANCE * spread[0]
     if lost.any():
