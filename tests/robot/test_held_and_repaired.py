@@ -24,7 +24,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.robot.repair import LIGHTEST, THINNEST
 from testbed.robot.rotations import from_rpy
 from testbed.simulation.build import build_plant
-from tests.helpers.paths import REAL, ROOT
+from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
@@ -112,25 +112,6 @@ def test_joints_of_one_body_are_held_each(held: dict[str, float]) -> None:
                         {name: rests[name]})  # fmt: skip
 
 
-def test_a_grippers_finger_goes_along_with_the_one_that_is_held(tmp_path: Path) -> None:
-    """Of a real file; a follower alone stands where its master's zero takes it, and that is said."""
-    path = next(REAL.rglob("panda.urdf"))
-    master, follower = "panda_finger_joint1", "panda_finger_joint2"
-    loose = "".join(x for x in path.read_text().splitlines(True) if "<mimic" not in x)
-    full = tb.load_tree(written(loose, tmp_path))
-    assert mimic_joints(path) == (follower,)
-    with pytest.raises(MimicError) as caught:
-        tb.load_tree(path)
-    assert caught.value.masters == {follower: master}
-    held = {"panda_joint4": -1.0, master: 0.03}
-    locked, alone = (tb.load_tree(path, lock=lock) for lock in (held, {follower: None}))
-    assert_held(full, locked, held | {follower: 0.03})
-    assert_held(full, alone, {follower: 0.0})
-    assert locked.warnings == ()
-    assert master in alone.warnings[0]
-    assert tb.load_tree(path, lock=held | {follower: 0.01}).warnings
-
-
 @pytest.mark.parametrize("pitch", [np.pi / 2, 1.5707963])
 def test_offset_and_multiplier_say_where_a_follower_is(pitch: float, tmp_path: Path) -> None:
     """Through a chain of followers; on a wrist at a quarter turn, whose rpy has no inverse."""
@@ -139,14 +120,21 @@ def test_offset_and_multiplier_say_where_a_follower_is(pitch: float, tmp_path: P
     turned = f'<origin xyz="0 0 1" rpy="0.4 {pitch!r} -0.9"/><axis xyz="1 2 -3"/>'
     text = text[:start] + turned + text[text.index("<limit", start) :]
     (tmp_path / "full.urdf").write_text(text)
-    for follower, master, slope in (("j4", "j2", -0.5), ("j5", "j4", 2.0)):
+    for follower, said in (("j4", 'joint="j2" multiplier="-0.5"'), ("j5", 'joint="j4"')):
         start = text.index("<limit", text.index(f'<joint name="{follower}"'))
-        mimic = f'<mimic joint="{master}" multiplier="{slope}" offset="0.25"/>'
-        text = text[:start] + mimic + text[start:]
+        text = text[:start] + f'<mimic {said} offset="0.25"/>' + text[start:]
     path, full = written(text, tmp_path), tb.load_tree(tmp_path / "full.urdf")
-    assert_held(full, tb.load_tree(path, lock={"j2": 0.6}), {"j2": 0.6, "j4": -0.05, "j5": 0.15})
-    rest = tb.load_tree(path, lock={"j4": None, "j5": None})
-    assert_held(full, rest, {"j4": 0.25, "j5": 0.75})
+    with pytest.raises(MimicError) as caught:
+        tb.load_tree(path)
+    assert caught.value.masters == {"j4": "j2", "j5": "j4"}
+    assert mimic_joints(path) == ("j4", "j5")
+    locks = {"j2": 0.6}, {"j4": None, "j5": None}, {"j2": 0.6, "j4": 0.1}
+    locked, rest, astray = (tb.load_tree(path, lock=lock) for lock in locks)
+    assert_held(full, locked, {"j2": 0.6, "j4": -0.05, "j5": 0.2})
+    assert_held(full, rest, {"j4": 0.25, "j5": 0.5})
+    assert locked.warnings == ()
+    for tree, culprit in ((rest, "'j2'"), (astray, "'j4'")):  # not where they would be taken
+        assert [line for line in tree.warnings if culprit in line]
 
 
 def test_an_equality_between_joints_is_a_follower(tmp_path: Path) -> None:
