@@ -105,7 +105,7 @@ def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
     """Names of a model file could clear a screen, or drive everything else off it."""
     shown = printable(text * times, limit)
     assert shown == "" or shown.isprintable()
-    assert len(shown) <= limit
+    assert len(shown) <= limit == len(printable("x" * 501, limit))
     plain = " ".join((text * times).split())
     if plain.isprintable() and len(plain) <= limit:
         assert shown == plain
