@@ -69,6 +69,22 @@ def _nested_bodies(depth: int) -> bytes:
     return mjcf(inside)
 
 
+def _in_a_row(files: int, inside: str, head: str) -> dict[str, bytes]:
+    """Files that each hold the next; the last is one body that carries its joint."""
+    last = '<mujoco><worldbody><body name="b"><joint/><geom size="1"/></body></worldbody></mujoco>'
+    names = ["model.xml", *(f"m{k}.xml" for k in range(files - 1))]
+    held = {a: mjcf(inside, head.format(b)) for a, b in pairwise(names)}
+    return {**held, names[-1]: last.encode()}
+
+
+def _ten_each(files: int) -> dict[str, bytes]:
+    """Models that each hold the next ten times."""
+    assets = "".join(f'<model name="m{k}" file="{{0}}"/>' for k in range(10))
+    held = (f'<frame><attach model="m{k}" body="b" prefix="p{k}"/></frame>' for k in range(10))
+    body = f'<body name="b"><joint/><geom size="1"/>{"".join(held)}</body>'
+    return _in_a_row(files, body, f"<asset>{assets}</asset>")
+
+
 Bomb = Callable[[], dict[str, bytes]]
 BOMBS: dict[str, Bomb] = {
     "a chain of 20 joints": lambda: {"model.urdf": urdf(list(range(20)))},
@@ -120,6 +136,10 @@ BOMBS: dict[str, Bomb] = {
         "model.xml": mjcf("", '<asset><model name="m" file="other.xml"/></asset>'),
         "other.xml": mjcf("", '<asset><model name="m" file="model.xml"/></asset>'),
     },
+    "8 files in a row": lambda: _in_a_row(8, "", '<include file="{}"/>'),
+    "9 files in a row": lambda: _in_a_row(9, "", '<include file="{}"/>'),
+    "two models of ten each": lambda: _ten_each(3),
+    "seven models of ten each": lambda: _ten_each(8),
     "a thousand million replicas": lambda: {
         "model.xml": mjcf('<replicate count="1000000000"><geom size="1"/></replicate>')
     },

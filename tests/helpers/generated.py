@@ -8,8 +8,7 @@ import math
 import re
 import shutil
 import subprocess
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -55,96 +54,53 @@ def c_call(
 
 
 _BLOCK = re.compile(r"\\begin\{align\*\}\n(.*?)\n\\end\{align\*\}", re.DOTALL)
-_FRACTION = re.compile(r"\\tfrac\{(\d+)\}\{(\d+)\}")
-_NUMBER = re.compile(r"\d+(?:\.\d+)?(?:\\cdot 10\^\{(-?\d+)\})?")
-_POWER = re.compile(r"\^\{(\d+)\}")
-_WAVE = re.compile(r"([cs])_\{([-,\d]+)\}")
+_LINE = re.compile(r"(?:^|(?<= \\\\\n))([^&\n]+?) (?:=\{\}&|&=) (.*?)(?= \\\\\n[^&]|\Z)", re.DOTALL)
+_PARTS = (
+    r"(?P<wave>[cs]_\{[-,\d]+\})|\\tfrac\{(?P<over>\d+)\}\{(?P<under>\d+)\}"
+    r"|(?P<number>\d+(?:\.\d+)?)(?:\\cdot 10\^\{(?P<shift>-?\d+)\})?"
+    r"|\^\{(?P<power>\d+)\}|(?P<times>\\,)|[-+() ]"
+)
 
 
 def latex_blocks(text: str) -> list[list[tuple[str, str]]]:
     """Left and right sides of a LaTeX document's equations, block by block."""
     return [
-        [
-            (left, right.replace(" \\\\\n&", " "))
-            for left, right in re.findall(
-                r"(?:^|(?<= \\\\\n))([^&\n]+?) (?:=\{\}&|&=) (.*?)(?= \\\\\n[^&]|\Z)",
-                block,
-                re.DOTALL,
-            )
-        ]
+        [(left, right.replace(" \\\\\n&", " ")) for left, right in _LINE.findall(block)]
         for block in _BLOCK.findall(text)
     ]
 
 
-@dataclass
-class LatexReader:
-    """Recursive descent through the right-hand side of a LaTeX equation.
+def latex_reader(
+    known: Iterable[str],
+) -> Callable[[str, Mapping[str, float], Sequence[float]], float]:
+    """What finds the value of the right-hand side of a LaTeX equation.
 
-    Attributes:
-        text: What is left to read.
-        names: What names stand for.
-        q: Positions of the joints, for sines and cosines.
+    Args:
+        known: All names that may stand in one; it takes their values, and the joints' positions
+            for sines and cosines. What is neither name nor number nor sign is no equation.
     """
+    every = "|".join(map(re.escape, sorted(known, key=len, reverse=True))) or "(?!)"
+    part = re.compile(f"(?P<name>{every})|{_PARTS}")
 
-    text: str
-    names: Mapping[str, float]
-    q: Array
+    def value(text: str, names: Mapping[str, float], q: Sequence[float]) -> float:
+        def number(found: re.Match[str]) -> str:
+            if found["name"]:
+                return f"({float(names[found['name']])!r})"
+            if found["wave"]:
+                labels = found["wave"][3:-1]
+                one = "," not in labels and len(q) < 10
+                angle = sum(
+                    math.copysign(1, int(k)) * q[abs(int(k)) - 1]
+                    for k in (labels if one else labels.split(","))
+                )
+                return f"({math.cos(angle) if found['wave'][0] == 'c' else math.sin(angle)!r})"
+            if found["over"]:
+                return f"({found['over']}/{found['under']})"
+            if found["number"]:
+                return f"{found['number']}e{found['shift'] or 0}"
+            return f"**{found['power']}" if found["power"] else "*" if found["times"] else found[0]
 
-    def value(self) -> float:
-        """Of the whole text."""
-        total = self._sum()
-        assert not self.text, f"cannot read '{self.text[:40]}'"
-        return total
+        assert not part.sub("", text), f"cannot read '{part.sub('', text)[:80]}'"
+        return float(eval(part.sub(number, text), {"__builtins__": {}}))
 
-    def _sum(self) -> float:
-        total, first = 0.0, True
-        while first or self.text.startswith(("+", "-")):
-            sign = -1.0 if self._taken("-") else 1.0
-            self._taken("+")
-            total += sign * self._product()
-            first = False
-        return total
-
-    def _product(self) -> float:
-        product = self._factor()
-        while self._taken(r"\,"):
-            product *= self._factor()
-        return product
-
-    def _factor(self) -> float:
-        base = self._base()
-        power = self._match(_POWER)
-        return base ** int(power[1]) if power else base
-
-    def _base(self) -> float:
-        for name in sorted(self.names, key=len, reverse=True):
-            if self._taken(name):
-                return self.names[name]
-        if self._taken("("):
-            inside = self._sum()
-            assert self._taken(")")
-            return inside
-        if found := self._match(_FRACTION):
-            return int(found[1]) / int(found[2])
-        if found := self._match(_WAVE):
-            labels = found[2].split(",")
-            if len(labels) == 1 and len(self.q) < 10:
-                labels = list(labels[0])
-            angle = sum(math.copysign(1, int(k)) * self.q[abs(int(k)) - 1] for k in labels)
-            return math.cos(angle) if found[1] == "c" else math.sin(angle)
-        found = self._match(_NUMBER)
-        assert found, f"cannot read '{self.text[:40]}'"
-        mantissa, _, _ = found[0].partition(r"\cdot")
-        return float(f"{mantissa}e{found[1] or 0}")
-
-    def _taken(self, word: str) -> bool:
-        there = self.text.startswith(word)
-        if there:
-            self.text = self.text[len(word) :].lstrip(" ")
-        return there
-
-    def _match(self, pattern: re.Pattern[str]) -> re.Match[str] | None:
-        found = pattern.match(self.text)
-        if found:
-            self.text = self.text[found.end() :].lstrip(" ")
-        return found
+    return value

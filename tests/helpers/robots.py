@@ -115,6 +115,24 @@ def random_states(rng: np.random.Generator, samples: int, n: int) -> tuple[Array
     return q, qd, qdd
 
 
+def assert_same_tree(one: Tree, two: Tree, tolerance: float = 1e-12) -> None:
+    """All that two trees hold, in whatever order their joints stand, each by its size."""
+    order = [one.index(name) for name in two.names]
+    for j, joint in zip(order, two.joints, strict=True):
+        assert (*one.names, "")[one.parents[j]] == (*two.names, "")[joint.parent]
+        for key, value in vars(joint).items():
+            if isinstance(value, str):
+                assert getattr(one.joints[j], key) == value
+            elif key != "parent":
+                found = getattr(one.joints[j], key)
+                np.testing.assert_allclose(found, value, rtol=0, atol=tolerance)
+    bodies = [(one.inertias[j], body) for j, body in zip(order, two.inertias, strict=True)]
+    for left, right in (*bodies, (one.pedestal, two.pedestal)):
+        size = np.abs(right.pseudo).max()
+        np.testing.assert_allclose(left.pseudo, right.pseudo, rtol=0, atol=tolerance * (1 + size))
+    np.testing.assert_allclose(one.gravity, two.gravity, rtol=0, atol=tolerance)
+
+
 def with_zeros(rng: np.random.Generator, robot: Robot) -> Robot:
     """The same robot with bodies of which much is exactly zero.
 
