@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -26,10 +24,6 @@ MODELS: tuple[Model, ...] = ("dynamic", "reaction")
 
 def motion(rng: np.random.Generator, samples: int, n: int) -> tb.Motion:
     return tb.Motion(np.arange(samples, dtype=float), *random_states(rng, samples, n))
-
-
-def force_of(model: Model, tree: tb.Tree, states: tb.Motion, gravity: Any = None) -> Array:
-    return (tb.joint_forces if model == "dynamic" else tb.base_wrench)(tree, states, gravity)
 
 
 def near(found: Array, wanted: Array) -> bool:
@@ -59,16 +53,6 @@ def test_forces_wrench_and_poses_are_pinocchios(robot: Robot, rng: np.random.Gen
         np.testing.assert_allclose(here[1][0], there[1], atol=1e-12)
 
 
-def test_the_papers_robot_has_the_golden_forces(puma: tb.Tree, golden: Any) -> None:
-    states = golden["variants"]["ref18_exact"]["states"]
-    q, qd, qdd, forces, wrench = (
-        np.array([state[key] for state in states]) for key in ("q", "qd", "qdd", "Q", "wrench")
-    )
-    given = tb.Motion(np.arange(len(q), dtype=float), q, qd, qdd)
-    np.testing.assert_allclose(tb.joint_forces(puma, given), forces, rtol=1e-10, atol=1e-10)
-    np.testing.assert_allclose(tb.base_wrench(puma, given), wrench, rtol=1e-10, atol=1e-10)
-
-
 @given(robots(), rngs, st.sampled_from(MODELS), st.booleans())
 def test_regressors_times_parameters_are_the_forces(
     robot: Robot, rng: np.random.Generator, model: Model, zeros: bool
@@ -76,15 +60,16 @@ def test_regressors_times_parameters_are_the_forces(
     """Minimal ones and all ten a body, also under a gravity that is not the file's."""
     tree = robot.tree()
     states, theta = motion(rng, 10, tree.n), tb.barycentric(tree)
+    force_of = tb.joint_forces if model == "dynamic" else tb.base_wrench
     for gravity in (None, rng.normal(size=3) * 5):
-        force = force_of(model, tree, states, gravity)
+        force = force_of(tree, states, gravity)
         minimal = tb.minimal_set(tree, model, gravity, zeros=zeros)
         phi = tb.regressor(tree, states, minimal)
         assert phi.shape == (*force.shape, minimal.count)
         assert near(phi @ minimal.values(theta), force)
         assert near(parameter_regressor(tree, states, model, gravity) @ theta.ravel(), force)
     there = tree.with_gravity(gravity)
-    np.testing.assert_array_equal(force, force_of(model, there, states))
+    np.testing.assert_array_equal(force, force_of(there, states))
     np.testing.assert_array_equal(tb.pedestal_wrench(tree, gravity), tb.pedestal_wrench(there))
 
 
@@ -95,10 +80,9 @@ def test_a_sample_has_the_same_forces_whatever_comes_with_it(
 ) -> None:
     """To the bit: samples are taken in blocks."""
     states = motion(rng, 3000, 3)
-    part = states[first : first + 100]
-    np.testing.assert_array_equal(part.qdd, states.qdd[first : first + 100])
+    part = slice(first, first + 100)
     whole = tb.base_wrench(tree, states)
-    np.testing.assert_array_equal(whole[first : first + 100], tb.base_wrench(tree, part))
+    np.testing.assert_array_equal(whole[part], tb.base_wrench(tree, states[part]))
     for samples in (0, 3, 4, 9):
         taken = [np.arange(samples)[part] for part in blocks(samples, 4)]
         assert all(0 < len(part) <= 4 for part in taken)
@@ -108,7 +92,5 @@ def test_a_sample_has_the_same_forces_whatever_comes_with_it(
 def test_a_motion_of_the_wrong_shape_or_robot_is_refused(puma: tb.Tree) -> None:
     with pytest.raises(ValueError, match=r"qd.*3, 1"):
         tb.Motion(np.zeros(3), np.zeros((3, 2)), np.zeros((3, 1)), np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=r"q .*\(\)"):
-        tb.Motion(np.zeros(3), np.zeros(()), np.zeros((3, 1)), np.zeros((3, 1)))
     with pytest.raises(ValueError, match=r"2 .* 3"):
         tb.joint_forces(puma, motion(np.random.default_rng(0), 5, 2))

@@ -17,67 +17,54 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "getuid"), reason="folders have 
 PLACES = ("XDG_CACHE_HOME", "LOCALAPPDATA", "HOME")
 
 
-@pytest.fixture
-def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A place for caches of its own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    (tmp_path / "elsewhere").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
-    return tmp_path / "cache"
-
-
-def test_the_cache_is_where_the_system_keeps_caches(
-    home: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_cache_is_where_the_system_keeps_caches_one_for_each_source_and_numba(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By the first of the variables that is set; at home in .cache."""
+    monkeypatch.setattr(compiler, "__file__", str(tmp_path / "compiler.py"))
     for name in PLACES:
-        monkeypatch.setenv(name, str(home / name))
+        monkeypatch.setenv(name, str(tmp_path / name))
     for name in PLACES:
-        folder = cache_folder()
-        base = home / name / ".cache" if name == "HOME" else home / name
-        assert folder.parent == base / "testbed"
-        assert folder.name.startswith("kernel-")
-        assert stat.S_IMODE(folder.stat().st_mode) & 0o077 == 0
-        assert cache_folder() == folder
+        base, found = tmp_path / name / (".cache" if name == "HOME" else ""), []
+        for text in ("one", "two", "one"):
+            (tmp_path / "screws.py").write_text(text)
+            found.append(cache_folder())
+        assert found[0] == found[2] != found[1]
+        with monkeypatch.context() as patch:
+            patch.setattr("numba.__version__", "0.0.1")
+            found.append(cache_folder())
+        assert found[3] not in found[:2]
+        assert {each.parent for each in found} == {base / "testbed"}
+        assert {stat.S_IMODE(each.stat().st_mode) & 0o077 for each in found} == {0}
         monkeypatch.delenv(name)
 
 
-def test_code_of_other_sources_or_another_numba_is_not_run(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_folder_that_others_may_write_to_or_that_cannot_be_made_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(compiler, "__file__", str(tmp_path / "compiler.py"))
-    (tmp_path / "screws.py").write_text("one")
-    one = cache_folder()
-    (tmp_path / "screws.py").write_text("two")
-    two = cache_folder()
-    (tmp_path / "screws.py").write_text("one")
-    assert one == cache_folder() != two
-    monkeypatch.setattr("numba.__version__", "0.0.1")
-    assert cache_folder() not in (one, two)
+    """Nor one of somebody else; a passing one is made in its place."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "elsewhere"))
 
+    def passing() -> None:
+        found = cache_folder()
+        assert found.parent == tmp_path / "elsewhere"
+        assert stat.S_IMODE(found.stat().st_mode) == 0o700
 
-@pytest.mark.parametrize("level", ["testbed", "kernel"])
-@pytest.mark.parametrize("mode", [0o720, 0o702])
-def test_a_folder_that_others_may_write_to_is_not_used(home: Path, mode: int, level: str) -> None:
-    own = cache_folder()
-    open_to_others = own.parent if level == "testbed" else own
-    open_to_others.chmod(mode)
-    found = cache_folder()
-    assert found.parent.name == "elsewhere"
-    assert stat.S_IMODE(found.stat().st_mode) == 0o700
-    open_to_others.chmod(0o755)
-    assert cache_folder() == own
-
-
-def test_a_folder_of_somebody_else_is_not_used(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    own, nobody = cache_folder(), os.getuid() + 1
-    monkeypatch.setattr("os.getuid", lambda: nobody)
-    assert cache_folder() != own
-
-
-def test_where_no_folder_can_be_made_it_is_a_passing_one(home: Path) -> None:
-    home.write_text("a file stands in the way")
-    assert cache_folder().parent.name == "elsewhere"
+    own, somebody = cache_folder(), os.getuid() + 1
+    for opened in (own.parent, own):
+        for mode in (0o720, 0o702):
+            opened.chmod(mode)
+            passing()
+        opened.chmod(0o755)
+        assert cache_folder() == own
+    with monkeypatch.context() as patch:
+        patch.setattr("os.getuid", lambda: somebody)
+        passing()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    (tmp_path / "file").write_text("stands in the way")
+    passing()
 
 
 @pytest.mark.slow
@@ -96,7 +83,6 @@ def test_processes_keep_code_in_safe_or_named_places_only(tmp_path: Path) -> Non
     assert not (tmp_path / "cache").exists()
     kept = place()
     assert kept.exists()
-    assert kept.parent == tmp_path / "cache/testbed"
     kept.parent.chmod(0o777)
     passing = place(TMPDIR=str(tmp_path))
     assert passing.parent == tmp_path
