@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.campaign import run_identity
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.conduct import places_of
+from testbed.campaign.conduct import Supply, places_of
 from testbed.campaign.points import Choice, cells_of, sampled
 from testbed.campaign.run_identity import run_hash
 from testbed.errors import ExperimentError
@@ -31,7 +32,7 @@ name = "plain"
 name = "late"
 set = ['measurement.fault=[{kind="plate_delay",delay=1e-3}]']
 """
-HEAD = '[[factor]]\nname = "x"\n'
+SPANS = [(0.5, 2.5, False), (1e-2, 1e2, True), (-3.0, -1.0, False)]
 
 
 def test_a_level_goes_where_it_is_asked_for_and_cells_share_seeds_unless_told(
@@ -53,13 +54,15 @@ def test_a_level_goes_where_it_is_asked_for_and_cells_share_seeds_unless_told(
 
 
 def test_what_is_not_understood_is_named(tmp_path: Path) -> None:
+    head = '[[factor]]\nname = "x"\n'
+    twenty = ", ".join(f"{k}.0" for k in range(20))
     for factors, replicates, culprit in (
-        (HEAD + 'set = ["seed=$"]', 1, "values"),
-        (HEAD + 'set = ["a=$"]\nrange = [0.0, 1.0]\nlog = true', 1, "log"),
-        (HEAD + 'set = ["measurement.nois=$"]\nvalues = [1.0]', 1, "nois"),
+        (head + 'set = ["seed=$"]', 1, "values"),
+        (head + 'set = ["a=$"]\nrange = [0.0, 1.0]\nlog = true', 1, "log"),
+        (head + 'set = ["measurement.nois=$"]\nvalues = [1.0]', 1, "nois"),
         ("[sampling]\npoint = 3", 1, "points"),
         (NOISES + NOISES, 1, "noise"),
-        (NOISES.replace("0.5, 2.0", "1.0, 2.0, 3.0"), 1_000_000, "runs"),
+        (head + f'set = ["measurement.force_noise=$"]\nvalues = [{twenty}]', 1_000_000, "runs"),
     ):
         with refuses(ExperimentError, culprit):
             Campaign.load(campaign_file(tmp_path, replicates, factors))
@@ -81,11 +84,13 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     assert known("name=other", "claim=none") == known("motion.duration=60") == here  # its default
     others = {known(methods=("external", "internal")), known("seed=1")}
     others.add(known("identification.engine=compiled"))
+    campaign = Campaign.load(campaign_file(tmp_path))
+    before = set(places_of(campaign))
     model.write_text(model.read_text().replace('"6.3"', '"6.4"'))
     others.add(known())
+    assert len(others | {here}) == 5
     monkeypatch.setattr(run_identity, "code_version", lambda: "another")
-    others.add(known())
-    assert len(others | {here}) == 6
+    assert before.isdisjoint(places_of(campaign))
 
 
 def test_what_ships_can_be_carried_out() -> None:
@@ -96,17 +101,26 @@ def test_what_ships_can_be_carried_out() -> None:
         assert path.stem == campaign.tables.name
 
 
+# points and bundles
+
+
+def unit(points: Array) -> Array:
+    """Points back in the unit cube."""
+    found = np.empty_like(points)
+    for k, (low, high, log) in enumerate(SPANS):
+        x, a, b = (np.log(v) if log else v for v in (points[:, k], low, high))
+        found[:, k] = (x - a) / (b - a)
+    return found
+
+
 @given(st.integers(0, 1000), st.sampled_from(["random", "latin_hypercube", "sobol"]))
-def test_sampled_points_fill_their_ranges_evenly_and_meet_every_crossed_level(
+def test_sampled_points_fill_their_ranges_evenly_and_a_seed_makes_the_same(
     seed: int, method: str
 ) -> None:
-    """A seed makes the same; levels and words stand in the order of the file."""
-    spans = [(0.5, 2.5, False), (1e-2, 1e2, True), (-3.0, -1.0, False)]
-    points = sampled(method, spans, 64, seed)
-    np.testing.assert_array_equal(points, sampled(method, spans, 64, seed))
-    assert (points != sampled(method, spans, 64, seed + 1)).any()
-    a, b, c = points.T
-    there = np.column_stack([(a - 0.5) / 2, np.log10(b) / 4 + 0.5, (c + 3) / 2])
+    points = sampled(method, SPANS, 64, seed)
+    np.testing.assert_array_equal(points, sampled(method, SPANS, 64, seed))
+    assert (points != sampled(method, SPANS, 64, seed + 1)).any()
+    there = unit(points)
     assert points.shape == (64, 3)
     assert ((there >= 0) & (there <= 1)).all()
     if method != "random":  # every slice of every range has one
@@ -115,10 +129,28 @@ def test_sampled_points_fill_their_ranges_evenly_and_meet_every_crossed_level(
     if method == "sobol":
         quarters = np.floor(4 * there[:, :2]).astype(int)
         assert (np.bincount(4 * quarters[:, 0] + quarters[:, 1], minlength=16) == 4).all()
-    crossed = [[Choice(1, x, (f"b={x}",)) for x in "uvw"]]
-    drawn = [[Choice(0, y, (f"a={y}",)), Choice(2, z, (f"c={z}",))] for y, z, _ in points.tolist()]
-    cells = cells_of(crossed, drawn)
-    wanted = [(y, x, z) for x, (y, z, _) in product("uvw", points.tolist())]
-    assert [cell.levels for cell in cells] == wanted
-    words = [tuple(f"{k}={v}" for k, v in zip("abc", each, strict=True)) for each in wanted]
-    assert [cell.words for cell in cells] == words
+
+
+def test_crossed_factors_meet_every_point_once_in_the_order_of_the_file() -> None:
+    a = [Choice(0, x, (f"a={x}",)) for x in (1.0, 2.0)]
+    c = [Choice(2, x, (f"c={x}",)) for x in ("u", "v", "w")]
+    points = [[Choice(1, y, (f"b={y}",)), Choice(3, -y, (f"d={-y}",))] for y in (0.1, 0.2)]
+    cells = cells_of([a, c], points)
+    wanted = {(x, y, z, -y) for x, z, y in product((1.0, 2.0), "uvw", (0.1, 0.2))}
+    assert {cell.levels for cell in cells} == wanted
+    assert len(cells) == len(wanted)
+    for cell in cells:
+        assert cell.words == tuple(f"{k}={v}" for k, v in zip("abcd", cell.levels, strict=True))
+    assert cells_of([], []) == cells_of([], [[]])
+
+
+def test_bundles_are_never_empty_and_hold_all_runs_once(tmp_path: Path) -> None:
+    """Whatever a run is expected to take."""
+    campaign = Campaign.load(campaign_file(tmp_path, 20, NOISES))
+    order = [(run, place.cell, place.replicate) for run, place in places_of(campaign).items()]
+    for seconds in (1e-9, 0.1, 1e9, np.inf):
+        supply, seen = Supply(campaign, list(order), [seconds]), []
+        while (bundle := supply.take(2)) is not None:
+            assert bundle.runs
+            seen += [run for run, _ in bundle.runs]
+        assert seen == [run for run, _, _ in order]

@@ -8,9 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 from hypothesis import given
+from scipy.optimize import minimize
 
 import testbed as tb
+from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
+from testbed.excitation.barrier_search import Inside, Point, minimise
 from testbed.excitation.criteria import CRITERIA, CriterionName
 from testbed.excitation.design import Wish, _start, criterion, design
 from testbed.excitation.fourier import Fourier
@@ -18,18 +21,22 @@ from testbed.excitation.information import Instrument, _inverse, information_of,
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
 from testbed.excitation.prediction import Pipeline, moving, predict
+from testbed.excitation.problem import BlockJacobian
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import random_motion
 from testbed.excitation.sampled_rows import SampledRows
 from testbed.parameters.rules import Model
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
-from tests.helpers.strategies import rngs
+from tests.helpers.strategies import few, rngs, seeds
 
 PLATE = np.repeat([0.5, 0.1], 3)
 ALL = Pipeline(rate=1.0, span=1.0, band=np.inf, resting=0.0, reach=0.0)
 MODELS: tuple[Model, ...] = ("reaction", "dynamic")
 FAR = np.array([1e3, 1e3, 3e3, 1e3, 1e3, 1e3])
+
+
+# what a search is made of
 
 
 @given(rngs)
@@ -49,6 +56,55 @@ def test_criteria_are_what_they_say_and_what_is_no_information_has_no_inverse(
     inverse = _inverse(here)
     assert inverse is not None
     np.testing.assert_allclose(inverse @ here, np.eye(6), atol=1e-6)
+
+
+class Ball:
+    """A smooth function within a ball and a random polytope around zero."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.goal, self.faces = 3 * rng.normal(size=6), rng.normal(size=(10, 6))
+        self.seen: list[Array] = []
+
+    def value(self, x: Array) -> float:
+        return float(np.sum((x - self.goal) ** 4) ** 0.5 + np.sum((x - self.goal) ** 2))
+
+    def limits(self, x: Array) -> Array:
+        return np.append(self.faces @ x - 1, x @ x - 4)
+
+    def inside(self, x: Array) -> Inside:
+        return Inside(self.value(x), self.limits(x))
+
+    def point(self, x: Array) -> Point:
+        self.seen.append(x)
+        away, rows = x - self.goal, np.vstack([self.faces, 2 * x])
+        slope = 2 * away**3 / max(np.sum(away**4) ** 0.5, 1e-12) + 2 * away
+        jacobian = BlockJacobian(np.zeros((1, 0, 6)), 11, np.arange(11), rows)
+        return Point(self.value(x), self.limits(x), x, slope, jacobian)
+
+
+@few(8)
+@given(seeds)
+def test_a_search_ends_where_another_solver_does_and_is_inside_all_the_way(seed: int) -> None:
+    ball, zero = Ball(seed), np.zeros(6)
+    found = minimise(ball, zero, iterations=300)
+    assert all((ball.limits(x) < 0).all() for x in ball.seen)
+    other = minimize(
+        ball.value,
+        zero,
+        method="SLSQP",
+        jac=lambda x: ball.point(x).gradient,
+        constraints={"type": "ineq", "fun": lambda x: -ball.limits(x)},
+        options={"maxiter": 500, "ftol": 1e-9},
+    )
+    assert (ball.limits(other.x) < 1e-6).all()
+    assert found.value == pytest.approx(other.fun, rel=2e-3)
+    assert found.value >= other.fun - 1e-5 * abs(other.fun)
+    with pytest.raises(ValueError, match="outside"):
+        minimise(ball, 10 * np.ones(6))
+
+
+# designs
 
 
 @cache

@@ -72,6 +72,7 @@ def test_a_file_without_limits_gets_calm_ones_and_one_end_a_range_as_wide(
     np.testing.assert_allclose([found.low, found.high], [-half, half])
     np.testing.assert_array_equal(found.velocity, np.where(turns, 2.0, 0.5))
     np.testing.assert_array_equal(found.acceleration, np.where(turns, 6.0, 2.0))
+    assert (found.effort == INF).all()
     bound = float(rng.choice([-7.0, -0.3, 0.0, 0.2, 7.0]))
     above = limits_of(each(tree, position_range=np.array([bound, INF])))
     np.testing.assert_allclose([above.low, above.high], [0 * half + bound, bound + 2 * half])
@@ -170,8 +171,9 @@ def test_the_best_of_a_few_is_the_best_of_them_by_the_sigma_of_least_squares() -
     """Rms of sigma over value; small values count as a twentieth of the largest of their unit."""
     tree = random_robot(np.random.default_rng(0), 3).tree()
     minimal, limits = tb.minimal_set(tree, "reaction"), limits_of(tree)
-    drawn = rules(tree, limits), minimal, PLATE, 0.1, 5, 8, np.random.default_rng(7)
-    motion, score = best_motion(*drawn)
+    motion, score = best_motion(
+        rules(tree, limits), minimal, PLATE, 0.1, 5, 8, np.random.default_rng(7)
+    )
     rng = np.random.default_rng(7)
     again = [random_motion(tree, limits, 0.1, 5, rng) for _ in range(8)]
     scores = [relative_sigma(tree, m, minimal, PLATE) for m in again]
@@ -303,6 +305,8 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
     times, h = np.linspace(-3.0, whole.end + 3.0, 2001), 1e-5
     samples = whole.at(times)
     np.testing.assert_allclose(samples.q, motion.at(whole.place(times)).q, atol=1e-12)
+    inside = (times >= 0) & (times <= whole.end)
+    np.testing.assert_array_equal(samples.q[inside], motion.at(times[inside]).q)
     for left, right in (("q", "qd"), ("qd", "qdd")):
         near = (getattr(whole.at(times + s * h), left) for s in (1, -1))
         wanted = getattr(samples, right)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,14 @@ import pytest
 import testbed as tb
 from testbed.errors import ExperimentError, InertiaError, LoopError, TestbedError
 from testbed.excitation.limits import limits_of
-from testbed.experiment.assumptions import DRY, OF_MOTOR, assumptions
+from testbed.experiment.assumptions import DRY, assumptions
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import run_name
 from testbed.experiment.motions import motion_of
 from testbed.experiment.new_experiment import new_experiment
 from testbed.experiment.robot_found import find_robot
-from testbed.robot.load import mimic_joints
+from testbed.experiment.simulate import simulate
+from testbed.robot.load import mimic_joints, nearest_bodies
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
@@ -62,61 +62,75 @@ def test_what_it_says_is_the_models(name: str, tmp_path: Path) -> None:
         assert joint.coulomb > 0 or joint.viscous > 0  # a robot without friction is no test
         if before.coulomb or before.viscous:
             assert (joint.coulomb, joint.viscous) == (before.coulomb, before.viscous)
-    for line in re.findall(r"^# ((?:(?:ex|in)ternal|gravity).*)", text, re.MULTILINE):
+    (tmp_path / "shown.toml").write_text(text.replace("# gravity", "gravity"))
+    shown = tb.Experiment.load(tmp_path / "shown.toml")
+    np.testing.assert_allclose(robot_of(shown).gravity, tree.gravity)
+    for line in re.findall(r"^# ((?:ex|in)ternal.*)", text, re.MULTILINE):
         tomllib.loads(line)
     gains = np.array(list(experiment.measurement.torque_constant_error.values()))
     np.testing.assert_array_equal(np.sign(gains), [(-1) ** k for k in range(len(gains))])
     motion_of(experiment, tree)  # proven
 
 
-def test_assumptions_go_with_the_robots_size_and_it_runs(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("length", "mass"), [(0.05, 20.0), (20.0, 0.05)])
+def test_assumptions_go_with_the_robots_size_and_it_runs(
+    length: float, mass: float, tmp_path: Path
+) -> None:
     """Weights go by mass; where gravity outweighs inertia, moments by mass times length."""
     usual = assumptions(tb.load_tree(arm(tmp_path)))
-    for length, mass in ((0.05, 20.0), (20.0, 0.05)):
-        path = arm(tmp_path, length, mass)
-        found, least = assumptions(tb.load_tree(path)), 0.5 * mass * min(length, 1.0)
-        most = 3 * mass * max(length, length**2)
-        assert found.force_noise / usual.force_noise >= 0.5 * mass
-        assert least <= found.moment_noise / usual.moment_noise <= most
-        assert least <= found.torque_noise / usual.torque_noise <= most
-        written(path, tmp_path)
-        short = ["motion.duration=2", "motion.candidates=1", "simulation.warm_up=0.5"]
-        recording = tb.simulate(tb.Experiment.load(tmp_path / "new.toml", short))
-        assert np.isfinite(recording.position).all()
+    path = arm(tmp_path, length, mass)
+    found, least = assumptions(tb.load_tree(path)), 0.5 * mass * min(length, 1.0)
+    most = 3 * mass * max(length, length**2)
+    assert found.force_noise / usual.force_noise >= 0.5 * mass
+    assert least <= found.moment_noise / usual.moment_noise <= most
+    assert least <= found.torque_noise / usual.torque_noise <= most
+    short = {"motion.duration=2", "motion.candidates=1", "simulation.warm_up=0.5"}
+    written(path, tmp_path)
+    recording = simulate(tb.Experiment.load(tmp_path / "new.toml", sorted(short)))
+    assert np.isfinite(recording.position).all()
 
 
 def test_friction_is_assumed_from_the_load_within_the_whole_range(tmp_path: Path) -> None:
     """Of a pendulum between 0 and 1 rad the rms of m g l sin q is 0.522 m g l."""
-    (tmp_path / "pendulum.xml").write_text("""<mujoco><compiler angle="radian"/><worldbody>
-      <body name="bob"><joint name="swing" axis="0 1 0" range="0 1"/>
-      <inertial pos="0 0 -0.01" mass="100" diaginertia="1e-6 1e-6 1e-6"/></body>
-      </worldbody></mujoco>""")
-    load = 100.0 * 9.81 * 0.01 * np.sqrt(0.5 - np.sin(2.0) / 4)
-    found = robot_of(written(tmp_path / "pendulum.xml", tmp_path)).joints[0].coulomb
+    mass, reach = 100.0, 0.01
+    (tmp_path / "pendulum.urdf").write_text(f"""<robot name="pendulum"><link name="base"/>
+      <link name="bob"><inertial><origin xyz="0 0 {-reach}"/><mass value="{mass}"/>
+      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/></inertial></link>
+      <joint name="swing" type="revolute"><parent link="base"/><child link="bob"/>
+      <axis xyz="0 1 0"/><limit lower="0" upper="1" effort="1000" velocity="1"/></joint></robot>""")
+    load = mass * 9.81 * reach * np.sqrt(0.5 - np.sin(2.0) / 4)
+    found = robot_of(written(tmp_path / "pendulum.urdf", tmp_path)).joints[0].coulomb
     assert found == pytest.approx(DRY * load, rel=0.1)
-    weak = replace(tb.load_tree(tmp_path / "pendulum.xml").joints[0], max_effort=1.0)
-    tree = replace(tb.load_tree(tmp_path / "pendulum.xml"), joints=(weak,))
-    assert assumptions(tree).joints["swing"]["coulomb"] == pytest.approx(OF_MOTOR)
 
 
 def test_joints_and_links_of_any_name_roots_that_float_and_impossible_bodies(
     tmp_path: Path,
 ) -> None:
-    """A body is written as it will be taken, to the last digits."""
-    name, path = 'l (1) = "a.b"', tmp_path / "odd.xml"
+    name = 'l (1) = "a.b"'
     quoted = name.replace('"', "&quot;")
-    path.write_text(f"""<mujoco><worldbody><body name="b"><freejoint/>
+    (tmp_path / "odd.xml").write_text(f"""<mujoco><worldbody><body name="b"><freejoint/>
       <geom size=".1"/><body name='{quoted}' pos="0 0 .2">
       <joint name="a b.&quot;c&quot; = 0" axis="0 1 0"/>
       <inertial mass="1" pos=".1 0 0" diaginertia="1 1 9"/></body></body></worldbody></mujoco>""")
-    experiment = written(path, tmp_path)
+    experiment = written(tmp_path / "odd.xml", tmp_path)
     assert experiment.weld_root
     tree = robot_of(experiment)
     assert tree.names == ('a b."c" = 0',)
     assert list(experiment.robot.repair) == [name]
     assert (tree.inertias[0].mass, tree.joints[0].coulomb > 0) == (1.0, True)
-    own = tb.load_tree(path, weld_root=True)
-    np.testing.assert_allclose(tree.inertias[0].pseudo, own.inertias[0].pseudo, rtol=1e-12)
+
+
+@pytest.mark.slow
+def test_bodies_that_cannot_be_are_written_as_they_will_be_taken(tmp_path: Path) -> None:
+    """To the last digits."""
+    path = REAL / "icub_description/robots/icub_reduced.urdf"
+    experiment = written(path, tmp_path)
+    found = nearest_bodies(path, weld_root=experiment.weld_root)
+    assert set(experiment.robot.repair) == set(found.bodies)
+    assert len(found.bodies) > 3
+    tree, own = robot_of(experiment), tb.load_tree(path, weld_root=experiment.weld_root)
+    for a, b in zip(tree.inertias, own.inertias, strict=True):
+        np.testing.assert_allclose(a.pseudo, b.pseudo, rtol=1e-12, atol=1e-15)
     bare = experiment.robot.model_copy(update={"repair": {}})
     with pytest.raises(InertiaError):
         robot_of(experiment.model_copy(update={"robot": bare}))
@@ -178,8 +192,11 @@ def test_bodies_of_which_some_touch_in_every_posture_are_left_out_by_name(tmp_pa
 
 
 def test_what_is_no_robot_or_does_not_run_is_refused(tmp_path: Path) -> None:
-    massless = ARM.format(l=1, m=0, i=0)
-    for name, text in (("no.urdf", "<robot/>"), ("no.txt", "hello"), ("m.xml", massless)):
+    massless = (
+        '<robot><link name="a"/><link name="b"/><joint name="j" type="continuous">'
+        '<parent link="a"/><child link="b"/></joint></robot>'
+    )
+    for name, text in (("no.urdf", "<robot/>"), ("no.txt", "hello"), ("r.urdf", massless)):
         (tmp_path / name).write_text(text)
         with pytest.raises(TestbedError):
             new_experiment(tmp_path / name, tmp_path)
@@ -192,5 +209,6 @@ def test_what_is_no_robot_or_does_not_run_is_refused(tmp_path: Path) -> None:
 def test_a_run_is_named_for_the_robot_where_the_file_says_nothing(tmp_path: Path) -> None:
     assert run_name(Path("sawyer/robot.xml"), "MuJoCo Model") == "sawyer"
     assert run_name(Path("ur5_gripper.urdf"), "ur5") == "ur5_gripper"
+    assert run_name(Path("robot.xml"), "puma562") == "puma562"
     exact = new_experiment(arm(tmp_path), tmp_path, tried=False, exact_torque_constants=True)
     assert "torque_constant_error" not in tomllib.loads(exact)["measurement"]

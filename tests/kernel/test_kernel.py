@@ -135,6 +135,9 @@ def test_independent_columns_span_all_and_are_the_first_that_do(rng: np.random.G
     units = np.eye(5)[:, rng.integers(0, 5, 40)]
     first = {tuple(column): 39 - k for k, column in enumerate(units.T[::-1])}
     assert independent_columns(units, range(40)) == sorted(first.values())
+    matrix = rng.normal(size=(5, 12))
+    picked = independent_columns(matrix, rng.permutation(12).tolist())
+    assert len(picked) == np.linalg.matrix_rank(matrix[:, picked]) == 5
     assert independent_columns(np.array([[1.0, 1.0, 0.0], [0.0, 0.01, 1.0]]), [0, 1, 2]) == [0, 2]
     for size, wanted in ((1e-5, [0, 1]), (1e-7, [0])):
         assert independent_columns(np.array([[1.0, 1.0], [0.0, size]]), [0, 1]) == wanted

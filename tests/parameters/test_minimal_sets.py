@@ -16,7 +16,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.dynamics.witnesses import verify, verify_drives
+from testbed.dynamics.witnesses import sampled_regressor, verify, verify_drives
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.joint_terms import with_joint_terms
@@ -27,7 +27,7 @@ from testbed.robot.tree import Tree
 from tests.helpers.chains import X, Y, Z, chain
 from tests.helpers.paths import GOLDEN
 from tests.helpers.robots import random_robot, with_zeros
-from tests.helpers.strategies import few, rngs, seeds
+from tests.helpers.strategies import few, rngs, seeds, trees
 
 UNCHANGED = 1e-11  # relative change of the model by regrouping; lifts of short lengths are large
 MODELS: tuple[Model, ...] = ("dynamic", "reaction")
@@ -117,9 +117,21 @@ def test_the_right_set_is_confirmed_and_another_robots_is_not(
         assert not replace(found, **spoiled).holds  # type: ignore[arg-type]
     near = replace(found, recursion_distance=1e-7, sampled_distance=0.99e-5, gap=1e5)
     assert near.holds  # sampling tells no more than its gap
-    drives = with_joint_terms(tree, tb.minimal_set(tree, "dynamic"), ("coulomb", "viscous"))
+
+
+@given(trees((2, 5)))
+def test_a_change_is_relative_to_the_largest_entry(tree: Tree) -> None:
+    """A lift that is off by a millionth in one column is seen as that; so is a term left out."""
+    minimal = tb.minimal_set(tree, "dynamic")
+    drives = with_joint_terms(tree, minimal, ("coulomb", "viscous"))
     lacking = replace(drives, terms=drives.terms[:-1], columns=drives.columns[:-1])
     assert not verify_drives(tree, lacking).holds
+    rows, lift = sampled_regressor(tree, "dynamic"), minimal.lift.copy()
+    lost = 1e-6 * np.abs(np.outer(rows @ lift[:, 0], minimal.matrix[0])).max()
+    lift[:, 0] *= 1 + 1e-6
+    vars(minimal)["lift"] = lift
+    assert verify(tree, minimal).change == pytest.approx(lost / np.abs(rows).max(), rel=1e-6)
+    assert 0 < verify_drives(tree, drives).change <= verify(tree, minimal).change
 
 
 # known robots
@@ -186,12 +198,26 @@ def test_axes_that_look_alike_are_told_apart() -> None:
     assert [tb.minimal_set(rounded, m).count for m in MODELS] == [8, 13]
     inclined = tb.minimal_set(chain(("revolute", Z), ("revolute", (0.6, 0.0, 0.8))), "dynamic")
     assert {"mb2u", "mb2v", "K2ww", "2*K2d", "K2uv"} <= set(inclined.names)
+    axes = inclined.triads[1].axes
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
+    np.testing.assert_allclose(axes[2], [0.6, 0.0, 0.8], atol=1e-15)
     apart = chain(("revolute", Z), ("revolute", Y))
     second = replace(apart.joints[1], offset=np.array([0, 0, 0.4]))
     meeting = replace(apart, joints=(apart.joints[0], second))
     for tree, count in ((meeting, 6), (apart, 8)):
         assert tb.minimal_set(tree, "dynamic", OFF).count == count
         hold(tree.with_gravity(OFF))
+
+
+def test_a_zero_that_a_child_fills_is_told_through_the_child() -> None:
+    """As in UR robots: mb*1z = mb1z + mb2y with mb1z known to be zero."""
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # body 2's y is body 1's z
+    tree = chain(("revolute", Y), ("revolute", Y))
+    second = replace(tree.joints[1], rotation=turn, offset=0.4 * Z)
+    tree = replace(tree, joints=(tree.joints[0], second))
+    minimal = tb.minimal_set(tree, "dynamic", zeros=["mb1z"])
+    assert "mb*1z = mb2y" in map(str, minimal.formulas)
+    hold(tree, ["mb1z"])
 
 
 def test_moments_that_are_all_rounding_are_zero() -> None:
