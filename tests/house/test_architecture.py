@@ -27,6 +27,7 @@ PLAN = {
     name: set(needs.split())
     for name, needs in {
         **dict.fromkeys([*BASE.split(), "installation"], ""),
+        "blas": "arrays",
         "keys": "errors",
         "kind_table": "errors arrays keys",
         "kind_words": "kind_table",
