@@ -235,10 +235,10 @@ def test_what_is_not_proven_swings_less_or_is_no_design(monkeypatch: pytest.Monk
             return found
         return replace(found, margins=tuple(replace(m, left=-0.5) for m in found.margins))
 
-    monkeypatch.setattr(place + "prove", lambda *given: smaller(*given, 0.9))
+    monkeypatch.setattr(place + "prove", lambda motion, rules: smaller(motion, rules, 0.9))
     found = design(asked).motion
     np.testing.assert_allclose(found.sine, 0.88 * whole.sine, rtol=1e-9)
     np.testing.assert_allclose(found.offset, whole.offset, rtol=1e-9)
-    monkeypatch.setattr(place + "prove", lambda *given: smaller(*given, 0.0))
+    monkeypatch.setattr(place + "prove", lambda motion, rules: smaller(motion, rules, 0.0))
     with refuses(InfeasibleMotion):
         design(asked)

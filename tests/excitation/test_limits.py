@@ -308,9 +308,9 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
     inside = (times >= 0) & (times <= whole.end)
     np.testing.assert_array_equal(samples.q[inside], motion.at(times[inside]).q)
     for left, right in (("q", "qd"), ("qd", "qdd")):
-        near = (getattr(whole.at(times + s * h), left) for s in (1, -1))
+        after, before = (getattr(whole.at(times + s * h), left) for s in (1, -1))
         wanted = getattr(samples, right)
-        np.testing.assert_allclose(np.subtract(*near) / (2 * h), wanted, atol=1e-3)
+        np.testing.assert_allclose((after - before) / (2 * h), wanted, atol=1e-3)
     still = (times < -2.0) | (times > whole.end + 2.0)
     assert max(np.abs(samples.qd[still]).max(), np.abs(samples.qdd[still]).max()) < 1e-9
     start, margins = start_of(random_series(rng, 3, 3, 0.05), rules(tree, wide(3)))
