@@ -20,6 +20,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 
 Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
 """Of C, (N, N): the value, and its derivative by C, (N, N)."""
@@ -45,7 +46,7 @@ def d_optimal(covariance: Array) -> tuple[float, Array]:
 
 def e_optimal(covariance: Array) -> tuple[float, Array]:
     """Log of a smooth stand-in for the largest variance along an axis, and its derivative."""
-    values, axes = np.linalg.eigh(covariance)
+    values, axes = eigh(covariance)
     share = np.maximum(values, 0.0) / values[-1]
     total = float(np.sum(share**POWER))
     value = float(np.log(values[-1]) + np.log(total / len(values)) / POWER)

@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.instants import Instants, delay
@@ -213,7 +214,7 @@ class Reading:
         sigma = np.sqrt(left * np.maximum(true.var(axis=0), 1e-12))
         columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
         target = ((rest - rest.mean(axis=0)) / sigma).ravel()
-        spread, axes = np.linalg.eigh(columns.T @ columns + np.eye(columns.shape[1]))
+        spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
 
         scaled = axes / np.sqrt(np.maximum(spread, 1.0))
         root = prior.root @ scaled

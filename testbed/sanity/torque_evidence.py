@@ -16,6 +16,7 @@ from functools import cache
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.parameters.barycentric import standard, to_barycentric
 from testbed.robot.free_base import FREE
 from testbed.robot.tree import Tree
@@ -133,7 +134,7 @@ class TorqueEvidence:
         columns = self._scaled(self._columns[joint], gain, column)
         expected = columns[:, 0] + columns[:, 1:5] @ FRICTION
         moved = np.hstack([columns[:, 1:5] * SPREAD, columns[:, 5:]])
-        spread, axes = np.linalg.eigh(moved.T @ moved)
+        spread, axes = eigh(moved.T @ moved)
         spread = np.maximum(spread, 0.0)
         target = self._white_torque[:, column] / self._rms[column]
         variance = LEFT**2

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from testbed.arrays import readonly
-from testbed.blas import one_blas_thread
+from testbed.arrays import Array, readonly
+from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
 from testbed.keys import COUNTS, LARGEST, Key, hidden, key
 from testbed.kind_table import KindTable
@@ -116,3 +117,22 @@ def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
     near = UnknownName("column", "elbow torqe", ["w" * 201, *map(str, range(40)), "elbow torque"])
     assert "'elbow torque'" in str(near)  # of many names the nearest
     assert len(str(near)) < 300
+
+
+def test_eigenvalues_are_found_where_divide_and_conquer_gives_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As it does on the iCub's equations; what it has found is kept to the bit."""
+    root = np.random.default_rng(3).normal(size=(40, 40))
+    matrix = root @ root.T
+    usual, axes = np.linalg.eigh(matrix)
+    for kept, found in zip((usual, axes), eigh(matrix), strict=True):
+        np.testing.assert_array_equal(found, kept)
+
+    def gives_up(matrix: Array) -> NoReturn:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(np.linalg, "eigh", gives_up)
+    sizes, axes = eigh(matrix)
+    np.testing.assert_allclose(sizes, usual, atol=1e-10 * usual[-1])
+    np.testing.assert_allclose(matrix @ axes, axes * sizes, atol=1e-10 * usual[-1])

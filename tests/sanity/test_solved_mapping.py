@@ -80,3 +80,13 @@ def test_a_bases_unit_and_quaternion_are_solved_and_places_of_several_plates_are
 
 
 AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+
+
+def test_plates_of_equal_columns_in_two_files_stay_two(tmp_path: Path) -> None:
+    """Else one would be read from the other's file."""
+    for name in ("left", "right"):
+        columns: dict[str, Any] = {axis: np.arange(10.0) for axis in ("t", *AXES)}
+        np.savez(tmp_path / f"{name}.npz", **columns)
+    draft = guessed([tmp_path / "left.npz", tmp_path / "right.npz"], tmp_path)
+    plates = {name: keys["source"] for name, keys in draft.tables.items() if "plates." in name}
+    assert plates == {"plates.left": "left", "plates.right": "right"}

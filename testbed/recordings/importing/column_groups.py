@@ -10,17 +10,13 @@ from itertools import zip_longest
 from testbed.recordings.importing.column_names import (
     HAND,
     MEASURED,
+    RATES,
+    TURNS,
     WORD,
     ColumnName,
     says_signal,
     words_of,
 )
-
-TURNS = {"quat", "quaternion", "orientation", "rotation", "qw", "qx", "qy", "qz"}
-"""Words of a base's quaternion."""
-
-RATES = {"vel", "velocity", "angular", "linear", "lin", "ang", "twist", "acc", "acceleration"}
-"""Words of a base's columns that are not its pose."""
 
 
 @dataclass(frozen=True)

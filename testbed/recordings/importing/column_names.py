@@ -59,6 +59,12 @@ WORD = r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+"
 HAND = {"tcp", "ee", "eef", "tool", "wrist", "flange", "gripper", "hand"}
 """Words of a wrench that is not the plate's."""
 
+TURNS = {"quat", "quaternion", "orientation", "rotation", "qw", "qx", "qy", "qz"}
+"""Words of a base's quaternion."""
+
+RATES = {"vel", "velocity", "angular", "linear", "lin", "ang", "twist", "acc", "acceleration"}
+"""Words of a base's columns that are not its pose."""
+
 AXES = {
     f"{letter}{axis}": (part, k)
     for part, letters in enumerate(("f", "mt"))

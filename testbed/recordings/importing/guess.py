@@ -78,8 +78,10 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
     for kind in KINDS:
         draft = _with_signal(draft, kind, signals, sources)
     plates = likely_plates(sources)
+    names = [name for name, _, _ in plates]
     for name, source, columns in plates:
-        table = "wrench" if len(plates) == 1 else f"plates.{_key(name)}"
+        own = name if names.count(name) == 1 else f"{source.name} {name}"
+        table = "wrench" if len(plates) == 1 else f"plates.{_key(own)}"
         for said in _plate(source, columns, alone=len(plates) == 1):
             draft = draft.saying(table, *said)
     for said in _base(sources):
