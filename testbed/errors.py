@@ -45,6 +45,16 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
     return _start(shown, left - left // 2) + gap + _start(shown[::-1], left // 2, backwards=True)
 
 
+def round_significant(value: float, digits: int) -> float:
+    """A number with so many significant digits, as a person writes it.
+
+    Args:
+        value: Any.
+        digits: At least one.
+    """
+    return float(f"{value:.{digits}g}")
+
+
 def plural(count: int, noun: str) -> str:
     """A number with its noun: "1 sample", "2 samples"."""
     return f"{count} {noun}{'s' * (count != 1)}"

@@ -10,6 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.dynamics.motion import Motion
+from testbed.errors import round_significant
 from testbed.excitation.limits import CALM, limits_of
 from testbed.excitation.rest_posture import easiest_posture
 from testbed.experiment.experiment_tables import ExcitationTable, SimulationTable
@@ -94,17 +95,12 @@ def assumptions(tree: Tree) -> Assumptions:
     force_noise = PLATE_NOISE * force
     return Assumptions(
         joints={name: values for name, values in joints.items() if values},
-        force_noise=rounded(force_noise, 1),
-        moment_noise=rounded(max(PLATE_NOISE * moment, LEAST_LEVER * force_noise), 1),
-        torque_noise=rounded(TORQUE_NOISE * torque, 1),
+        force_noise=round_significant(force_noise, 1),
+        moment_noise=round_significant(max(PLATE_NOISE * moment, LEAST_LEVER * force_noise), 1),
+        torque_noise=round_significant(TORQUE_NOISE * torque, 1),
         step=_step(whole, matrices),
         clearance=_clearance(tree),
     )
-
-
-def rounded(value: float, digits: int) -> float:
-    """A value to so many significant digits."""
-    return float(f"{value:.{digits}g}")
 
 
 def calm_speeds(tree: Tree) -> Array:
@@ -140,8 +136,8 @@ def _friction(tree: Tree, loads: Array) -> dict[str, dict[str, float]]:
         if not (joint.coulomb or joint.viscous):
             rubs = min(float(load), OF_MOTOR / DRY * joint.max_effort)
             found[joint.name] = {
-                "coulomb": rounded(DRY * rubs, 2),
-                "viscous": rounded(VISCOUS_SHARE * rubs / speed, 2),
+                "coulomb": round_significant(DRY * rubs, 2),
+                "viscous": round_significant(VISCOUS_SHARE * rubs / speed, 2),
             }
     return found
 
@@ -156,7 +152,7 @@ def _rotors(tree: Tree, matrices: Array) -> dict[str, dict[str, float]]:
     moved = COULOMB.coefficients(tree) / (SimulationTable().bandwidth ** 2 * OFF_COURSE)
     wanted = np.maximum(light * ROTOR_SHARE * usual, (moved > usual + own) * moved)
     return {
-        name: {"rotor_inertia": rounded(float(inertia), 2)}
+        name: {"rotor_inertia": round_significant(float(inertia), 2)}
         for name, inertia in zip(tree.names, wanted, strict=True)
         if inertia > own[tree.index(name)]
     }
@@ -168,7 +164,7 @@ def _efforts(tree: Tree) -> dict[str, dict[str, float]]:
     asked = np.abs(joint_forces(tree, Motion(np.zeros(1), posture, nothing, nothing))[0])
     asked += np.array([joint.coulomb for joint in tree.joints])
     return {
-        joint.name: {"max_effort": rounded(STRONGER * float(need), 2)}
+        joint.name: {"max_effort": round_significant(STRONGER * float(need), 2)}
         for joint, need in zip(tree.joints, asked, strict=True)
         if need > HELD * joint.max_effort
     }
@@ -186,7 +182,7 @@ def _clearance(tree: Tree) -> float | None:
     """What a robot keeps for which the usual clearance is much of its own size [m]."""
     usual = ExcitationTable().clearance
     assert not isinstance(usual, str)
-    kept = rounded(OF_SIZE * size(tree), 1)
+    kept = round_significant(OF_SIZE * size(tree), 1)
     return kept if kept < usual else None
 
 

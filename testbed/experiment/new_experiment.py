@@ -10,7 +10,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
-from testbed.errors import plural
+from testbed.errors import plural, round_significant
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
     PLATE_NOISE,
@@ -189,7 +189,7 @@ def _motion(tree: Tree, needs: Needs) -> list[str]:
         "",
         "[motion]  # random Fourier series, proven to keep all limits; or a file of testbed excite",
         _said("duration", max(20.0 if many else 60.0, period), "s"),
-        _said("fundamental", _float(1 / period), "Hz; it repeats after its inverse"),
+        _said("fundamental", round_significant(1 / period, 6), "Hz; it repeats after its inverse"),
         *([] if usual else [_said("harmonics", harmonics, enough)]),
         _said("candidates", 5 if many else 20, "random motions tried; the best one is run"),
     ]
@@ -230,10 +230,12 @@ def _limits(tree: Tree, limits: Limits, pace: float) -> list[str]:
     lines = ["", "[motion.max_velocity]  # rad/s or m/s"]
     for joint, speed in zip(tree.joints, pace * limits.velocity, strict=True):
         known = pace == 1 and np.isfinite(joint.max_velocity)
-        lines.append(_said(joint.name, _float(speed), "the model file's" if known else assumed))
+        lines.append(
+            _said(joint.name, round_significant(speed, 6), "the model file's" if known else assumed)
+        )
     lines += ["", "[motion.max_acceleration]  # rad/s^2 or m/s^2"]
     for joint, rate in zip(tree.joints, pace * limits.acceleration, strict=True):
-        lines.append(_said(joint.name, _float(rate), assumed))
+        lines.append(_said(joint.name, round_significant(rate, 6), assumed))
     return lines
 
 
@@ -314,7 +316,3 @@ def _key(name: str) -> str:
 
 def _list(numbers: Sequence[float] | Array) -> str:
     return f"[{', '.join(repr(float(x)) for x in numbers)}]"
-
-
-def _float(value: float) -> float:
-    return float(f"{value:.6g}")

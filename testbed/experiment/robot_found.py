@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
+from testbed.errors import FreeRootError, LoopError, MimicError, ModelError, round_significant
 from testbed.experiment.assumptions import calm_speeds, size
 from testbed.identification.settings import Settings
 from testbed.robot.friction import VISCOUS
@@ -89,7 +89,7 @@ def _stuck(tree: Tree) -> dict[str, float]:
     rest: no torque of theirs would tell anything, and none of the robot's without them.
     """
     found = {
-        joint.name: _short(Travel(*joint.position_range).rest)
+        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
         for joint in tree.joints
         if min(np.ptp(joint.position_range) / 2 * SWING, joint.max_velocity) < Settings().deadband
     }
@@ -102,7 +102,7 @@ def _held_by_friction(tree: Tree) -> dict[str, float]:
     lever = np.where([joint.revolute for joint in tree.joints], size(tree), 1.0)
     brakes = VISCOUS.coefficients(tree) * calm_speeds(tree) > HOLDING * weight * lever
     found = {
-        joint.name: _short(Travel(*joint.position_range).rest)
+        joint.name: round_significant(Travel(*joint.position_range).rest, 6)
         for joint, held in zip(tree.joints, brakes, strict=True)
         if held
     }
@@ -119,8 +119,6 @@ def _grippers(tree: Tree, masters: set[str]) -> dict[str, float]:
     if len(own) == tree.n:  # the robot is a gripper
         return {}
     joints = [tree.joints[j] for j in own]
-    return {joint.name: _short(Travel(*joint.position_range).rest) for joint in joints}
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.6g}")
+    return {
+        joint.name: round_significant(Travel(*joint.position_range).rest, 6) for joint in joints
+    }

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from testbed.errors import plural
+from testbed.errors import plural, round_significant
 from testbed.experiment.accuracy import share_of_signal
 from testbed.identification.estimate import Method
 
@@ -187,4 +187,4 @@ def obtained(run: Run, metric: str) -> str:
 
 def percent(share: float) -> str:
     """A share with two digits: 0.03 %, 160 %."""
-    return f"{float(f'{100 * share:.2g}'):g} %"
+    return f"{round_significant(100 * share, 2):g} %"

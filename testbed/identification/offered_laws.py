@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from testbed.errors import round_significant
 from testbed.robot.friction import (
     ASYMMETRIC,
     COULOMB,
@@ -19,7 +20,7 @@ from testbed.robot.friction import (
 ALWAYS = (COULOMB, VISCOUS)
 """What every joint has."""
 
-SPEEDS = tuple(float(f"{speed:.2g}") for speed in np.geomspace(0.02, 1.0, 14))
+SPEEDS = tuple(round_significant(speed, 2) for speed in np.geomspace(0.02, 1.0, 14))
 """At which friction may fade out [rad/s or m/s]."""
 
 OFFERED = (OFFSET, ASYMMETRIC, QUADRATIC, SQUARE_ROOT, *(stribeck(speed) for speed in SPEEDS))

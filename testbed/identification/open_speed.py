@@ -13,6 +13,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.dynamics.drive_set import drive_set
+from testbed.errors import round_significant
 from testbed.identification.noise.scaled import scaled_solve
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.passes import Passes, Progress
@@ -66,7 +67,7 @@ def with_speed(
 
     first = best(SPEEDS)
     low, high = SPEEDS[max(first - 1, 0)], SPEEDS[min(first + 1, len(SPEEDS) - 1)]
-    closer = tuple(float(f"{speed:.3g}") for speed in np.geomspace(low, high, CLOSER))
+    closer = tuple(round_significant(speed, 3) for speed in np.geomspace(low, high, CLOSER))
     found = f"{STRIBECK}@{closer[best(closer)]:g}"
     asked = settings.terms or ()
     return replace(settings, terms=[found if term == STRIBECK else term for term in asked])

@@ -15,8 +15,7 @@ from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
 from testbed.campaign.conduct import Standing
 from testbed.campaign.estimated_cost import bytes_of, seconds_of
 from testbed.campaign.summary_files import Change
-from testbed.errors import plural, printable
-from testbed.experiment.assumptions import rounded
+from testbed.errors import plural, printable, round_significant
 from testbed.identification.estimate import METHODS
 from testbed.reporting.output import Progress
 
@@ -30,7 +29,7 @@ SHOWN_METRICS = (
     ("its largest z", "internal_max_z", 1.0),
     ("consistent error [%]", "consistent_rms_relative_error", 100.0),
 )
-"""Heads of columns, what stands in them, means over a cell, and their unit."""
+"""Heads of columns, what stands in them, means over a cell, and times which they are shown."""
 
 
 def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
@@ -138,9 +137,11 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
         table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
     means = {(each.cell, each.metric): each.mean for each in summary.figures}
     for number, levels in list(summary.cells.items())[:LISTED]:
-        values = [unit * means.get((number, metric), math.nan) for _, metric, unit in metrics]
+        values = [scale * means.get((number, metric), math.nan) for _, metric, scale in metrics]
         said = ", ".join(map(str, levels)) or "-"
-        shown = ("-" if math.isnan(value) else f"{rounded(value, 3):g}" for value in values)
+        shown = (
+            "-" if math.isnan(value) else f"{round_significant(value, 3):g}" for value in values
+        )
         table.add_row(str(number), printable(said), *shown)
     out.print(table)
     if len(summary.cells) > LISTED:

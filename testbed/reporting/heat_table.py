@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from testbed.experiment.assumptions import rounded
+from testbed.errors import round_significant
 
 DARKEST = 48
 """Part of the colour in the darkest cell, on which text can still be read [%]."""
@@ -36,7 +36,7 @@ def heat_table(
         if not value > 0:
             return {"text": "", "share": 0}
         part = min(max(math.log(value / least) / span, 0.0), 1.0)
-        return {"text": f"{rounded(100 * value, 2):g}", "share": round(DARKEST * part)}
+        return {"text": f"{round_significant(100 * value, 2):g}", "share": round(DARKEST * part)}
 
     shown = [(name, [cell(x) for x in line]) for name, line in zip(rows, values, strict=True)]
     return {"caption": caption, "names": list(columns), "rows": shown}

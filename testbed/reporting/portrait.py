@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
-from testbed.experiment.assumptions import rounded
+from testbed.errors import round_significant
 from testbed.reporting.raster import paint, png
 from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.triangles import triangles
@@ -135,7 +135,9 @@ def _arrows(look: Appearance, wrench: Array) -> list[tuple[Array, str, str]]:
         size = float(np.linalg.norm(vector))
         if size > 0:
             tip = look.corner + vector / size * ARROW * look.reach
-            found.append((np.stack([look.corner, tip]), colour, f"{rounded(size, 3):g} {unit}"))
+            found.append(
+                (np.stack([look.corner, tip]), colour, f"{round_significant(size, 3):g} {unit}")
+            )
     return found
 
 

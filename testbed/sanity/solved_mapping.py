@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import round_significant
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.draft import Draft, in_toml
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
@@ -177,8 +178,9 @@ def missing(draft: Draft) -> list[str]:
 def _better(draft: Draft, found: Sanity, tree: Tree) -> Draft:
     """What the search says instead; the same where it finds nothing wrong."""
     codes = {each.code for each in found.certain}
-    zeroed = "tare" in draft.tables.get("wrench", {"tare"})
-    if codes == {WEIGHT} and found.best is not None and not zeroed:
+    wrench = draft.tables.get("wrench")
+    zero_open = wrench is not None and "tare" not in wrench
+    if codes == {WEIGHT} and found.best is not None and zero_open:
         return _with_zero(draft, found.best)  # the plate's zero is not the model's pedestal
     if found.cures:
         return _cured(draft, found)
@@ -190,7 +192,7 @@ def _better(draft: Draft, found: Sanity, tree: Tree) -> Draft:
     if draft.tables.get("torque", {}).get("gain") == 1.0 and told.any():
         sizes = np.where(told, found.sizes, np.median(found.sizes[told]))
         joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
-        gains = [float(f"{1 / sizes[k]:.4g}") for k in joints]
+        gains = [round_significant(1 / sizes[k], 4) for k in joints]
         known = f"{ASSUMED}: by the model file's masses"
         if plate:
             known = "solved: by the plate"
@@ -241,16 +243,14 @@ def _assumed(draft: Draft, tree: Tree) -> Draft:
             draft = draft.saying(name, "units", units, ASSUMED)
         if not plate["sense"]:
             draft = draft.saying(name, "sense", "on_robot", ASSUMED)
-    if tables.get("base", {}).get("unit", None) == "":
-        draft = draft.saying("base", "unit", "m", ASSUMED)
     return draft
 
 
 USUAL = {
     "position": ("rad", "m"), "velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"),
-    "torque": ("N m", "N"),
+    "torque": ("N m", "N"), "base": ("m", "m"),
 }  # fmt: skip
-"""Units that are assumed, of joints that turn and of those that slide."""
+"""Units that are assumed, of joints that turn and of those that slide; of a base's place."""
 
 
 def _with_starts(draft: Draft, out: Path) -> Draft:

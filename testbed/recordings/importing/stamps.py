@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.errors import round_significant
 from testbed.recordings.importing.column_names import without_unit
 from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import TIMES, plain
@@ -133,7 +134,7 @@ def rate_of(stamps: Array | NDArray[np.int64]) -> float:
 def rounded(value: float, doubt: float) -> float:
     """The number of fewest digits within a relative doubt."""
     for digits in range(1, 12):
-        short = float(f"{value:.{digits}g}")
+        short = round_significant(value, digits)
         if abs(short / value - 1) <= doubt:
             return short
     return value
