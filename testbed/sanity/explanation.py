@@ -112,13 +112,10 @@ class Explanation:
 
     @property
     def unclear(self) -> set[int]:
-        """Joints whose position may be wrong as well: the plate tells little of their torque.
-
-        It is odd, or its sense or order is another one.
-        """
+        """Joints whose position may be wrong instead: their torque is odd, or counts as changed."""
         kinds = ("torque_order", "torque_sign")
         changed = {k for each in self.mistakes if each.kind in kinds for k in each.joints}
-        return self.odd_torques() | {each for each in changed if self.spread[each] > BRAKED}
+        return self.odd_torques() | changed
 
     @property
     def tolerance(self) -> float:

@@ -139,20 +139,21 @@ class Search:
         for found in self._stages(given, several):
             several += found
             likeliest = min(several, key=lambda each: each.cost)
-            if self.plate and likeliest.explained(EXPLAINED) and self._settled(likeliest.told()):
-                break
+            if self.plate and likeliest.explained(EXPLAINED):
+                told = likeliest.told()
+                if not told.odd_torques(SIGMAS):
+                    several += self._with_signs(told)
+                    break
         return several
 
-    def _settled(self, likeliest: Explanation) -> bool:
-        """Whether the torques fit, and positions that explain the same were looked at."""
-        looked = {
-            joint
-            for mistakes in self.readings
-            for each in mistakes
-            if each.kind == "position_sign"
-            for joint in each.joints
-        }
-        return not likeliest.odd_torques(SIGMAS) and likeliest.unclear <= looked
+    def _with_signs(self, told: Explanation) -> list[Explanation]:
+        """What explains it with other senses of the positions whose torques are unclear."""
+        beside = told.reading
+        known = {joint for each in beside.mistakes for joint in each.joints
+                 if each.kind == "position_sign"}  # fmt: skip
+        signs = [Mistake("position_sign", (joint,)) for joint in sorted(told.unclear - known)]
+        found = (self.without(beside, each) for each in signs)
+        return [each for reading in found if reading is not None for each in reading.explanations]
 
     def _stages(self, given: Reading, several: list[Explanation]) -> Iterator[list[Explanation]]:
         """Explanations from the simple to the rare.

@@ -34,7 +34,7 @@ MEMORY, LASTING = 0.3, 0.9
 LEFT = np.geomspace(0.1, 0.5, 12)
 """Rms of what may be left, in parts of a torque's rms."""
 
-FAINT = 0.02
+FAINT = 0.005
 """Part of all torques' rms that a torque counts with at least."""
 
 NOTHING = 1e-4

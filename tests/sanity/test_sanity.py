@@ -243,6 +243,22 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
     assert [each.subject for each in found.likely] == ["the robot"]
 
 
+@pytest.mark.slow
+def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
+    """Its torque is a thousandth of the shoulder's; a unit of all positions hides neither."""
+    made = truth("panda", 1)
+    time = np.arange(len(made.position)) / RATE
+    recording = tb.Recording(made.tree.names, time, made.position, made.torque, made.wrench)
+    for spoil, unit, kinds in (
+        (of_joint(6, torque=-1), 1.0, ["torque_sign"]),
+        (of_joint(6, position=-1), np.rad2deg(1.0), ["degrees", "position_sign"]),
+    ):
+        wrong = spoil(recording)
+        found = check_sanity(made.tree, replace(wrong, position=wrong.position * unit))
+        assert found.certain
+        assert [each.kind for each in found.cures] == kinds
+
+
 def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
     """Witness: MuJoCo's inverse dynamics of an arm whose fourth joint is held."""
     made = truth("ur5", 1, seconds=8.0, moving=(0, 1, 2, 4, 5))
