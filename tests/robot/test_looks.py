@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from pathlib import Path
 
@@ -29,22 +30,18 @@ SINGLE = 1e-6  # meshes are kept in single precision
 
 WEDGE = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.5]])
 """A tetrahedron without symmetry, and its faces seen counter-clockwise from outside."""
+WHOLE = 0.3 * 0.2 * 0.5 / 6
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def write_stl(path: Path) -> None:
-    """The wedge, in binary."""
-    triangles = b"".join(
-        struct.pack("<12fH", 0, 0, 0, *WEDGE[list(face)].ravel(), 0) for face in FACES
-    )
-    path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
-
-
-def write_obj(path: Path) -> None:
-    """The wedge, in text."""
+def write_mesh(path: Path) -> Path:
+    """The wedge: in binary as STL, in text as OBJ."""
     lines = [f"v {x} {y} {z}" for x, y, z in WEDGE]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
-    path.write_text("\n".join(lines) + "\n")
+    corners = [struct.pack("<12fH", 0, 0, 0, *WEDGE[face].ravel(), 0) for face in FACES]
+    binary = bytes(80) + struct.pack("<I", len(FACES)) + b"".join(corners)
+    path.write_bytes(binary if path.suffix == ".stl" else "\n".join(lines).encode())
+    return path
 
 
 def volume(shape: Shape) -> float:
@@ -85,6 +82,7 @@ HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.stl" scal
    <geom type="cylinder" size=".1 .2" pos=".1 .2 .3"/>
    <geom type="mesh" mesh="wedge" euler="10 0 20"/></body></body></body></worldbody></mujoco>"""
 KINDS = {2: "ellipsoid", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}
+"""By MuJoCo's number."""
 LOCKS: list[dict[str, float]] = [{}, {"a": 1.5}, {"b": -0.7}]
 
 
@@ -110,7 +108,7 @@ def test_shapes_are_where_mujoco_has_them(
     """A person checks a robot by looking at it; a gripper that is held open is shown open."""
     path, q = tmp_path / file, {"a": 0.7, "b": -1.2, "c": 1.9} | lock
     path.write_text(text)
-    write_stl(tmp_path / "wedge.stl")
+    write_mesh(tmp_path / "wedge.stl")
     tree = tb.load_tree(path, lock=lock)
     seen = load_shapes(path, tree, lock=lock)
     assert seen.warnings == ()
@@ -120,28 +118,21 @@ def test_shapes_are_where_mujoco_has_them(
         data.qpos[j] = q[model.joint(j).name]
     mujoco.mj_kinematics(model, data)
     shown = [k for k in range(model.ngeom) if model.geom_group[k] < 3]
-    shown.sort(key=lambda k: file.endswith("xml") and model.geom_type[k] == 7)  # meshes come last
+    shown.sort(key=lambda k: scale == 2 and model.geom_type[k] == 7)  # meshes come last
     for k, shape in zip(shown, seen.shapes, strict=True):
-        kind = (
-            str(mujoco.mjtGeom(model.geom_type[k]).name)[7:].lower().replace("sphere", "ellipsoid")
-        )
         turn, place = in_the_world(tree, q, shape)
-        own, at = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
-        assert kind == shape.kind
-        if kind == "mesh":
-            corners = at + model.mesh_vert @ own.T
-            found = place + shape.vertices @ turn.T
-            np.testing.assert_allclose(found.min(axis=0), corners.min(axis=0), atol=SINGLE)
-            np.testing.assert_allclose(found.max(axis=0), corners.max(axis=0), atol=SINGLE)
-            assert volume(shape) == pytest.approx(
-                2 ** (file == "r.xml") * 0.3 * 0.2 * 0.5 / 6, rel=1e-4
-            )
+        own, at, size = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k], model.geom_size[k]
+        assert shape.kind == KINDS[int(model.geom_type[k])]
+        if shape.kind == "mesh":
+            corners, found = at + model.mesh_vert @ own.T, place + shape.vertices @ turn.T
+            for end in (np.min, np.max):
+                np.testing.assert_allclose(end(found, 0), end(corners, 0), atol=SINGLE)
+            assert volume(shape) == pytest.approx(scale * WHOLE, rel=1e-4)
             continue
         np.testing.assert_allclose(place, at, atol=1e-12)
         np.testing.assert_allclose(turn, own, atol=1e-12)
-        size = model.geom_size[k]
         np.testing.assert_allclose(shape.size, size[: len(shape.size)] if size[1] else size[0])
-        if kind == "ellipsoid":
+        if shape.kind == "ellipsoid":
             np.testing.assert_allclose(shape.colour, [1, 0.5, 0, 0.25], atol=SINGLE)
 
 
@@ -164,8 +155,8 @@ def test_a_mesh_that_cannot_be_read_is_named_and_the_others_are_shown(
 ) -> None:
     """On a body, too, whose stated inertia no body has."""
     files = ("good.stl", "bad.stl", "fine.obj")
-    write_stl(tmp_path / files[0])
-    write_obj(tmp_path / files[2])
+    for name in (files[0], files[2]):
+        write_mesh(tmp_path / name)
     if damaged:
         (tmp_path / files[1]).write_bytes(b"no mesh at all")
     parts = ["".join(map(VISUAL.format, files)), ""]
@@ -177,7 +168,7 @@ def test_a_mesh_that_cannot_be_read_is_named_and_the_others_are_shown(
     seen = load_shapes(path, tb.load_tree(path))
     assert [shape.kind for shape in seen.shapes] == ["mesh", "mesh", "box"]
     for shape in seen.shapes[:2]:  # STL and OBJ hold the same
-        assert volume(shape) == pytest.approx(0.3 * 0.2 * 0.5 / 6, rel=1e-4)
+        assert volume(shape) == pytest.approx(WHOLE, rel=1e-4)
     (line,) = seen.warnings
     assert "bad.stl" in line
     assert line.isprintable()
@@ -205,18 +196,18 @@ def test_what_is_lost_or_odd_is_said_in_one_line_and_inertias_need_their_mesh(
 def test_a_robot_without_shapes_is_sticks_from_joint_to_joint(tree: tb.Tree) -> None:
     """Each offset longer than a stick is thick is one stick; each joint is a drum on its axis."""
     radius = max(np.linalg.norm(joint.offset) for joint in tree.joints) / 30
+    ends = [(joint.parent, *joint.offset) for joint in tree.joints]
+    ends += [(j, *tree.inertias[j].com) for j in range(tree.n) if not tree.children(j)]
     figure = list(sticks(tree))
-    drums = [shape for shape in figure if shape.kind == "cylinder"]
-    for drum, joint in zip(drums, tree.joints, strict=True):
-        np.testing.assert_allclose(drum.rotation[:, 2], joint.axis, atol=1e-12)
-    spans = [(joint.parent, joint.offset) for joint in tree.joints]
-    spans += [(j, tree.inertias[j].com) for j in range(tree.n) if not tree.children(j)]
-    long = [(body, *end) for body, end in spans if np.linalg.norm(end) > radius]
+    drums = [shape.rotation[:, 2] for shape in figure if shape.kind == "cylinder"]
+    np.testing.assert_allclose(drums, [joint.axis for joint in tree.joints], atol=1e-12)
     bars = [shape for shape in figure if shape.kind == "capsule"]
-    ends = [(bar.body, *2 * bar.position) for bar in bars]  # they begin at the body's origin
-    np.testing.assert_allclose(sorted(ends), sorted(long))
-    for bar in bars:
-        np.testing.assert_allclose(bar.size[1] * bar.rotation[:, 2], bar.position, atol=1e-12)
+    found = [(bar.body, *2 * bar.size[1] * bar.rotation[:, 2]) for bar in bars]
+    np.testing.assert_allclose(
+        sorted(found), sorted(e for e in ends if math.hypot(*e[1:]) > radius)
+    )
+    for bar, end in zip(bars, found, strict=True):  # they begin at the body's origin
+        np.testing.assert_allclose(2 * bar.position, end[1:], atol=1e-12)
 
 
 @given(trees((1, 4), bare=True))
@@ -237,23 +228,16 @@ def test_ellipsoids_have_the_second_moments_of_their_bodies(tree: tb.Tree) -> No
             assert np.linalg.det(turn) == pytest.approx(1)
 
 
-def shape(kind: Kind, rng: np.random.Generator) -> Shape:
-    """A shape of some size, somewhere, somehow turned."""
-    size = rng.uniform(0.05, 0.5, 3 if kind in ("box", "ellipsoid") else 2)
-    mesh = (rng.normal(size=(8, 3)), np.array([[0, 1, 2], [3, 4, 5], [5, 6, 7]]))
-    own = mesh if kind == "mesh" else (np.zeros((0, 3)),) * 2
-    turn, place = upright(rng.normal(size=3)), rng.normal(size=3)
-    return Shape(-1, kind, size, place, turn, np.array([0.5, 0.5, 0.5, 1.0]), *own)
-
-
 @pytest.mark.parametrize("kind", ["box", "ellipsoid", "cylinder", "capsule", "mesh"])
 def test_triangles_cover_a_shape_and_bounds_hold_it(kind: Kind) -> None:
     """Clearances are measured on these triangles: a hole would hide a collision."""
-    made = shape(kind, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    size = rng.uniform(0.05, 0.5, 3 if kind in ("box", "ellipsoid") else 2)
+    turn, place = upright(rng.normal(size=3)), rng.normal(size=3)
+    mesh = (WEDGE, FACES) if kind == "mesh" else ()
+    made = Shape(-1, kind, size, place, turn, np.ones(4), *mesh)
     (low, high), found, s = bounds(made), triangles(made), made.size
     used = found.reshape(-1, 3)
-    if kind == "mesh":
-        used = made.vertices @ made.rotation.T + made.position
     width = (high - low).max()
     np.testing.assert_allclose(used.min(axis=0), low, atol=0.01 * width)
     np.testing.assert_allclose(used.max(axis=0), high, atol=0.01 * width)
