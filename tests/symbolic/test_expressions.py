@@ -116,28 +116,6 @@ def test_written_anew_or_read_back_it_is_the_same_and_one_more_term_is_not(
     assert not same(e + more / 2**20, e)
 
 
-@given(angles, angles)
-def test_trigonometry_is_known(a: Expression, b: Expression) -> None:
-    def s(angle: Expression) -> Expression:
-        return sine(angle) if angle else number(0)
-
-    def c(angle: Expression) -> Expression:
-        return cosine(angle) if angle else number(1)
-
-    assert same(s(a + b), expression(s(a) * c(b)) + expression(c(a) * s(b)))
-    assert same(c(a + b), expression(c(a) * c(b)) - expression(s(a) * s(b)))
-    assert same(c(-a), c(a))
-    assert same(s(-a), -s(a))
-    assert same(s(a), 2 * expression(s(a / 2) * c(a / 2)))  # of halves, too
-
-
-def test_sums_that_differ_by_a_factor_share_a_bracket() -> None:
-    """Else what is computed once would be computed again and again in real time."""
-    a, b = NAMES["qp1"], NAMES["qp2"]
-    of_each = [(NAMES["g"] * e).terms[0][0] for e in (a + b, -a - b, 2 * a + 2 * b)]
-    assert len({f for factors in of_each for f in factors if f.nature is Nature.BRACKET}) == 1
-
-
 @given(st.integers(-200, 200), st.integers(0, 10))
 def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> None:
     """1/2 and 3/4, not 0.5 and 0.75; binary fractions add without rounding."""
