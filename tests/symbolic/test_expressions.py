@@ -116,6 +116,13 @@ def test_written_anew_or_read_back_it_is_the_same_and_one_more_term_is_not(
     assert not same(e + more / 2**20, e)
 
 
+def test_sums_that_differ_by_a_factor_share_a_bracket() -> None:
+    """Else what is computed once would be computed again and again in real time."""
+    a, b = NAMES["qp1"], NAMES["qp2"]
+    of_each = [(NAMES["g"] * e).terms[0][0] for e in (a + b, -a - b, 2 * a + 2 * b)]
+    assert len({f for factors in of_each for f in factors if f.nature is Nature.BRACKET}) == 1
+
+
 @given(st.integers(-200, 200), st.integers(0, 10))
 def test_numbers_are_exact_and_written_as_people_do(over: int, shift: int) -> None:
     """1/2 and 3/4, not 0.5 and 0.75; binary fractions add without rounding."""
