@@ -1,8 +1,10 @@
-"""What every room relies on: arrays that stay, keys that are checked, messages that show."""
+"""What every room relies on: arrays that stay, keys that are checked, files that are shipped."""
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 from unittest.mock import Mock
 
@@ -15,8 +17,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from testbed.arrays import readonly
 from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
+from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
 from testbed.keys import COUNTS, LARGEST, Key, hidden, key
 from testbed.kind_table import KindTable
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
 
@@ -129,3 +133,39 @@ def test_eigenvalues_are_found_where_divide_and_conquer_gives_up(
     sizes, axes = eigh(matrix)
     np.testing.assert_allclose(sizes, usual, atol=1e-10 * usual[-1])
     np.testing.assert_allclose(matrix @ axes, axes * sizes, atol=1e-10 * usual[-1])
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_shipped_files_are_found_by_short_names_and_an_own_file_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`testbed run table6` works in any folder; `testbed run ../x` opens no file of the package."""
+    for file in (ROOT / "experiments").rglob("*.toml"):
+        name = file.relative_to(ROOT / "experiments").with_suffix("")
+        assert shipped(str(name)) == shipped(f"experiments/{name}.toml") == file
+    for other in ("../pyproject.toml", "/etc/passwd", "nothing", "", "models"):
+        with refuses(FileNotFoundError, other):
+            shipped(other)
+    monkeypatch.chdir(tmp_path)
+    assert own_or_shipped("puma562.xml") == ROOT / "models/puma562.xml"
+    Path("puma562.xml").touch()
+    assert own_or_shipped("puma562.xml") == Path("puma562.xml")
+
+
+def test_an_installed_package_holds_all_that_its_experiments_refer_to() -> None:
+    """Else they fail for everybody but developers."""
+    included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert all(place == f"testbed/shipped/{source}" for source, place in included.items())
+    for file in (ROOT / "experiments").glob("*.toml"):
+        for word in file.read_text().replace('"', " ").replace("=", " ").split():
+            if word.startswith("../"):
+                target = (file.parent / word).resolve()
+                assert target.exists(), (file, word)
+                assert any(target.is_relative_to(ROOT / place) for place in included), (file, word)
+
+
+def test_the_version_is_the_projects() -> None:
+    assert (PROJECT["project"]["name"], PROJECT["project"]["version"]) == (DISTRIBUTION, version())
+    assert f"\nversion: {version()}\n" in (ROOT / "CITATION.cff").read_text()

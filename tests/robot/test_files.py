@@ -1,4 +1,4 @@
-"""Other people's model files: read as they stand, or refused at once, by name, in one line."""
+"""Other people's model files, and what is known better: as it stands, or refused by name."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,17 +18,18 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from benchmarks.hostile.bombs import BOMBS
-from testbed.errors import FreeRootError, ModelError
+from testbed.errors import FreeRootError, ModelError, UnknownName
+from testbed.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
 from testbed.robot.stderr import captured_stderr
-from testbed.robot.tree import FARTHEST
+from testbed.robot.tree import FARTHEST, SETTABLE
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, assert_same_tree, random_robot, random_states
-from tests.helpers.strategies import few, rngs, robots
+from tests.helpers.strategies import few, rngs, robots, trees, wrong_numbers
 
 
 @given(robots(), rngs)
@@ -130,18 +132,6 @@ REFUSED = {
 """What a file may not say; more is in the table of wrong command lines."""
 
 
-def test_what_is_not_supported_is_named_with_its_file(tmp_path: Path) -> None:
-    """In one line, not as a robot that is another; a humanoid that floats can be welded."""
-    for name, (text, culprit) in REFUSED.items():
-        (tmp_path / name).write_text(text)
-        with refuses(FreeRootError if "free" in name else ModelError, name, culprit):
-            tb.load_tree(tmp_path / name)
-        if "free" in name:
-            assert tb.load_tree(tmp_path / name, weld_root=True).names == ("hip",)
-    with refuses(ModelError, "nowhere.xml"):
-        tb.load_tree("nowhere.xml")
-
-
 BODY = """<body pos="0 0 {0}"><joint pos="0 {1} 0"/>
 <inertial mass="{2}" pos="{3} 0 0" diaginertia="{4} {4} {4}"/></body>"""
 NAMES = ["a\u009bb", "a\u202eb", "a\ufeffb", "a\u2028b", "a&#10;b", "a" * 201]
@@ -152,18 +142,30 @@ NAMED = {
 """A joint of a name that is still to be given."""
 
 
-def test_numbers_and_names_that_no_robot_has_are_refused(tmp_path: Path) -> None:
-    """An extreme number would overflow far from its file; a name could rewrite a terminal."""
-    wrong = []
+def test_what_is_not_supported_or_no_robots_is_named_with_its_file(tmp_path: Path) -> None:
+    """In one line, not as a robot that is another; a humanoid that floats can be welded.
+
+    An extreme number would overflow far from its file; a name could rewrite a terminal.
+    """
+    refused = [(file, text, culprit) for file, (text, culprit) in REFUSED.items()]
     for number in ("1e300", "-1e13", "9" * 400):
         for place in range(5):
             values = [number if k == place else "1" for k in range(5)]
-            wrong.append(("r.xml", MJCF.format(BODY.format(*values), "")))
-    wrong += [(file, text.replace("@", name)) for file, text in NAMED.items() for name in NAMES]
-    for file, text in wrong:
+            refused.append(("r.xml", MJCF.format(BODY.format(*values), ""), ""))
+    for file, text in NAMED.items():
+        refused += [(file, text.replace("@", name), "") for name in NAMES]
+    for file, text, culprit in refused:
         (tmp_path / file).write_text(text, encoding="utf-8")
-        with refuses(ModelError, file):
+        with refuses(FreeRootError if "free" in file else ModelError, file, culprit):
             tb.load_tree(tmp_path / file)
+        if "free" in file:
+            assert tb.load_tree(tmp_path / file, weld_root=True).names == ("hip",)
+    with refuses(ModelError, "nowhere.xml"):
+        tb.load_tree("nowhere.xml")
+
+
+def test_names_of_all_scripts_and_encodings_are_read(tmp_path: Path) -> None:
+    """Robots are named in the language of those who build them."""
     for file, text in NAMED.items():
         path = tmp_path / file
         for name in ("Gelenk-Ä/1", "关节 1", "a" * 200, "j.1[0]"):
@@ -230,16 +232,10 @@ def load(root: ET.Element) -> tb.Tree | str:
             return str(error)
 
 
-@st.composite
-def texts(draw: st.DrawFn, plain: str) -> str:
+def texts(plain: str) -> st.SearchStrategy[str]:
     """A number's text with some letters edited, or an odd one."""
-    if draw(st.booleans()):
-        return draw(st.sampled_from(ODD))
-    edits = st.tuples(st.integers(0, 60), st.integers(0, 2), st.text(EDITS, max_size=2))
-    for where, length, new in draw(st.lists(edits, min_size=1, max_size=3)):
-        at = where % (len(plain) + 1)
-        plain = plain[:at] + new + plain[at + length :]
-    return plain
+    edits = st.tuples(st.integers(0, len(plain)), st.integers(0, 2), st.text(EDITS, max_size=2))
+    return st.sampled_from(ODD) | edits.map(lambda e: plain[: e[0]] + e[2] + plain[sum(e[:2]) :])
 
 
 @given(st.data(), st.integers(0, 10**6), st.integers(0, 5))
@@ -373,14 +369,12 @@ def test_what_the_compiler_makes_of_a_file_is_the_robot(
 
 
 def test_a_plant_whose_plate_does_not_weigh_the_robot_is_refused(tmp_path: Path) -> None:
-    """An arm beside the plate, or a clipped sensor: external identification would be wrong."""
-    text = (ROOT / "models/puma562.xml").read_text()
-    other = f'<body pos="1 0 0"><joint name="j3" axis="0 1 0"/>{BALL}</body></worldbody>'
-    sensor = '<force name="bedplate_force"'
-    for old, new in (("</worldbody>", other), (sensor, sensor + ' cutoff="50"')):
-        (tmp_path / "r.xml").write_text(text.replace(old, new))
-        with pytest.raises(ModelError):
-            build_plant(ModelFile(tmp_path / "r.xml"), tb.load_tree(tmp_path / "r.xml"), 1e-3)
+    """An arm beside the plate: external identification would be wrong."""
+    text, path = (ROOT / "models/puma562.xml").read_text(), tmp_path / "r.xml"
+    beside = f'<body pos="1 0 0"><joint name="j3" axis="0 1 0"/>{BALL}</body></worldbody>'
+    path.write_text(text.replace("</worldbody>", beside))
+    with pytest.raises(ModelError):
+        build_plant(ModelFile(path), tb.load_tree(path), 1e-3)
 
 
 def test_what_python_prints_meanwhile_is_no_complaint(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,3 +385,71 @@ def test_what_python_prints_meanwhile_is_no_complaint(monkeypatch: pytest.Monkey
             print("reading ...", file=sys.stderr, flush=True)
             assert said() == ""
         assert sys.stderr is stream
+
+
+@given(st.sampled_from(SETTABLE), wrong_numbers, wrong_numbers)
+def test_what_no_joint_can_have_is_refused(name: str, a: Any, b: Any) -> None:
+    """Robots with friction that drives them would be identified as such."""
+    tree = random_robot(np.random.default_rng(0), 3).tree()
+    value = [a, b] if name == "position_range" else a
+    ranges = name == "position_range" and {type(a), type(b)} == {float} and a <= b
+    if not ranges and not (name.startswith("max") and a == math.inf):
+        with refuses(ModelError, "'j2'"):
+            tree.with_joints({"j2": {name: value}})
+    for settings, *culprits in (({"j": {}}, "'j'", "'j3'"), ({"j2": {"max_speed": 1.0}}, "'j2'")):
+        with refuses(UnknownName, *culprits):
+            tree.with_joints(settings)
+
+
+def test_gravity_is_replaced_or_the_files_or_down(puma: tb.Tree) -> None:
+    """On the moon a robot weighs a sixth; a mistake in a unit would be identified as masses."""
+    for asked, found in (([0, 0, -1.62], [0, 0, -1.62]), (None, puma.gravity), ((0, 0, 0), 0)):
+        np.testing.assert_array_equal(puma.with_gravity(asked).gravity, found)
+    np.testing.assert_array_equal(tb.Tree("b", (), ()).gravity, [0.0, 0.0, -9.81])
+    wrong: list[Any] = [1e-300, 1e4 * 1.01, 10**400, math.nan, math.inf, True, None, []]
+    for each in wrong:
+        with refuses(ModelError, "gravity"):
+            puma.with_gravity([0, 0, each])
+
+
+# what joints' torques hold besides
+
+UNITS = {
+    "coulomb": ("N m", "N"), "viscous": ("N m s/rad", "N s/m"), "offset": ("N m", "N"),
+    "rotor": ("kg m^2", "kg"), "asymmetric": ("N m s/rad", "N s/m"),
+    "quadratic": ("N m s^2/rad^2", "N s^2/m^2"), "square_root": ("N m s^.5/rad^.5", "N s^.5/m^.5"),
+}  # fmt: skip
+
+
+@given(trees((2, 6)), rngs)
+def test_friction_and_rotors_are_the_textbooks_with_their_units(
+    tree: tb.Tree, rng: np.random.Generator
+) -> None:
+    """Simulation and estimator read the same laws: wrong here is wrong in both, unseen."""
+    values = rng.uniform(0, 5, (3, tree.n))
+    keys = ("coulomb", "viscous", "rotor_inertia")
+    given = {n: dict(zip(keys, values[:, k], strict=True)) for k, n in enumerate(tree.names)}
+    tree = tree.with_joints(given)
+    qd, qdd = rng.normal(size=(2, 50, tree.n))
+    qd[0] = 0.0
+    expected = values[0] * np.sign(qd) + values[1] * qd
+    np.testing.assert_allclose(friction_torque(tree, qd), expected, rtol=1e-14)
+    np.testing.assert_allclose(drive_torque(tree, qd, qdd), expected + values[2] * qdd, rtol=1e-13)
+    smooth = values[0] * np.tanh(qd / 0.05) + values[1] * qd
+    np.testing.assert_allclose(friction_torque(tree, qd, 0.05), smooth, rtol=1e-12)
+    for term in joint_terms(tree, LAWS):
+        joint = tree.joints[term.joint]
+        assert term.unit(tree) == UNITS[term.law.kind][not joint.revolute]
+        assert term.name(tree) == f"{term.law.kind}/{joint.name}"
+    for law, field in (("coulomb", 0), ("viscous", 1), ("rotor", 2)):
+        np.testing.assert_array_equal(joint_law(law).coefficients(tree), values[field])
+
+
+def test_laws_are_found_by_name() -> None:
+    """Another law than the one asked for would be fitted."""
+    columns = [float(joint_law(law.kind).column(-0.25, 3.0)) for law in LAWS]
+    assert columns == [-1.0, -0.25, 1.0, 3.0, 0.25, -0.0625, -0.5]
+    assert joint_law("stribeck@0.08").column(-0.08, 0.0) == pytest.approx(-np.exp(-1))
+    for wrong in ("viscos", *(f"stribeck@{x}" for x in ("", "0", "fast", "-1", "inf"))):
+        with refuses(UnknownName, f"'{wrong}'", "viscous", "stribeck@0.1"):
+            joint_law(wrong)

@@ -24,7 +24,6 @@ from testbed.robot.model_file import ModelFile
 from testbed.robot.repair import LIGHTEST, THINNEST
 from testbed.robot.rotations import from_rpy
 from testbed.simulation.build import build_plant
-from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot, random_states
@@ -168,21 +167,21 @@ def test_an_equality_between_joints_is_a_follower(tmp_path: Path) -> None:
 
 def test_what_cannot_be_held_is_named(tmp_path: Path) -> None:
     """In either format; the ends of a range are within it, but for rounding."""
-    wrong_locks: list[tuple[dict[str, Any], str]] = [
-        ({"weist": None}, "'weist'"), ({"waist": 4.0}, "'waist'"),
-        ({"waist": float("nan")}, "nan"), ({"waist": "up"}, "'up'"),
-        (dict.fromkeys(("waist", "shoulder", "elbow")), "joint"),
-    ]  # fmt: skip
+    robot = random_robot(np.random.default_rng(6), 3)
+    every: dict[str, Any] = dict.fromkeys(("j1", "j2", "j3"))
     for form in FORMS:
-        for lock, culprit in wrong_locks:
-            with refuses((ModelError, UnknownName), culprit):  # type: ignore[arg-type]
-                tb.load_tree(ROOT / f"models/puma562.{form}", lock=lock)
-    text = random_robot(np.random.default_rng(6), 3).urdf()
-    assert tb.load_tree(written(text, tmp_path), lock={"j2": 3.0 + 1e-7}).n == 2
-    circle = '<mimic joint="j2"/>'
-    for more, place in (("", -3.001), ("<mimic/>", 0.0), (circle, 0.0)):
+        path = written(robot, tmp_path, form)
+        assert tb.load_tree(path, lock={"j2": 3.0 + 1e-7}).n == 2
+        for place, culprit in ((-3.001, "'j2'"), (float("nan"), "nan"), ("up", "'up'")):
+            with refuses(ModelError, culprit):
+                tb.load_tree(path, lock={"j2": place})  # type: ignore[dict-item]
+        with refuses(UnknownName, "'j4'"):
+            tb.load_tree(path, lock={"j4": None})
+        with refuses(ModelError, "joint"):
+            tb.load_tree(path, lock=every)
+    for mimic in ("<mimic/>", '<mimic joint="j2"/>'):
         with refuses(ModelError, "'j2'"):
-            tb.load_tree(written(inserted(text, "j2", more), tmp_path), lock={"j2": place})
+            tb.load_tree(written(inserted(robot.urdf(), "j2", mimic), tmp_path), lock={"j2": 0.0})
     assert parse_lock(["a", "b=-0.5", "c=1e-2"]) == {"a": None, "b": -0.5, "c": 0.01}
     for wrong in (["=1"], ["a="], ["a=nan"], ["a=1", "a=2"]):
         with refuses(ModelError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from pathlib import Path
 
@@ -69,7 +70,7 @@ SEEN = f"""<robot name="r"><mujoco><compiler discardvisual="false"/></mujoco><li
  <origin xyz="0 .2 0"/><axis xyz="1 0 0"/></joint>
 <link name="two">{MATTER}<visual><origin xyz=".1 .2 .3" rpy="0 1 0"/><geometry>
  <cylinder radius=".1" length=".4"/></geometry></visual></link></robot>"""
-HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.stl" scale="2 1 1"/></asset>
+HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.obj" scale="2 1 1"/></asset>
 <worldbody><geom type="plane" size="1 1 1" group="3"/>
 <geom type="box" size=".1 .2 .3" pos="0 0 -.2"/>
 <body name="one" pos=".1 0 .3" euler="10 20 30">
@@ -80,6 +81,7 @@ HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.stl" scal
   <geom type="capsule" fromto="0 0 0 .1 .2 .3" size=".02"/><geom size=".1" group="3"/>
   <body name="two" pos="0 .2 0"><joint name="c" axis="1 0 0" pos="0 0 .1"/>
    <geom type="cylinder" size=".1 .2" pos=".1 .2 .3"/>
+   <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
    <geom type="mesh" mesh="wedge" euler="10 0 20"/></body></body></body></worldbody></mujoco>"""
 KINDS = {2: "ellipsoid", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}
 """By MuJoCo's number."""
@@ -108,7 +110,8 @@ def test_shapes_are_where_mujoco_has_them(
     """A person checks a robot by looking at it; a gripper that is held open is shown open."""
     path, q = tmp_path / file, {"a": 0.7, "b": -1.2, "c": 1.9} | lock
     path.write_text(text)
-    write_mesh(tmp_path / "wedge.stl")
+    for ending in ("stl", "obj"):
+        write_mesh(tmp_path / f"wedge.{ending}")
     tree = tb.load_tree(path, lock=lock)
     seen = load_shapes(path, tree, lock=lock)
     assert seen.warnings == ()
@@ -136,59 +139,34 @@ def test_shapes_are_where_mujoco_has_them(
             np.testing.assert_allclose(shape.colour, [1, 0.5, 0, 0.25], atol=SINGLE)
 
 
-# what cannot be shown
-
-LOOKS = {
-    "urdf": '<robot name="r"><link name="b"/><link name="l">{}<visual><geometry>'
-    '<box size="1 1 1"/></geometry></visual></link><joint name="j" type="continuous">'
-    '<parent link="b"/><child link="l"/></joint></robot>',
-    "xml": '<mujoco><asset>{}</asset><worldbody><body name="l"><joint name="j"/>'
-    '<inertial mass="1" pos="0 0 0" diaginertia="1 0.1 0.1"/>{}'
-    '<geom type="box" size=".5 .5 .5"/></body></worldbody></mujoco>',
-}
-VISUAL = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+ODD = '<visual><origin xyz="0 0,1 0"/><geometry><sphere radius="1"/></geometry></visual>'
+LOST = '<visual><geometry><mesh filename="package://lost/{}.stl"/></geometry></visual>'
 
 
-@pytest.mark.parametrize(("form", "damaged"), [("urdf", False), ("xml", True)])
-def test_a_mesh_that_cannot_be_read_is_named_and_the_others_are_shown(
-    form: str, damaged: bool, tmp_path: Path
-) -> None:
-    """On a body, too, whose stated inertia no body has."""
-    files = ("good.stl", "bad.stl", "fine.obj")
-    for name in (files[0], files[2]):
-        write_mesh(tmp_path / name)
-    if damaged:
-        (tmp_path / files[1]).write_bytes(b"no mesh at all")
-    parts = ["".join(map(VISUAL.format, files)), ""]
-    if form == "xml":
-        texts = ('<mesh name="{0}" file="{0}"/>', '<geom type="mesh" mesh="{0}"/>')
-        parts = ["".join(map(text.format, files)) for text in texts]
-    path = tmp_path / f"r.{form}"
-    path.write_text(LOOKS[form].format(*parts))
-    seen = load_shapes(path, tb.load_tree(path))
-    assert [shape.kind for shape in seen.shapes] == ["mesh", "mesh", "box"]
-    for shape in seen.shapes[:2]:  # STL and OBJ hold the same
-        assert volume(shape) == pytest.approx(WHOLE, rel=1e-4)
-    (line,) = seen.warnings
-    assert "bad.stl" in line
-    assert line.isprintable()
+def test_what_cannot_be_shown_is_named_in_one_line_and_the_rest_is_shown(tmp_path: Path) -> None:
+    """Fifty lost meshes of a package are one line, not fifty; inertias need their mesh."""
 
-
-def test_what_is_lost_or_odd_is_said_in_one_line_and_inertias_need_their_mesh(
-    tmp_path: Path,
-) -> None:
-    """Fifty lost meshes of a package are one line, not fifty."""
-    path = tmp_path / "r.urdf"
-    lost = "".join(VISUAL.format(f"package://lost/{k}.stl") for k in range(5))
-    odd = '<visual><origin xyz="0 0,1 0"/><geometry><sphere radius="1"/></geometry></visual>'
-    for more, culprit in ((lost, "package://lost/0.stl"), (odd, "0 0,1 0")):
-        path.write_text(LOOKS["urdf"].format(more))
-        (line,) = load_appearance(tb.load_tree(path), ModelFile(path)).warnings
+    def left_out(file: str, text: str, culprit: str) -> int:
+        (tmp_path / file).write_text(text)
+        seen = load_shapes(tmp_path / file, tb.load_tree(tmp_path / file))
+        (line,) = seen.warnings
         assert culprit in line
-    mesh = LOOKS["xml"].partition("<inertial")[0].format('<mesh name="m" file="nowhere.stl"/>')
-    end = '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
-    (tmp_path / "r.xml").write_text(mesh + end)
-    with refuses(tb.TestbedError, "'l'", "nowhere"):
+        assert line.isprintable()
+        return len(seen.shapes)
+
+    impossible = HINGES.replace("1 1 1", "1 .1 .1")
+    for file, text, culprit in (("r.urdf", SEEN, "wedge.stl"), ("r.xml", impossible, "wedge.obj")):
+        assert left_out(file, text, culprit) == 4
+        (tmp_path / culprit).write_bytes(b"no mesh at all")
+        assert left_out(file, text, culprit) == 4
+    write_mesh(tmp_path / "wedge.stl")
+    lost = "".join(map(LOST.format, range(5)))
+    for more, culprit in ((lost, "package://lost/0.stl"), (ODD, "0 0,1 0")):
+        assert left_out(
+            "r.urdf", SEEN.replace("</link></robot>", more + "</link></robot>"), culprit
+        )
+    (tmp_path / "r.xml").write_text(re.sub("<inertial.*?/>", "", HINGES))
+    with refuses(tb.TestbedError, "'two'", "wedge"):
         tb.load_tree(tmp_path / "r.xml")
 
 
@@ -265,7 +243,6 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     assert ((lows[:, 2] < 0) & (highs[:, 2] >= -1e-9)).any()
     clear = [highs[:, 0].max() + 0.05 * robot.reach, lows[:, 1].min() - 0.05 * robot.reach]
     np.testing.assert_allclose(robot.corner[:2], clear)
-    assert robot.deck == highs[np.argmax(np.prod((highs - lows)[:, :2], axis=1)), 2]
     puma = ModelFile(ROOT / "models/puma562.xml")
     drawn = load_shapes(puma.path, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)
