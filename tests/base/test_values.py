@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -18,14 +17,15 @@ from testbed.arrays import readonly
 from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
 from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
-from testbed.keys import COUNTS, LARGEST, Key, hidden, key
-from testbed.kind_table import KindTable
+from testbed.instruments.drives import TorqueRipple
+from testbed.keys import COUNTS, LARGEST, Key
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
 
 
 def test_what_a_value_was_made_of_cannot_change_it_and_wrong_shapes_are_named() -> None:
+    """An estimate would change with a list that somebody goes on using."""
     loose = np.zeros(3)
     kept = readonly(loose, (3,), "speed")
     loose[0] = 1.0
@@ -72,16 +72,6 @@ WRONG: list[tuple[Key, Any]] = [
 ]  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Ramp(KindTable):
-    """Made up for this test."""
-
-    kind: ClassVar[str] = "ramp"
-    slope: float | dict[str, float] = key(1.0, "joints")
-    start: float | None = key(None)
-    seed: int = hidden(7)
-
-
 def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     """A typing error in a fault's table would otherwise simulate another instrument.
 
@@ -93,14 +83,15 @@ def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     for wanted, value in WRONG:
         with refuses(SettingsError, "bias: size"):
             wanted.checked(value, "bias: size")
-    one, other = Ramp({"waist": 2}), Ramp({"waist": 2.0}, seed=8)
-    assert one == other != Ramp()
-    assert len({one, other, Ramp()}) == 2
-    assert one.table() == {"kind": "ramp", "slope": {"waist": 2.0}}
-    assert Ramp(start=3.0).table() == {"kind": "ramp", "slope": 1.0, "start": 3.0}
-    assert one.by_joint == {"slope": {"waist": 2.0}}
-    with refuses(SettingsError, "ramp", "start", "'now'"):
-        Ramp(start="now")  # type: ignore[arg-type]
+    one, other = (TorqueRipple({"waist": 1}, 0.5, position=at) for at in (None, np.zeros((1, 1))))
+    assert one == other != TorqueRipple()
+    assert len({one, other, TorqueRipple()}) == 2
+    said = {"kind": "torque_ripple", "amplitude": {"waist": 1.0}, "period": 0.5}
+    assert one.table() == said
+    assert TorqueRipple({"waist": 1.0}, 0.5, 3.0).table() == said | {"phase": 3.0}
+    assert one.by_joint == {"amplitude": {"waist": 1.0}}
+    with refuses(SettingsError, "torque_ripple", "phase", "'now'"):
+        TorqueRipple(phase="now")  # type: ignore[arg-type]
 
 
 @given(st.text(max_size=40), st.integers(1, 20), st.integers(20, 500))
