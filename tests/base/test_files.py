@@ -62,33 +62,41 @@ def test_a_reader_finds_one_whole_version_at_every_instant(kind: str, tmp_path: 
     assert names(tmp_path) == ["far", "place"]
 
 
-def test_an_older_folder_comes_back_if_its_writer_died_between_two_renames(tmp_path: Path) -> None:
-    """A machine that goes down between the two takes no recording with it."""
-    place = tmp_path / "place"
+def test_what_a_dead_writer_left_is_swept_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder comes back whose writer died between two renames; no file stays open.
+
+    Neither a living writer's folder is touched, nor another machine's, nor what only looks like
+    one; where there are no locks nobody can know whether a writer is alive.
+    """
+    place, other = tmp_path / "place", tmp_path / "other"
     write(place, "folder", "old")
     nest, lock = files._new_nest(tmp_path)
     (nest / "older").mkdir()
     place.rename(nest / "older" / "place")
     os.close(lock)
-    write(tmp_path / "another", "file")
-    assert content(place) == "old"
-    assert names(tmp_path) == ["another", "place"]
-
-
-def test_what_is_not_a_dead_writers_is_left_alone(tmp_path: Path) -> None:
-    """Neither a living writer's folder, nor another machine's, nor what only looks like one."""
     (tmp_path / ".testbed-ANOTHER-abc").mkdir()
     (tmp_path / f"{files.NEST}file").write_text("no nest")
     (tmp_path / "kept").mkdir()
     (tmp_path / f"{files.NEST}link").symlink_to(tmp_path / "kept")
     before = names(tmp_path)
+    free = os.dup(0)  # the least number that is free
+    os.close(free)
+    with monkeypatch.context() as patched:
+        patched.setattr("fcntl.flock", Mock(side_effect=OSError(37, "No locks available")))
+        write(other, "folder")
+    assert names(tmp_path) == sorted([*before, "other"])
     with replacing(tmp_path / "slow") as fresh:
         fresh.write_text("first half, ")
         for k in range(5):
-            write(tmp_path / "other", "folder", f"w{k}")
+            write(other, "folder", f"w{k}")
         fresh.write_text(fresh.read_text() + "second half")
     assert (tmp_path / "slow").read_text() == "first half, second half"
-    assert names(tmp_path) == sorted([*before, "other", "slow"])
+    assert content(place) == "old"
+    assert names(tmp_path) == sorted({*before, "other", "slow", "place"} - {nest.name})
+    assert os.dup(0) == free
+    os.close(free)
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
@@ -143,22 +151,3 @@ def test_a_full_folder_is_replaced_on_systems_that_cannot_exchange_two_names(
         write(tmp_path / "place", "folder")
     assert content(tmp_path / "place") == ("old" if code == errno.EACCES else "new")
     assert names(tmp_path) == ["place"]
-
-
-def test_where_there_are_no_locks_nothing_is_swept_and_no_file_stays_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nobody can know there whether a writer is alive."""
-    left, dead = files._new_nest(tmp_path)
-    os.close(dead)
-    with monkeypatch.context() as patched:
-        patched.setattr("fcntl.flock", Mock(side_effect=OSError(37, "No locks available")))
-        write(tmp_path / "place", "file")
-    assert names(tmp_path) == sorted([left.name, "place"])
-    free = os.dup(0)
-    os.close(free)
-    write(tmp_path / "place", "file")
-    assert not left.exists()
-    again = os.dup(0)  # the least number that is free
-    os.close(again)
-    assert again == free
