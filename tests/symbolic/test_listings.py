@@ -6,6 +6,7 @@ import math
 import re
 import resource
 from fractions import Fraction
+from operator import add, mul, sub
 
 import numpy as np
 import pytest
@@ -178,16 +179,14 @@ leaves = st.one_of(
 )
 
 
-def combine(children: st.SearchStrategy[Expression]) -> st.SearchStrategy[Expression]:
-    pairs = st.tuples(children, children)
-    return st.one_of(
-        pairs.map(lambda ab: ab[0] + ab[1]),
-        pairs.map(lambda ab: ab[0] - ab[1]),
-        pairs.map(lambda ab: expression(ab[0] * ab[1])),
-    )
-
-
-anything = st.recursive(leaves, combine, max_leaves=8)
+anything = st.recursive(
+    leaves,
+    lambda parts: st.builds(
+        lambda how, a, b: expression(how(a, b)), st.sampled_from((add, sub, mul)), parts, parts
+    ),
+    max_leaves=8,
+)
+WAVES = {Nature.COSINE: math.cos, Nature.SINE: math.sin}
 
 
 def value(e: Expression, at: dict[str, float]) -> float:
@@ -196,14 +195,8 @@ def value(e: Expression, at: dict[str, float]) -> float:
     for factors, size in e.terms:
         product = float(size)
         for factor in factors:
-            if factor.content is None:
-                product *= at[factor.name]
-            elif factor.nature is Nature.COSINE:
-                product *= math.cos(value(factor.content, at))
-            elif factor.nature is Nature.SINE:
-                product *= math.sin(value(factor.content, at))
-            else:
-                product *= value(factor.content, at)
+            inside = at[factor.name] if factor.content is None else value(factor.content, at)
+            product *= WAVES.get(factor.nature, float)(inside)
         total += product
     return total
 
