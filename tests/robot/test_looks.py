@@ -13,9 +13,8 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.dynamics.kinematics import poses
 from testbed.robot.model_file import ModelFile
-from testbed.robot.rotations import about
 from testbed.robot.visuals.appearance import bounds, load_appearance
 from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.load_shapes import load_shapes
@@ -88,20 +87,6 @@ KINDS = {2: "ellipsoid", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 
 LOCKS: list[dict[str, float]] = [{}, {"a": 1.5}, {"b": -0.7}]
 
 
-def in_the_world(tree: tb.Tree, q: dict[str, float], shape: Shape) -> tuple[Array, Array]:
-    """A shape's rotation and place in the bedplate's frame."""
-    turn, place = np.eye(3), np.zeros(3)
-    for j in tree.chain(shape.body):
-        joint = tree.joints[j]
-        place = place + turn @ joint.offset
-        turn = turn @ joint.rotation
-        if joint.revolute:
-            turn = turn @ about(joint.axis, q[joint.name])
-        else:
-            place = place + turn @ joint.axis * q[joint.name]
-    return turn @ shape.rotation, place + turn @ shape.position
-
-
 @pytest.mark.parametrize("lock", LOCKS)
 @pytest.mark.parametrize(("file", "text", "scale"), [("r.urdf", SEEN, 1), ("r.xml", HINGES, 2)])
 def test_shapes_are_where_mujoco_has_them(
@@ -120,10 +105,13 @@ def test_shapes_are_where_mujoco_has_them(
     for j in range(model.njnt):
         data.qpos[j] = q[model.joint(j).name]
     mujoco.mj_kinematics(model, data)
+    now = poses(tree, np.array([[q[name] for name in tree.names]]))
+    carriers = [*((turn[0], place[0]) for turn, place in now), (np.eye(3), np.zeros(3))]
     shown = [k for k in range(model.ngeom) if model.geom_group[k] < 3]
     shown.sort(key=lambda k: scale == 2 and model.geom_type[k] == 7)  # meshes come last
     for k, shape in zip(shown, seen.shapes, strict=True):
-        turn, place = in_the_world(tree, q, shape)
+        turn, origin = carriers[shape.body]
+        turn, place = turn @ shape.rotation, origin + turn @ shape.position
         own, at, size = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k], model.geom_size[k]
         assert shape.kind == KINDS[int(model.geom_type[k])]
         if shape.kind == "mesh":
