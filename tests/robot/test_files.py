@@ -26,18 +26,15 @@ from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import FARTHEST, SETTABLE
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT
-from tests.helpers.pinocchio import by_pinocchio
 from tests.helpers.refusals import refuses
-from tests.helpers.robots import Robot, assert_same_tree, random_robot, random_states
+from tests.helpers.robots import Robot, assert_same_tree, random_robot
 from tests.helpers.strategies import few, rngs, robots, trees, wrong_numbers
 
 
-@given(robots(), rngs)
+@given(robots())
 @pytest.mark.slow
-def test_a_file_of_either_format_is_the_robot_that_was_written(
-    robot: Robot, rng: np.random.Generator
-) -> None:
-    """Pinocchio reads the same URDF, and MuJoCo's plate weighs the same MJCF: no third answer."""
+def test_a_file_of_either_format_is_the_robot_that_was_written(robot: Robot) -> None:
+    """Of which Pinocchio says the same in tests of dynamics; MuJoCo's plate weighs it here."""
     limits = {"position_range": [-3, 3], "max_effort": 500}
     wanted = robot.tree().with_joints({link.name: limits for link in robot.links})
     with TemporaryDirectory() as folder:
@@ -49,10 +46,6 @@ def test_a_file_of_either_format_is_the_robot_that_was_written(
         faster = wanted.with_joints({link.name: {"max_velocity": 5} for link in robot.links})
         assert_same_tree(tb.load_tree(urdf).with_gravity(robot.gravity), faster)
         build_plant(ModelFile(mjcf), read, 1e-3)  # checks itself against MuJoCo
-    states = random_states(rng, 3, read.n)
-    witness = by_pinocchio(robot.urdf(), read, states)
-    forces = tb.joint_forces(read, tb.Motion(np.arange(3.0), *states))
-    np.testing.assert_allclose(forces, witness.forces, atol=1e-11 * np.abs(witness.wrench).max())
 
 
 READ = {
@@ -443,8 +436,6 @@ def test_friction_and_rotors_are_the_textbooks_with_their_units(
         joint = tree.joints[term.joint]
         assert term.unit(tree) == UNITS[term.law.kind][not joint.revolute]
         assert term.name(tree) == f"{term.law.kind}/{joint.name}"
-    for law, field in (("coulomb", 0), ("viscous", 1), ("rotor", 2)):
-        np.testing.assert_array_equal(joint_law(law).coefficients(tree), values[field])
 
 
 def test_laws_are_found_by_name() -> None:
