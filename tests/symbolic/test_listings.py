@@ -85,7 +85,9 @@ def test_the_printed_reduced_equation_lacks_a_factor_of_two(puma: tb.Tree) -> No
         (ROOT / f"docs/listings/paper_reduced{end}.txt").read_text() for end in ("", "_sign")
     )
     for text, lacking in ((printed, 5), (turned, 3), (turned.rstrip() + HALVES, 0)):
-        assert len(compare_equations(puma, text, "reduced", zeros=True)["Q1"].terms) == lacking
+        found = compare_equations(puma, text, "reduced", zeros=True)["Q1"].terms
+        assert len(found) == lacking
+        assert text is printed or all(size < 0 for _, size in found)  # too little
 
 
 @pytest.mark.slow
