@@ -5,42 +5,30 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import subprocess
-import sys
+from multiprocessing import get_context
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import pytest
 
 from testbed import files
 from testbed.files import replacing
-from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 
-WRITER = """
-import sys
-from pathlib import Path
-from testbed.files import replacing
-place, folder = Path(sys.argv[1]), sys.argv[2] == "folder"
-print("here", flush=True)
-for k in range(100):
-    with replacing(place, folder=folder) as fresh:
-        for name in ("a", "b") if folder else ("",):
-            path = fresh / name
+
+def write(place: Path, kind: str, word: str = "new") -> None:
+    """Replace a file, or a folder of two files that agree, by whole content."""
+    with replacing(place, folder=kind == "folder") as fresh:
+        for path in (fresh / "a", fresh / "b") if kind == "folder" else (fresh,):
             path.parent.mkdir(exist_ok=True)
-            path.write_text(f"{sys.argv[3]}{k} " * 2000)
-"""
-"""Replaces a file, or a folder of two files that agree, again and again."""
+            path.write_text(f"{word} " * 2000)
 
 
-def writer(place: Path, kind: str, name: str) -> subprocess.Popen[str]:
-    """Such a process, under way."""
-    command = [sys.executable, "-c", WRITER, str(place), kind, name]
-    path = os.environ | {"PYTHONPATH": str(ROOT)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=path)
-    assert process.stdout is not None
-    with process.stdout as words:
-        assert words.readline() == "here\n"
-    return process
+def write_often(place: Path, kind: str, name: str) -> None:
+    """Again and again."""
+    for k in range(100):
+        write(place, kind, f"{name}{k}")
 
 
 def content(place: Path) -> str:
@@ -56,56 +44,59 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def write(place: Path, kind: str, word: str = "new") -> None:
-    """Replace a place by whole content."""
-    with replacing(place, folder=kind == "folder") as fresh:
-        for path in (fresh / "a", fresh / "b") if kind == "folder" else (fresh,):
-            path.parent.mkdir(exist_ok=True)
-            path.write_text(f"{word} " * 2000)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["file", "folder"])
 def test_a_reader_finds_one_whole_version_at_every_instant(kind: str, tmp_path: Path) -> None:
     """While others write: nobody ever plots half a recording, or finds none; a link stays one."""
-    place = tmp_path / "place"
+    place, start = tmp_path / "place", get_context("spawn").Process
     write(tmp_path / "far", kind, "old")
     place.symlink_to("far")
-    processes = [writer(place, kind, name) for name in "xyz"]
-    while any(process.poll() is None for process in processes):
+    processes = [start(target=write_often, args=(place, kind, name)) for name in "xyz"]
+    for process in processes:
+        process.start()
+    while any(process.is_alive() for process in processes):
         place.stat()
-    assert {process.wait() for process in processes} == {0}
+    assert {process.exitcode for process in processes} == {0}
     assert content(tmp_path / "far")[1:] == "99"
     assert place.is_symlink()
     assert names(tmp_path) == ["far", "place"]
 
 
-def test_an_older_folder_comes_back_if_its_writer_died_between_two_renames(tmp_path: Path) -> None:
-    place = tmp_path / "place"
+def test_what_a_dead_writer_left_is_swept_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A folder comes back whose writer died between two renames; no file stays open.
+
+    Neither a living writer's folder is touched, nor another machine's, nor what only looks like
+    one; where there are no locks nobody can know whether a writer is alive.
+    """
+    place, other = tmp_path / "place", tmp_path / "other"
     write(place, "folder", "old")
     nest, lock = files._new_nest(tmp_path)
     (nest / "older").mkdir()
     place.rename(nest / "older" / "place")
     os.close(lock)
-    write(tmp_path / "another", "file")
-    assert content(place) == "old"
-    assert names(tmp_path) == ["another", "place"]
-
-
-def test_what_is_not_a_dead_writers_is_left_alone(tmp_path: Path) -> None:
-    """Neither a living writer's folder, nor another machine's, nor what only looks like one."""
     (tmp_path / ".testbed-ANOTHER-abc").mkdir()
     (tmp_path / f"{files.NEST}file").write_text("no nest")
     (tmp_path / "kept").mkdir()
     (tmp_path / f"{files.NEST}link").symlink_to(tmp_path / "kept")
     before = names(tmp_path)
+    free = os.dup(0)  # the least number that is free
+    os.close(free)
+    with monkeypatch.context() as patched:
+        patched.setattr("fcntl.flock", Mock(side_effect=OSError(37, "No locks available")))
+        write(other, "folder")
+    assert names(tmp_path) == sorted([*before, "other"])
     with replacing(tmp_path / "slow") as fresh:
         fresh.write_text("first half, ")
         for k in range(5):
-            write(tmp_path / "other", "folder", f"w{k}")
+            write(other, "folder", f"w{k}")
         fresh.write_text(fresh.read_text() + "second half")
     assert (tmp_path / "slow").read_text() == "first half, second half"
-    assert names(tmp_path) == sorted([*before, "other", "slow"])
+    assert content(place) == "old"
+    assert names(tmp_path) == sorted({*before, "other", "slow", "place"} - {nest.name})
+    assert os.dup(0) == free
+    os.close(free)
 
 
 @pytest.mark.parametrize("kind", ["file", "folder"])
@@ -140,25 +131,19 @@ def test_a_place_where_nothing_can_stand_is_refused_by_name(kind: str, tmp_path:
     assert content(tmp_path / "full") == "kept"
 
 
-class Lacking:
-    """A library of C without what exchanges names, or that refuses to."""
-
-    def __init__(self, code: int | None) -> None:
-        if code is not None:
-            self.renameat2 = self.renamex_np = lambda *arguments: self._refuse(code)
-
-    def _refuse(self, code: int) -> int:
-        ctypes.set_errno(code)
-        return -1
-
-
 @pytest.mark.parametrize("code", [None, errno.ENOSYS, errno.EACCES])
 def test_a_full_folder_is_replaced_on_systems_that_cannot_exchange_two_names(
     code: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Other errors are what they are, and the older folder stays."""
+
+    def refuse(*arguments: object) -> int:
+        ctypes.set_errno(code or 0)
+        return -1
+
+    exchanging = dict.fromkeys(("renameat2", "renamex_np"), refuse) if code else {}
     write(tmp_path / "place", "folder", "old")
-    monkeypatch.setattr(ctypes, "CDLL", lambda *name, **kept: Lacking(code))
+    monkeypatch.setattr(ctypes, "CDLL", lambda *name, **kept: SimpleNamespace(**exchanging))
     if code == errno.EACCES:
         with pytest.raises(PermissionError):
             write(tmp_path / "place", "folder")
@@ -166,27 +151,3 @@ def test_a_full_folder_is_replaced_on_systems_that_cannot_exchange_two_names(
         write(tmp_path / "place", "folder")
     assert content(tmp_path / "place") == ("old" if code == errno.EACCES else "new")
     assert names(tmp_path) == ["place"]
-
-
-def test_where_there_are_no_locks_nothing_is_swept_and_no_file_stays_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Nobody can know there whether a writer is alive."""
-    left, dead = files._new_nest(tmp_path)
-    os.close(dead)
-
-    def without(*arguments: object) -> None:
-        raise OSError(37, "No locks available")
-
-    open_files = Path("/proc/self/fd")  # of Linux
-    before = len(names(open_files)) if open_files.is_dir() else 0
-    with monkeypatch.context() as patched:
-        patched.setattr("fcntl.flock", without)
-        write(tmp_path / "place", "file")
-    assert names(tmp_path) == sorted([left.name, "place"])
-    for k in range(5):
-        write(tmp_path / "place", "file", f"w{k}")
-    assert content(tmp_path / "place") == "w4"
-    assert not left.exists()
-    if before:
-        assert len(names(open_files)) == before

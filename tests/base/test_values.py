@@ -1,9 +1,11 @@
-"""What every room relies on: arrays that stay, keys that are checked, messages that show."""
+"""What every room relies on: arrays that stay, keys that are checked, files that are shipped."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, ClassVar, NoReturn
+import tomllib
+from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,16 +13,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import readonly
 from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
-from testbed.keys import COUNTS, LARGEST, Key, hidden, key
-from testbed.kind_table import KindTable
+from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
+from testbed.instruments.drives import TorqueRipple
+from testbed.keys import COUNTS, LARGEST, Key
+from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few
 
 
 def test_what_a_value_was_made_of_cannot_change_it_and_wrong_shapes_are_named() -> None:
+    """An estimate would change with a list that somebody goes on using."""
     loose = np.zeros(3)
     kept = readonly(loose, (3,), "speed")
     loose[0] = 1.0
@@ -67,16 +72,6 @@ WRONG: list[tuple[Key, Any]] = [
 ]  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class Ramp(KindTable):
-    """Made up for this test."""
-
-    kind: ClassVar[str] = "ramp"
-    slope: float | dict[str, float] = key(1.0, "joints")
-    start: float | None = key(None)
-    seed: int = hidden(7)
-
-
 def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     """A typing error in a fault's table would otherwise simulate another instrument.
 
@@ -88,14 +83,15 @@ def test_a_key_keeps_what_it_takes_and_refuses_all_else_by_name() -> None:
     for wanted, value in WRONG:
         with refuses(SettingsError, "bias: size"):
             wanted.checked(value, "bias: size")
-    one, other = Ramp({"waist": 2}), Ramp({"waist": 2.0}, seed=8)
-    assert one == other != Ramp()
-    assert len({one, other, Ramp()}) == 2
-    assert one.table() == {"kind": "ramp", "slope": {"waist": 2.0}}
-    assert Ramp(start=3.0).table() == {"kind": "ramp", "slope": 1.0, "start": 3.0}
-    assert one.by_joint == {"slope": {"waist": 2.0}}
-    with refuses(SettingsError, "ramp", "start", "'now'"):
-        Ramp(start="now")  # type: ignore[arg-type]
+    one, other = (TorqueRipple({"waist": 1}, 0.5, position=at) for at in (None, np.zeros((1, 1))))
+    assert one == other != TorqueRipple()
+    assert len({one, other, TorqueRipple()}) == 2
+    said = {"kind": "torque_ripple", "amplitude": {"waist": 1.0}, "period": 0.5}
+    assert one.table() == said
+    assert TorqueRipple({"waist": 1.0}, 0.5, 3.0).table() == said | {"phase": 3.0}
+    assert one.by_joint == {"amplitude": {"waist": 1.0}}
+    with refuses(SettingsError, "torque_ripple", "phase", "'now'"):
+        TorqueRipple(phase="now")  # type: ignore[arg-type]
 
 
 @given(st.text(max_size=40), st.integers(1, 20), st.integers(20, 500))
@@ -104,13 +100,11 @@ def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
     text: str, times: int, limit: int
 ) -> None:
     """Names of a model file could clear a screen, or drive everything else off it."""
-    shown = printable(text * times, limit)
+    shown, plain = printable(text * times, limit), " ".join((text * times).split())
     assert shown == "" or shown.isprintable()
     assert len(shown) <= limit == len(printable("x" * 501, limit))
-    plain = " ".join((text * times).split())
-    if plain.isprintable() and len(plain) <= limit:
-        assert shown == plain
-    elif plain.isprintable():
+    if plain.isprintable():
+        assert shown == plain or len(plain) > limit
         start, _, end = shown.partition("...")
         assert plain.startswith(start.strip())
         assert plain.endswith(end.rpartition("...")[2].strip())
@@ -122,17 +116,47 @@ def test_a_message_from_any_file_is_one_line_that_no_terminal_obeys(
 def test_eigenvalues_are_found_where_divide_and_conquer_gives_up(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As it does on the iCub's equations; what it has found is kept to the bit."""
+    """As it does on the iCub's equations."""
     root = np.random.default_rng(3).normal(size=(40, 40))
     matrix = root @ root.T
-    usual, axes = np.linalg.eigh(matrix)
-    for kept, found in zip((usual, axes), eigh(matrix), strict=True):
-        np.testing.assert_array_equal(found, kept)
-
-    def gives_up(matrix: Array) -> NoReturn:
-        raise np.linalg.LinAlgError
-
-    monkeypatch.setattr(np.linalg, "eigh", gives_up)
+    usual, _ = eigh(matrix)
+    monkeypatch.setattr(np.linalg, "eigh", Mock(side_effect=np.linalg.LinAlgError))
     sizes, axes = eigh(matrix)
     np.testing.assert_allclose(sizes, usual, atol=1e-10 * usual[-1])
     np.testing.assert_allclose(matrix @ axes, axes * sizes, atol=1e-10 * usual[-1])
+
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_shipped_files_are_found_by_short_names_and_an_own_file_comes_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`testbed run table6` works in any folder; `testbed run ../x` opens no file of the package."""
+    for file in (ROOT / "experiments").rglob("*.toml"):
+        name = file.relative_to(ROOT / "experiments").with_suffix("")
+        assert shipped(str(name)) == shipped(f"experiments/{name}.toml") == file
+    for other in ("../pyproject.toml", "/etc/passwd", "nothing", "", "models"):
+        with refuses(FileNotFoundError, other):
+            shipped(other)
+    monkeypatch.chdir(tmp_path)
+    assert own_or_shipped("puma562.xml") == ROOT / "models/puma562.xml"
+    Path("puma562.xml").touch()
+    assert own_or_shipped("puma562.xml") == Path("puma562.xml")
+
+
+def test_an_installed_package_holds_all_that_its_experiments_refer_to() -> None:
+    """Else they fail for everybody but developers."""
+    included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert all(place == f"testbed/shipped/{source}" for source, place in included.items())
+    for file in (ROOT / "experiments").glob("*.toml"):
+        for word in file.read_text().replace('"', " ").replace("=", " ").split():
+            if word.startswith("../"):
+                target = (file.parent / word).resolve()
+                assert target.exists(), (file, word)
+                assert any(target.is_relative_to(ROOT / place) for place in included), (file, word)
+
+
+def test_the_version_is_the_projects() -> None:
+    assert (PROJECT["project"]["name"], PROJECT["project"]["version"]) == (DISTRIBUTION, version())
+    assert f"\nversion: {version()}\n" in (ROOT / "CITATION.cff").read_text()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import struct
 from pathlib import Path
 
@@ -11,9 +13,8 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
-from testbed.arrays import Array
+from testbed.dynamics.kinematics import poses
 from testbed.robot.model_file import ModelFile
-from testbed.robot.rotations import about
 from testbed.robot.visuals.appearance import bounds, load_appearance
 from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
 from testbed.robot.visuals.load_shapes import load_shapes
@@ -29,22 +30,18 @@ SINGLE = 1e-6  # meshes are kept in single precision
 
 WEDGE = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.5]])
 """A tetrahedron without symmetry, and its faces seen counter-clockwise from outside."""
+WHOLE = 0.3 * 0.2 * 0.5 / 6
 FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 
 
-def write_stl(path: Path) -> None:
-    """The wedge, in binary."""
-    triangles = b"".join(
-        struct.pack("<12fH", 0, 0, 0, *WEDGE[list(face)].ravel(), 0) for face in FACES
-    )
-    path.write_bytes(bytes(80) + struct.pack("<I", len(FACES)) + triangles)
-
-
-def write_obj(path: Path) -> None:
-    """The wedge, in text."""
+def write_mesh(path: Path) -> Path:
+    """The wedge: in binary as STL, in text as OBJ."""
     lines = [f"v {x} {y} {z}" for x, y, z in WEDGE]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
-    path.write_text("\n".join(lines) + "\n")
+    corners = [struct.pack("<12fH", 0, 0, 0, *WEDGE[face].ravel(), 0) for face in FACES]
+    binary = bytes(80) + struct.pack("<I", len(FACES)) + b"".join(corners)
+    path.write_bytes(binary if path.suffix == ".stl" else "\n".join(lines).encode())
+    return path
 
 
 def volume(shape: Shape) -> float:
@@ -72,7 +69,7 @@ SEEN = f"""<robot name="r"><mujoco><compiler discardvisual="false"/></mujoco><li
  <origin xyz="0 .2 0"/><axis xyz="1 0 0"/></joint>
 <link name="two">{MATTER}<visual><origin xyz=".1 .2 .3" rpy="0 1 0"/><geometry>
  <cylinder radius=".1" length=".4"/></geometry></visual></link></robot>"""
-HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.stl" scale="2 1 1"/></asset>
+HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.obj" scale="2 1 1"/></asset>
 <worldbody><geom type="plane" size="1 1 1" group="3"/>
 <geom type="box" size=".1 .2 .3" pos="0 0 -.2"/>
 <body name="one" pos=".1 0 .3" euler="10 20 30">
@@ -83,23 +80,11 @@ HINGES = """<mujoco><compiler angle="degree"/><asset><mesh file="wedge.stl" scal
   <geom type="capsule" fromto="0 0 0 .1 .2 .3" size=".02"/><geom size=".1" group="3"/>
   <body name="two" pos="0 .2 0"><joint name="c" axis="1 0 0" pos="0 0 .1"/>
    <geom type="cylinder" size=".1 .2" pos=".1 .2 .3"/>
+   <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
    <geom type="mesh" mesh="wedge" euler="10 0 20"/></body></body></body></worldbody></mujoco>"""
 KINDS = {2: "ellipsoid", 3: "capsule", 4: "ellipsoid", 5: "cylinder", 6: "box", 7: "mesh"}
+"""By MuJoCo's number."""
 LOCKS: list[dict[str, float]] = [{}, {"a": 1.5}, {"b": -0.7}]
-
-
-def in_the_world(tree: tb.Tree, q: dict[str, float], shape: Shape) -> tuple[Array, Array]:
-    """A shape's rotation and place in the bedplate's frame."""
-    turn, place = np.eye(3), np.zeros(3)
-    for j in tree.chain(shape.body):
-        joint = tree.joints[j]
-        place = place + turn @ joint.offset
-        turn = turn @ joint.rotation
-        if joint.revolute:
-            turn = turn @ about(joint.axis, q[joint.name])
-        else:
-            place = place + turn @ joint.axis * q[joint.name]
-    return turn @ shape.rotation, place + turn @ shape.position
 
 
 @pytest.mark.parametrize("lock", LOCKS)
@@ -110,7 +95,8 @@ def test_shapes_are_where_mujoco_has_them(
     """A person checks a robot by looking at it; a gripper that is held open is shown open."""
     path, q = tmp_path / file, {"a": 0.7, "b": -1.2, "c": 1.9} | lock
     path.write_text(text)
-    write_stl(tmp_path / "wedge.stl")
+    for ending in ("stl", "obj"):
+        write_mesh(tmp_path / f"wedge.{ending}")
     tree = tb.load_tree(path, lock=lock)
     seen = load_shapes(path, tree, lock=lock)
     assert seen.warnings == ()
@@ -119,85 +105,56 @@ def test_shapes_are_where_mujoco_has_them(
     for j in range(model.njnt):
         data.qpos[j] = q[model.joint(j).name]
     mujoco.mj_kinematics(model, data)
+    now = poses(tree, np.array([[q[name] for name in tree.names]]))
+    carriers = [*((turn[0], place[0]) for turn, place in now), (np.eye(3), np.zeros(3))]
     shown = [k for k in range(model.ngeom) if model.geom_group[k] < 3]
-    shown.sort(key=lambda k: file.endswith("xml") and model.geom_type[k] == 7)  # meshes come last
+    shown.sort(key=lambda k: scale == 2 and model.geom_type[k] == 7)  # meshes come last
     for k, shape in zip(shown, seen.shapes, strict=True):
-        kind = (
-            str(mujoco.mjtGeom(model.geom_type[k]).name)[7:].lower().replace("sphere", "ellipsoid")
-        )
-        turn, place = in_the_world(tree, q, shape)
-        own, at = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k]
-        assert kind == shape.kind
-        if kind == "mesh":
-            corners = at + model.mesh_vert @ own.T
-            found = place + shape.vertices @ turn.T
-            np.testing.assert_allclose(found.min(axis=0), corners.min(axis=0), atol=SINGLE)
-            np.testing.assert_allclose(found.max(axis=0), corners.max(axis=0), atol=SINGLE)
-            assert volume(shape) == pytest.approx(
-                2 ** (file == "r.xml") * 0.3 * 0.2 * 0.5 / 6, rel=1e-4
-            )
+        turn, origin = carriers[shape.body]
+        turn, place = turn @ shape.rotation, origin + turn @ shape.position
+        own, at, size = data.geom_xmat[k].reshape(3, 3), data.geom_xpos[k], model.geom_size[k]
+        assert shape.kind == KINDS[int(model.geom_type[k])]
+        if shape.kind == "mesh":
+            corners, found = at + model.mesh_vert @ own.T, place + shape.vertices @ turn.T
+            for end in (np.min, np.max):
+                np.testing.assert_allclose(end(found, 0), end(corners, 0), atol=SINGLE)
+            assert volume(shape) == pytest.approx(scale * WHOLE, rel=1e-4)
             continue
         np.testing.assert_allclose(place, at, atol=1e-12)
         np.testing.assert_allclose(turn, own, atol=1e-12)
-        size = model.geom_size[k]
         np.testing.assert_allclose(shape.size, size[: len(shape.size)] if size[1] else size[0])
-        if kind == "ellipsoid":
+        if shape.kind == "ellipsoid":
             np.testing.assert_allclose(shape.colour, [1, 0.5, 0, 0.25], atol=SINGLE)
 
 
-# what cannot be shown
-
-LOOKS = {
-    "urdf": '<robot name="r"><link name="b"/><link name="l">{}<visual><geometry>'
-    '<box size="1 1 1"/></geometry></visual></link><joint name="j" type="continuous">'
-    '<parent link="b"/><child link="l"/></joint></robot>',
-    "xml": '<mujoco><asset>{}</asset><worldbody><body name="l"><joint name="j"/>'
-    '<inertial mass="1" pos="0 0 0" diaginertia="1 0.1 0.1"/>{}'
-    '<geom type="box" size=".5 .5 .5"/></body></worldbody></mujoco>',
-}
-VISUAL = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+ODD = '<visual><origin xyz="0 0,1 0"/><geometry><sphere radius="1"/></geometry></visual>'
+LOST = '<visual><geometry><mesh filename="package://lost/{}.stl"/></geometry></visual>'
 
 
-@pytest.mark.parametrize(("form", "damaged"), [("urdf", False), ("xml", True)])
-def test_a_mesh_that_cannot_be_read_is_named_and_the_others_are_shown(
-    form: str, damaged: bool, tmp_path: Path
-) -> None:
-    """On a body, too, whose stated inertia no body has."""
-    files = ("good.stl", "bad.stl", "fine.obj")
-    write_stl(tmp_path / files[0])
-    write_obj(tmp_path / files[2])
-    if damaged:
-        (tmp_path / files[1]).write_bytes(b"no mesh at all")
-    parts = ["".join(map(VISUAL.format, files)), ""]
-    if form == "xml":
-        texts = ('<mesh name="{0}" file="{0}"/>', '<geom type="mesh" mesh="{0}"/>')
-        parts = ["".join(map(text.format, files)) for text in texts]
-    path = tmp_path / f"r.{form}"
-    path.write_text(LOOKS[form].format(*parts))
-    seen = load_shapes(path, tb.load_tree(path))
-    assert [shape.kind for shape in seen.shapes] == ["mesh", "mesh", "box"]
-    for shape in seen.shapes[:2]:  # STL and OBJ hold the same
-        assert volume(shape) == pytest.approx(0.3 * 0.2 * 0.5 / 6, rel=1e-4)
-    (line,) = seen.warnings
-    assert "bad.stl" in line
-    assert line.isprintable()
+def test_what_cannot_be_shown_is_named_in_one_line_and_the_rest_is_shown(tmp_path: Path) -> None:
+    """Fifty lost meshes of a package are one line, not fifty; inertias need their mesh."""
 
-
-def test_what_is_lost_or_odd_is_said_in_one_line_and_inertias_need_their_mesh(
-    tmp_path: Path,
-) -> None:
-    """Fifty lost meshes of a package are one line, not fifty."""
-    path = tmp_path / "r.urdf"
-    lost = "".join(VISUAL.format(f"package://lost/{k}.stl") for k in range(5))
-    odd = '<visual><origin xyz="0 0,1 0"/><geometry><sphere radius="1"/></geometry></visual>'
-    for more, culprit in ((lost, "package://lost/0.stl"), (odd, "0 0,1 0")):
-        path.write_text(LOOKS["urdf"].format(more))
-        (line,) = load_appearance(tb.load_tree(path), ModelFile(path)).warnings
+    def left_out(file: str, text: str, culprit: str) -> int:
+        (tmp_path / file).write_text(text)
+        seen = load_shapes(tmp_path / file, tb.load_tree(tmp_path / file))
+        (line,) = seen.warnings
         assert culprit in line
-    mesh = LOOKS["xml"].partition("<inertial")[0].format('<mesh name="m" file="nowhere.stl"/>')
-    end = '<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
-    (tmp_path / "r.xml").write_text(mesh + end)
-    with refuses(tb.TestbedError, "'l'", "nowhere"):
+        assert line.isprintable()
+        return len(seen.shapes)
+
+    impossible = HINGES.replace("1 1 1", "1 .1 .1")
+    for file, text, culprit in (("r.urdf", SEEN, "wedge.stl"), ("r.xml", impossible, "wedge.obj")):
+        assert left_out(file, text, culprit) == 4
+        (tmp_path / culprit).write_bytes(b"no mesh at all")
+        assert left_out(file, text, culprit) == 4
+    write_mesh(tmp_path / "wedge.stl")
+    lost = "".join(map(LOST.format, range(5)))
+    for more, culprit in ((lost, "package://lost/0.stl"), (ODD, "0 0,1 0")):
+        assert left_out(
+            "r.urdf", SEEN.replace("</link></robot>", more + "</link></robot>"), culprit
+        )
+    (tmp_path / "r.xml").write_text(re.sub("<inertial.*?/>", "", HINGES))
+    with refuses(tb.TestbedError, "'two'", "wedge"):
         tb.load_tree(tmp_path / "r.xml")
 
 
@@ -205,18 +162,18 @@ def test_what_is_lost_or_odd_is_said_in_one_line_and_inertias_need_their_mesh(
 def test_a_robot_without_shapes_is_sticks_from_joint_to_joint(tree: tb.Tree) -> None:
     """Each offset longer than a stick is thick is one stick; each joint is a drum on its axis."""
     radius = max(np.linalg.norm(joint.offset) for joint in tree.joints) / 30
+    ends = [(joint.parent, *joint.offset) for joint in tree.joints]
+    ends += [(j, *tree.inertias[j].com) for j in range(tree.n) if not tree.children(j)]
     figure = list(sticks(tree))
-    drums = [shape for shape in figure if shape.kind == "cylinder"]
-    for drum, joint in zip(drums, tree.joints, strict=True):
-        np.testing.assert_allclose(drum.rotation[:, 2], joint.axis, atol=1e-12)
-    spans = [(joint.parent, joint.offset) for joint in tree.joints]
-    spans += [(j, tree.inertias[j].com) for j in range(tree.n) if not tree.children(j)]
-    long = [(body, *end) for body, end in spans if np.linalg.norm(end) > radius]
+    drums = [shape.rotation[:, 2] for shape in figure if shape.kind == "cylinder"]
+    np.testing.assert_allclose(drums, [joint.axis for joint in tree.joints], atol=1e-12)
     bars = [shape for shape in figure if shape.kind == "capsule"]
-    ends = [(bar.body, *2 * bar.position) for bar in bars]  # they begin at the body's origin
-    np.testing.assert_allclose(sorted(ends), sorted(long))
-    for bar in bars:
-        np.testing.assert_allclose(bar.size[1] * bar.rotation[:, 2], bar.position, atol=1e-12)
+    found = [(bar.body, *2 * bar.size[1] * bar.rotation[:, 2]) for bar in bars]
+    np.testing.assert_allclose(
+        sorted(found), sorted(e for e in ends if math.hypot(*e[1:]) > radius)
+    )
+    for bar, end in zip(bars, found, strict=True):  # they begin at the body's origin
+        np.testing.assert_allclose(2 * bar.position, end[1:], atol=1e-12)
 
 
 @given(trees((1, 4), bare=True))
@@ -237,23 +194,16 @@ def test_ellipsoids_have_the_second_moments_of_their_bodies(tree: tb.Tree) -> No
             assert np.linalg.det(turn) == pytest.approx(1)
 
 
-def shape(kind: Kind, rng: np.random.Generator) -> Shape:
-    """A shape of some size, somewhere, somehow turned."""
-    size = rng.uniform(0.05, 0.5, 3 if kind in ("box", "ellipsoid") else 2)
-    mesh = (rng.normal(size=(8, 3)), np.array([[0, 1, 2], [3, 4, 5], [5, 6, 7]]))
-    own = mesh if kind == "mesh" else (np.zeros((0, 3)),) * 2
-    turn, place = upright(rng.normal(size=3)), rng.normal(size=3)
-    return Shape(-1, kind, size, place, turn, np.array([0.5, 0.5, 0.5, 1.0]), *own)
-
-
 @pytest.mark.parametrize("kind", ["box", "ellipsoid", "cylinder", "capsule", "mesh"])
 def test_triangles_cover_a_shape_and_bounds_hold_it(kind: Kind) -> None:
     """Clearances are measured on these triangles: a hole would hide a collision."""
-    made = shape(kind, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    size = rng.uniform(0.05, 0.5, 3 if kind in ("box", "ellipsoid") else 2)
+    turn, place = upright(rng.normal(size=3)), rng.normal(size=3)
+    mesh = (WEDGE, FACES) if kind == "mesh" else ()
+    made = Shape(-1, kind, size, place, turn, np.ones(4), *mesh)
     (low, high), found, s = bounds(made), triangles(made), made.size
     used = found.reshape(-1, 3)
-    if kind == "mesh":
-        used = made.vertices @ made.rotation.T + made.position
     width = (high - low).max()
     np.testing.assert_allclose(used.min(axis=0), low, atol=0.01 * width)
     np.testing.assert_allclose(used.max(axis=0), high, atol=0.01 * width)
@@ -281,7 +231,6 @@ def test_a_robot_stands_on_a_plate_that_arrows_are_clear_of(name: str) -> None:
     assert ((lows[:, 2] < 0) & (highs[:, 2] >= -1e-9)).any()
     clear = [highs[:, 0].max() + 0.05 * robot.reach, lows[:, 1].min() - 0.05 * robot.reach]
     np.testing.assert_allclose(robot.corner[:2], clear)
-    assert robot.deck == highs[np.argmax(np.prod((highs - lows)[:, :2], axis=1)), 2]
     puma = ModelFile(ROOT / "models/puma562.xml")
     drawn = load_shapes(puma.path, puma.tree()).shapes
     assert len(load_appearance(puma.tree(), puma).shapes) == len(drawn)

@@ -10,6 +10,7 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -51,8 +52,8 @@ def named(path: str) -> tb.Tree:
     return tb.load_tree(GOLDEN / f"robots/{path}.urdf")
 
 
-def parameters(each: Equations, listing: Listing) -> Array:
-    """What they are in."""
+def vector(each: Equations, listing: Listing) -> Array:
+    """The parameters that the equations are in."""
     theta = tb.barycentric(listing.tree)
     return (
         theta.ravel() if listing.form == "full" else listing.minimal[each.kind.model].values(theta)
@@ -65,41 +66,36 @@ def computed(listing: Listing, states: tuple[Array, ...], source: str = "") -> d
         module = python_module(write_equations(listing, "python", source), Path(name))
         strict = ("-O0", "-trigraphs", "-finput-charset=utf-8")
         library = c_library(write_equations(listing, "c", source), Path(name), *strict)
-    latex = by_latex(listing, states, source)
+    printed = by_latex(listing, states, source)
     results = {}
-    for each in listing.equations:
-        vector, function = parameters(each, listing), each.kind.name.replace("-", "_")
-        inputs = list(states[: len(each.kind.takes)])
-        given = [] if each.kind.is_regressor else [vector]
-        found = getattr(module, function)(*inputs, *given)
-        for k, sample in enumerate(zip(*inputs, strict=True)):
-            scale = max(1.0, np.abs(found[k]).max())
-            in_c = c_call(library, function, [*sample, *given], each.shape)
-            np.testing.assert_allclose(in_c, found[k], rtol=0, atol=1e-12 * scale)
-            np.testing.assert_allclose(
-                latex[each.kind.name][k], found[k], rtol=0, atol=1e-12 * scale
-            )
-        results[each.kind.name] = found @ vector if each.kind.is_regressor else found
+    for each, in_latex in zip(listing.equations, printed, strict=True):
+        name, inputs = each.kind.name.replace("-", "_"), states[: len(each.kind.takes)]
+        given = [] if each.kind.is_regressor else [vector(each, listing)]
+        found = getattr(module, name)(*inputs, *given)
+        samples = zip(*inputs, strict=True)
+        in_c = [c_call(library, name, [*sample, *given], each.shape) for sample in samples]
+        for other in (in_c, in_latex):
+            np.testing.assert_allclose(other, found, rtol=0, atol=1e-12 * max(1, abs(found).max()))
+        results[each.kind.name] = found if given else found @ vector(each, listing)
     return results
 
 
-def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> dict[str, list[Array]]:
+def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> Iterator[list[Array]]:
     """Every number, name and power of the document is read, and nothing else is used."""
     blocks = latex_blocks(write_equations(listing, "latex", source))
     constants: dict[str, float] = {}
     if listing.constants:
         constants = {left: latex_reader(())(right, {}, ()) for left, right in blocks.pop(0)}
-    found: dict[str, list[Array]] = {}
     for each, block in zip(listing.equations, blocks, strict=True):
         written = [label for label, value in each.program.lines if value or len(each.shape) == 1]
         assert block == [("0", "0")] if not written else len(block) == len(written)
-        given = dict(constants)
+        known = dict(constants)
         if not each.kind.is_regressor:
-            for value, parameter in zip(parameters(each, listing), each.parameters, strict=True):
-                given[parameter.label.stem.latex] = value / parameter.times
-        found[each.kind.name] = []
+            for value, parameter in zip(vector(each, listing), each.parameters, strict=True):
+                known[parameter.label.stem.latex] = value / parameter.times
+        found = []
         for sample in zip(*states, strict=True):
-            names, result = dict(given), np.zeros(each.shape)
+            names, result = dict(known), np.zeros(each.shape)
             for letter, values in zip(("q", r"\dot q", r"\ddot q"), sample, strict=True):
                 names |= {f"{letter}_{{{k + 1}}}": float(v) for k, v in enumerate(values)}
             value_of = latex_reader([*names, *(left for left, _ in block)])
@@ -108,8 +104,8 @@ def by_latex(listing: Listing, states: tuple[Array, ...], source: str) -> dict[s
                 names[left] = value_of(right, names, sample[0])
                 if label in each.places:
                     result[each.places[label]] = names[left]
-            found[each.kind.name].append(result)
-    return found
+            found.append(result)
+        yield found
 
 
 def check(listing: Listing, urdf: str, seed: int = 0) -> None:
@@ -145,14 +141,12 @@ def test_equations_of_real_arms_compute_what_pinocchio_does(name: str) -> None:
 
 
 @pytest.mark.parametrize("form", ["full", "recursive"])
-def test_known_zeros_are_left_out_and_the_rest_agrees(form: Form) -> None:
+def test_known_zeros_are_left_out_and_the_rest_agrees(form: Form, puma: tb.Tree) -> None:
     """Equations of a symmetric arm are half as long; what is left is still the arm."""
-    path = ROOT / "models/puma562.urdf"
-    listing = equations(tb.load_tree(path), list(KINDS), form, zeros=True)
-    check(listing, path.read_text())
+    listing = equations(puma, list(KINDS), form, zeros=True)
+    check(listing, (ROOT / "models/puma562.urdf").read_text())
     assert not re.search(r"\b(mbs?\dx|Ks?\dx[yz])", write_equations(listing, "paper"))
-    one = equations(listing.tree, "mass-matrix", form, zeros="mb3x")
-    assert one.known_zero.sum() == 1
+    assert equations(puma, "mass-matrix", form, zeros="mb3x").known_zero.sum() == 1
 
 
 def test_hostile_names_change_no_result_and_stand_in_comments_only() -> None:
@@ -165,15 +159,14 @@ def test_hostile_names_change_no_result_and_stand_in_comments_only() -> None:
     other = equations(replace(plain, joints=joints), ["gravity-forces"], "recursive")
     marks: dict[Language, str] = {"paper": "*", "latex": "%", "python": "#", "c": " *"}
     for language, mark in marks.items():
-        wanted = write_equations(one, language, one.tree.name).splitlines()
+        text = write_equations(one, language, one.tree.name)
+        code = [each for each in text.splitlines() if not each.startswith(mark)]
         for name in HOSTILE:
             odd = replace(other, tree=replace(other.tree, name=name))
-            text = write_equations(odd, language, name)
-            said = [line for line in text.splitlines() if line.startswith(mark)]
-            code = [[x for x in t if not x.startswith(mark)] for t in (text.splitlines(), wanted)]
-            assert code[0] == code[1]
-            assert text.isascii()
-            assert max(map(len, said)) < 300
+            lines = write_equations(odd, language, name).splitlines()
+            assert [each for each in lines if not each.startswith(mark)] == code
+            assert all(each.isascii() for each in lines)
+            assert max(len(each) for each in lines if each.startswith(mark)) < 300
     (found,) = computed(other, states, HOSTILE[0]).values()
     (wanted_forces,) = computed(one, states).values()
     np.testing.assert_array_equal(found, wanted_forces)
