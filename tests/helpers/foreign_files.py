@@ -18,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+import testbed as tb
 from testbed.arrays import Array
 
 JOINTS = ("j1", "j2")
@@ -174,6 +175,12 @@ def write_c3d(
     made["data"]["points"] = np.concatenate([points, np.ones((1, *points.shape[1:]))])
     made["data"]["analogs"] = channels[None]
     made.write(str(path))
+
+
+def imported(folder: Path, text: str) -> tb.Recording:
+    """What a mapping of the files in a folder makes."""
+    (folder / "map.toml").write_text(text)
+    return tb.Recording.from_mapping(folder / "map.toml")
 
 
 FORMATS: dict[str, Callable[[Path, Log], str]] = {
