@@ -121,25 +121,22 @@ def parquet(folder: Path, log: Log) -> str:
     return by_arrays("log.parquet", unit="")
 
 
-def mcap(folder: Path, log: Log) -> str:
-    """A ROS 2 bag, in a folder."""
-    return _bag(folder / "log", log, StoragePlugin.MCAP)
-
-
 def bare_mcap(folder: Path, log: Log) -> str:
-    """Its file alone."""
-    mcap(folder, log)
-    (file,) = (folder / "log").glob("*.mcap")
-    file.rename(folder / "log.mcap")
-    return _topics("log.mcap")
+    """The file of a ROS 2 bag."""
+    return _single(folder, log, StoragePlugin.MCAP, "mcap")
 
 
 def db3(folder: Path, log: Log) -> str:
     """A ROS 2 bag as it was kept before."""
-    _bag(folder / "log", log, StoragePlugin.SQLITE3)
-    (file,) = (folder / "log").glob("*.db3")
-    file.rename(folder / "log.db3")
-    return _topics("log.db3")
+    return _single(folder, log, StoragePlugin.SQLITE3, "db3")
+
+
+def _single(folder: Path, log: Log, plugin: StoragePlugin, ending: str) -> str:
+    """A bag's file without its folder."""
+    _bag(folder / "log", log, plugin)
+    (file,) = (folder / "log").glob(f"*.{ending}")
+    file.rename(folder / f"log.{ending}")
+    return _topics(f"log.{ending}")
 
 
 def bag(folder: Path, log: Log) -> str:
@@ -185,12 +182,9 @@ def imported(folder: Path, text: str) -> tb.Recording:
 
 FORMATS: dict[str, Callable[[Path, Log], str]] = {
     "csv": csv, "npz": npz, "mat": mat, "mat73": mat73, "hdf5": hdf5, "parquet": parquet,
-    "mcap": mcap, "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
+    "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
 }  # fmt: skip
 """Each writes its file into a folder and returns the mapping."""
-
-SINGLE = ("c3d",)
-"""Formats of single precision."""
 
 
 def _topics(file: str) -> str:
