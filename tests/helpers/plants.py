@@ -30,6 +30,22 @@ def sensed(plant: Plant, q: Array, qd: Array, effort: Array) -> tuple[Array, Arr
     return data.qacc[plant.order].copy(), friction, wrench
 
 
+def check_laws(tree: tb.Tree, found: Rollout, size: float) -> None:
+    """Torque less friction moves the robot, and the plate feels that motion and the pedestal.
+
+    Args:
+        tree: The robot.
+        found: Of instants.
+        size: Largest relative error.
+    """
+    true = found.truth
+    motion = tb.Motion(found.time, true.position, true.velocity, true.acceleration)
+    forces = tb.joint_forces(tree, motion)
+    wrench = tb.base_wrench(tree, motion) + tb.pedestal_wrench(tree)
+    assert np.abs(true.torque - true.friction - forces).max() <= size * np.abs(forces).max()
+    assert np.abs(true.wrench - wrench).max() <= size * np.abs(wrench).max()
+
+
 def run(
     tree: tb.Tree,
     path: Path,

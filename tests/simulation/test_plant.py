@@ -20,7 +20,7 @@ from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant, check_plant
 from testbed.simulation.sampled_loop import Sampling
-from tests.helpers.plants import PUMA, run, sensed, waving
+from tests.helpers.plants import PUMA, check_laws, run, sensed, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import few, rngs, robots
@@ -51,12 +51,7 @@ def test_any_robot_gets_a_plate_that_feels_its_motion(robot: Robot, form: str) -
         done = run(tree, path, waving(tree.n), Sampling(500.0, 4, False, 0.0), 5e-4)
         tare = build_plant(ModelFile(path), tree, 5e-4).tare
     np.testing.assert_allclose(tare, tb.pedestal_wrench(tree), atol=1e-10)
-    true = done.truth
-    motion = tb.Motion(done.time, true.position, true.velocity, true.acceleration)
-    wrench = tb.base_wrench(tree, motion) + tare
-    assert np.abs(true.wrench - wrench).max() <= WITNESS * np.abs(wrench).max()
-    forces = tb.joint_forces(tree, motion)
-    assert np.abs(true.torque - true.friction - forces).max() <= WITNESS * np.abs(forces).max()
+    check_laws(tree, done, WITNESS)
 
 
 @few(4)
