@@ -54,7 +54,8 @@ def run(
     step: float,
     friction: bool = True,
 ) -> Rollout:
-    plant = build_plant(ModelFile(path), tree, step, friction=friction)
+    changed = tree.names if friction else ()
+    plant = build_plant(ModelFile(path), tree, step, friction=friction, changed=changed)
     tree = tree if friction else tree.without_friction()
     return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
 
