@@ -127,7 +127,7 @@ def test_no_push_at_the_joints_reaches_the_plate(robot: tuple[Tree, Path]) -> No
         return np.asarray(-1.5 * np.tanh(qd / 0.1) - 0.5 * np.sin(3 * q) + 0.3 * np.sin(40 * time))
 
     found = run(robot, INSTANTS, rough)
-    check_laws(robot[0], found, 1e-11)
+    check_laws(robot[0], found.time, found.truth, 1e-11)
     assert np.abs(found.truth.friction).max() > 1.0
 
 

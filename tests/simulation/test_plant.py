@@ -52,7 +52,7 @@ def test_any_robot_gets_a_plate_that_feels_its_motion(robot: Robot, form: str) -
         done = run(tree, path, waving(tree.n), Sampling(500.0, 4, False, 0.0), 5e-4)
         tare = build_plant(ModelFile(path), bare, 5e-4).tare
     np.testing.assert_allclose(tare, tb.pedestal_wrench(tree), atol=1e-10)
-    check_laws(tree, done, WITNESS)
+    check_laws(tree, done.time, done.truth, WITNESS)
     assert np.abs(done.truth.friction).max() > 0.1
 
 
