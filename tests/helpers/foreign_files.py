@@ -36,9 +36,9 @@ class Log:
     w: Array
 
 
-def some_log(samples: int = 60, seed: int = 0) -> Log:
+def some_log(samples: int = 60) -> Log:
     """Two joints and a plate that mean nothing."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     q = np.cumsum(rng.normal(size=(samples, 2)), axis=0) * 0.01
     tau, w = rng.normal(size=(samples, 2)), rng.normal(size=(samples, 6))
     return Log(np.arange(samples) / 100, q, tau, w)

@@ -200,8 +200,8 @@ def test_ros_messages_are_numbers_by_their_paths(
 ) -> None:
     """Lists of messages; lists that grow, and lengths that lie, are none."""
     store = get_typestore({1: Stores.ROS1_NOETIC, 2: Stores.ROS2_HUMBLE}[version])
-    point, pack = store.types["geometry_msgs/msg/Point32"], store.serialize_cdr
-    pack = store.serialize_ros1 if version == 1 else pack
+    point = store.types["geometry_msgs/msg/Point32"]
+    pack: Any = store.serialize_ros1 if version == 1 else store.serialize_cdr
 
     def polygon(points: Any) -> bytes:
         each = [point(*map(float, xyz)) for xyz in points]
