@@ -115,6 +115,7 @@ def test_a_fault_leaves_other_signals_and_the_noise_of_all_others_alone() -> Non
 
 
 def test_two_of_one_kind_have_streams_of_their_own() -> None:
+    """Of noise, and of the signs that chance decides."""
     one, two = (
         wrench(seen(*[PlateNoise()] * count, what=truth(0), base=Instrument())) for count in (1, 2)
     )

@@ -165,20 +165,19 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
 def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
     tmp_path: Path,
 ) -> None:
-    def opened(**columns: Any) -> Any:
+    def opened(**columns: Any) -> ForeignTable:
         pq.write_table(pa.table(columns), tmp_path / "log.parquet")
         return open_foreign(tmp_path / "log.parquet")
 
-    for kind in (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64()):
-        (found,) = opened(x=pa.array([0, 1, 1]).cast(kind)).read(["x"]).values()
-        assert (found.dtype, found.tolist()) == (np.float64, [0.0, 1.0, 1.0])
+    kinds = (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64())
+    table = opened(**{f"{kind}": pa.array([0, 1, 1]).cast(kind) for kind in kinds})
+    for values in table.read(table.columns).values():
+        assert (values.dtype, values.tolist()) == (np.float64, [0.0, 1.0, 1.0])
     for unit, size in {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}.items():
-        ticks = [2 * size, 3 * size, 5 * size]
-        at, lasts = (pa.array(ticks, kind(unit)) for kind in (pa.timestamp, pa.duration))
-        table = opened(at=at, lasts=lasts)
-        for name in ("at", "lasts"):
-            assert table.stamps(name).dtype == np.int64
-            assert (table.stamps(name) * TIMES[table.units[name]]).tolist() == [2.0, 3.0, 5.0]
+        for kind in (pa.timestamp, pa.duration):
+            table = opened(t=pa.array([2 * size, 3 * size, 5 * size], kind(unit)))
+            assert table.stamps("t").dtype == np.int64
+            assert (table.stamps("t") * TIMES[table.units["t"]]).tolist() == [2.0, 3.0, 5.0]
     pairs = pa.list_(pa.float64(), 2)
     table = opened(q=pa.array([[1.0, 2.0], [3.0, 4.0]], pairs), words=["a", "b"])
     assert table.columns == ("q[0]", "q[1]")
