@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,16 +95,11 @@ class Odd:
             size = self.size or len(bundle.runs)
             for first in range(0, len(bundle.runs), size):
                 part = bundle.runs[first : first + size]
-                bundles.append(_of(bundle, part))
+                bundles.append(replace(bundle, runs=part))
         for k in self.rng.permutation(len(bundles)):
             self.asked += [run for run, _ in bundles[k].runs]
             yield self.work(bundles[k])
 
 
-def _of(bundle: Bundle, runs: tuple[tuple[str, tuple[str, ...]], ...]) -> Bundle:
-    return Bundle(bundle.base, bundle.content, bundle.methods, bundle.keeps, bundle.code, runs)
-
-
-def real(bundle: Bundle) -> tuple[list[Outcome], float]:
-    """The work itself."""
-    return carry_out_bundle(bundle)
+real = carry_out_bundle
+"""The work itself."""

@@ -11,16 +11,13 @@ from testbed.robot.tree import Joint, Kind, Tree
 X, Y, Z = np.eye(3)
 
 
-def chain(*joints: tuple[Kind, ArrayLike], offset: float = 0.3) -> Tree:
+def chain(*joints: tuple[Kind, ArrayLike]) -> Tree:
     """Joints of given kinds and axes, each a step aside of the one before, on general bodies."""
     rng = np.random.default_rng(len(joints))
-    made = tuple(
-        Joint(f"j{k + 1}", f"b{k + 1}", kind, k - 1, np.array(axis), np.full(3, at), np.eye(3))
-        for k, (kind, axis) in enumerate(joints)
-        for at in [offset * (k > 0)]
-    )
-    bodies = tuple(
-        tb.Inertia.about_centre(rng.uniform(1, 3), rng.uniform(-0.2, 0.2, 3), np.eye(3) * 0.1)
-        for _ in joints
-    )
-    return Tree("chain", made, bodies)
+    made, bodies = [], []
+    for k, (kind, axis) in enumerate(joints):
+        place, name = np.full(3, 0.3 * (k > 0)), f"{k + 1}"
+        made.append(Joint(f"j{name}", f"b{name}", kind, k - 1, np.array(axis), place, np.eye(3)))
+        mass, centre = rng.uniform(1, 3), rng.uniform(-0.2, 0.2, 3)
+        bodies.append(tb.Inertia.about_centre(mass, centre, np.eye(3) * 0.1))
+    return Tree("chain", tuple(made), tuple(bodies))

@@ -18,6 +18,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
+import testbed as tb
 from testbed.arrays import Array
 
 JOINTS = ("j1", "j2")
@@ -35,9 +36,9 @@ class Log:
     w: Array
 
 
-def some_log(samples: int = 60, seed: int = 0) -> Log:
+def some_log(samples: int = 60) -> Log:
     """Two joints and a plate that mean nothing."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     q = np.cumsum(rng.normal(size=(samples, 2)), axis=0) * 0.01
     tau, w = rng.normal(size=(samples, 2)), rng.normal(size=(samples, 6))
     return Log(np.arange(samples) / 100, q, tau, w)
@@ -120,25 +121,22 @@ def parquet(folder: Path, log: Log) -> str:
     return by_arrays("log.parquet", unit="")
 
 
-def mcap(folder: Path, log: Log) -> str:
-    """A ROS 2 bag, in a folder."""
-    return _bag(folder / "log", log, StoragePlugin.MCAP)
-
-
 def bare_mcap(folder: Path, log: Log) -> str:
-    """Its file alone."""
-    mcap(folder, log)
-    (file,) = (folder / "log").glob("*.mcap")
-    file.rename(folder / "log.mcap")
-    return _topics("log.mcap")
+    """The file of a ROS 2 bag."""
+    return _single(folder, log, StoragePlugin.MCAP, "mcap")
 
 
 def db3(folder: Path, log: Log) -> str:
     """A ROS 2 bag as it was kept before."""
-    _bag(folder / "log", log, StoragePlugin.SQLITE3)
-    (file,) = (folder / "log").glob("*.db3")
-    file.rename(folder / "log.db3")
-    return _topics("log.db3")
+    return _single(folder, log, StoragePlugin.SQLITE3, "db3")
+
+
+def _single(folder: Path, log: Log, plugin: StoragePlugin, ending: str) -> str:
+    """A bag's file without its folder."""
+    _bag(folder / "log", log, plugin)
+    (file,) = (folder / "log").glob(f"*.{ending}")
+    file.rename(folder / f"log.{ending}")
+    return _topics(f"log.{ending}")
 
 
 def bag(folder: Path, log: Log) -> str:
@@ -176,14 +174,17 @@ def write_c3d(
     made.write(str(path))
 
 
+def imported(folder: Path, text: str) -> tb.Recording:
+    """What a mapping of the files in a folder makes."""
+    (folder / "map.toml").write_text(text)
+    return tb.Recording.from_mapping(folder / "map.toml")
+
+
 FORMATS: dict[str, Callable[[Path, Log], str]] = {
     "csv": csv, "npz": npz, "mat": mat, "mat73": mat73, "hdf5": hdf5, "parquet": parquet,
-    "mcap": mcap, "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
+    "bare_mcap": bare_mcap, "db3": db3, "bag": bag, "c3d": c3d,
 }  # fmt: skip
 """Each writes its file into a folder and returns the mapping."""
-
-SINGLE = ("c3d",)
-"""Formats of single precision."""
 
 
 def _topics(file: str) -> str:

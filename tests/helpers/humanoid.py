@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 import testbed as tb
 from testbed.arrays import Array
@@ -15,49 +16,32 @@ from tests.helpers.paths import REAL
 G1 = REAL / "g1_description/urdf/g1_29dof_rev_1_0.urdf"
 
 
-def of_pinocchio(
-    model: pin.Model, names: tuple[str, ...], motion: tb.Motion, step: float, ends: list[tb.Motion]
+def by_pinocchio(
+    names: tuple[str, ...], path: Fourier, time: Array, step: float = 1e-4
 ) -> tuple[Array, Array]:
-    """The ground's wrench about its origin along a motion, (M, 6), and poses, (M, 7)."""
+    """The ground's wrench about its origin along a motion, (M, 6), and poses, (M, 7).
+
+    Velocities and accelerations are differences of configurations so many seconds apart.
+    """
+    model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
     data = model.createData()
-    place = [model.joints[model.getJointId(name)].idx_v for name in names]
-    before, after = (_twists(each) for each in ends)
-    twist, change = _twists(motion), (after - before) / (2 * step)
-    wrenches, poses = [], []
-    for k in range(motion.samples):
-        turn = _turn(motion.q[k, 3:6])
-        q, v, a = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
-        q[:3], v[:6], a[:6] = motion.q[k, :3], twist[k], change[k]
-        q[3:7] = pin.Quaternion(turn).coeffs()
-        q[np.array(place) + 1], v[place], a[place] = (
-            each[k, FREE:] for each in (motion.q, motion.qd, motion.qdd)
-        )
-        own = pin.rnea(model, data, q, v, a)[:6]
+    place = [model.joints[model.getJointId(name)].idx_q for name in names]
+
+    def configurations(shift: float) -> Array:
+        q = path.at(time + shift).q
+        found = np.zeros((len(q), model.nq))
+        found[:, :3], found[:, place] = q[:, :3], q[:, FREE:]
+        found[:, 3:7] = Rotation.from_euler("ZYX", q[:, 3:6]).as_quat()
+        return found
+
+    now, wrenches = configurations(0.0), []
+    for q, before, after in zip(now, configurations(-step), configurations(step), strict=True):
+        back, on = (pin.difference(model, q, other) for other in (before, after))
+        own = pin.rnea(model, data, q, (on - back) / (2 * step), (on + back) / step**2)[:6]
+        turn = pin.Quaternion(q[3:7]).matrix()
         force = turn @ own[:3]
         wrenches.append(np.concatenate([force, turn @ own[3:] + np.cross(q[:3], force)]))
-        poses.append([*q[:3], q[6], *q[3:6]])
-    return np.array(wrenches), np.array(poses)
-
-
-def _turn(angles: Array) -> Array:
-    """Rz Ry Rx of yaw, pitch and roll."""
-    turns = [pin.utils.rotate(axis, float(x)) for axis, x in zip("zyx", angles, strict=True)]
-    return np.asarray(turns[0] @ turns[1] @ turns[2])
-
-
-def _twists(motion: tb.Motion) -> Array:
-    """Of the base in its own axes, (M, 6): by the textbook's rates of yaw, pitch and roll."""
-    found = np.zeros((motion.samples, 6))
-    for k, (q, qd) in enumerate(zip(motion.q, motion.qd, strict=True)):
-        _, pitch, roll = q[3:6]
-        yaws, pitches, rolls = qd[3:6]
-        found[k, :3] = _turn(q[3:6]).T @ qd[:3]
-        found[k, 3:] = [
-            rolls - yaws * np.sin(pitch),
-            pitches * np.cos(roll) + yaws * np.cos(pitch) * np.sin(roll),
-            -pitches * np.sin(roll) + yaws * np.cos(pitch) * np.cos(roll),
-        ]
-    return found
+    return np.array(wrenches), now[:, [0, 1, 2, 6, 3, 4, 5]]
 
 
 def squatting(tree: tb.Tree, seed: int) -> Fourier:
@@ -93,11 +77,8 @@ def within(tree: tb.Tree, motion: Fourier) -> Fourier:
 def humanoid(duration: float, rate: float, seed: int, noise: float) -> tuple[tb.Tree, Recording]:
     """Encoders, pose and the sum of two plates, all with noise; the wrench is Pinocchio's."""
     tree = tb.load_tree(G1, weld_root=True)
-    path, step = squatting(tree, seed), 1e-4
-    time = np.arange(0, duration, 1 / rate)
-    motion, *ends = (path.at(time + shift) for shift in (0.0, -step, step))
-    model = pin.buildModelFromUrdf(str(G1), pin.JointModelFreeFlyer())
-    wrench, base = of_pinocchio(model, tree.names, motion, step, ends)
+    path, time = squatting(tree, seed), np.arange(0, duration, 1 / rate)
+    motion, (wrench, base) = path.at(time), by_pinocchio(tree.names, path, time)
     rng = np.random.default_rng(seed + 1)
     rough = rng.normal(size=wrench.shape) * ([0.5] * 3 + [0.05] * 3)
     return tree, Recording(

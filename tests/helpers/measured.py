@@ -7,7 +7,8 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
-from testbed.recordings.recording import Recording
+from testbed.instruments.chain import Instrument, measure
+from testbed.recordings.recording import Recording, Truth
 from testbed.robot.friction import drive_torque
 
 SPEED = {"revolute": 1.5, "prismatic": 0.5}
@@ -53,6 +54,26 @@ def measured(
         wrench=tb.base_wrench(tree, motion) + tare + np.hstack([some(0.5, 3), some(0.1, 3)]),
         tare=tare,
     )
+
+
+def clean(tree: tb.Tree, seed: int, *, duration: float = 20.0, rate: float = 500.0) -> Recording:
+    """By an instrument with the noise of table6 and exact torque constants, with the truth."""
+    motion = random_fourier(tree, np.random.default_rng(seed), 1.0)
+    states = motion.at(np.arange(0, duration, 1 / rate))
+    tare = tb.pedestal_wrench(tree)
+    truth = Truth(
+        states.q,
+        states.qd,
+        states.qdd,
+        tb.joint_forces(tree, states),
+        np.zeros_like(states.q),
+        tb.base_wrench(tree, states) + tare,
+    )
+    usual = Instrument(
+        rate=rate, encoder_resolution=1e-4, encoder_noise=1e-4, torque_noise=0.5, force_noise=0.5,
+        moment_noise=0.1,
+    )  # fmt: skip
+    return measure(usual, tree.names, states.t, truth, tare, {}, seed)
 
 
 def random_fourier(tree: tb.Tree, rng: np.random.Generator, speed: float) -> Fourier:

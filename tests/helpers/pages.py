@@ -123,10 +123,10 @@ def with_failures(bundle: Bundle) -> tuple[list[Outcome], float]:
 
 
 @cache
-def campaign(factors: str = GRID, replicates: int = 12) -> Summary:
+def campaign() -> Summary:
     """A campaign of made-up outcomes."""
     place = Path(mkdtemp())
-    asked = Campaign.load(campaign_file(place, replicates, factors))
+    asked = Campaign.load(campaign_file(place, 12, GRID))
     conduct(asked, place / "r", Odd(with_failures))
     return summarise(read_campaign(place / "r"))
 

@@ -10,6 +10,7 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
+from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.plant import Plant
@@ -30,6 +31,22 @@ def sensed(plant: Plant, q: Array, qd: Array, effort: Array) -> tuple[Array, Arr
     return data.qacc[plant.order].copy(), friction, wrench
 
 
+def check_laws(tree: tb.Tree, time: Array, true: Truth, size: float) -> None:
+    """Torque less friction moves the robot, and the plate feels that motion and the pedestal.
+
+    Args:
+        tree: The robot.
+        time: Instants [s].
+        true: What happened then.
+        size: Largest relative error.
+    """
+    motion = tb.Motion(time, true.position, true.velocity, true.acceleration)
+    forces = tb.joint_forces(tree, motion)
+    wrench = tb.base_wrench(tree, motion) + tb.pedestal_wrench(tree)
+    assert np.abs(true.torque - true.friction - forces).max() <= size * np.abs(forces).max()
+    assert np.abs(true.wrench - wrench).max() <= size * np.abs(wrench).max()
+
+
 def run(
     tree: tb.Tree,
     path: Path,
@@ -38,7 +55,8 @@ def run(
     step: float,
     friction: bool = True,
 ) -> Rollout:
-    plant = build_plant(ModelFile(path), tree, step, friction=friction)
+    changed = tree.names if friction else ()
+    plant = build_plant(ModelFile(path), tree, step, friction=friction, changed=changed)
     tree = tree if friction else tree.without_friction()
     return simulate_motion(plant, tree, motion, 1.0, 60.0, sampling)
 

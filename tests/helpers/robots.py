@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from testbed.arrays import Array
 from testbed.robot.inertia import Inertia
@@ -29,6 +30,11 @@ class Link:
     mass: float
     com: Array
     central: Array
+
+    @property
+    def turn(self) -> Rotation:
+        """From its frame to its parent's."""
+        return Rotation.from_quat(np.roll(self.quaternion, -1))
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,7 @@ class Robot:
                     parent=link.parent,
                     axis=link.axis,
                     offset=link.xyz,
-                    rotation=_matrix(link.quaternion),
+                    rotation=link.turn.as_matrix(),
                 )
                 for link in self.links
             ),
@@ -69,7 +75,7 @@ class Robot:
             parts.append(
                 f'<joint name="{link.name}" type="{link.kind}">'
                 f'<parent link="{parent}_body"/><child link="{link.name}_body"/>'
-                f'<origin xyz="{_text(link.xyz)}" rpy="{_text(_rpy(_matrix(link.quaternion)))}"/>'
+                f'<origin xyz="{_text(link.xyz)}" rpy="{_text(link.turn.as_euler("xyz"))}"/>'
                 f'<axis xyz="{_text(link.axis)}"/>'
                 '<limit lower="-3" upper="3" effort="500" velocity="5"/></joint>'
             )
@@ -186,20 +192,14 @@ def _inertia(link: Link) -> Inertia:
 def _urdf_link(name: str, link: Link) -> str:
     i = link.central
     return (
-        (
-            f'<link name="{name}"><inertial><origin xyz="{_text(link.com)}"/>'
-            f'<mass value="{link.mass!r}"/><inertia ixx="{i[0, 0]!r}" ixy="{i[0, 1]!r}" '
-            f'ixz="{i[0, 2]!r}" iyy="{i[1, 1]!r}" iyz="{i[1, 2]!r}" izz="{i[2, 2]!r}"/>'
-            "</inertial></link>"
-        )
-        .replace("np.float64(", "")
-        .replace(")", "")
+        f'<link name="{name}"><inertial><origin xyz="{_text(link.com)}"/>'
+        f'<mass value="{_text([link.mass])}"/><inertia ixx="{i[0, 0]}" ixy="{i[0, 1]}" '
+        f'ixz="{i[0, 2]}" iyy="{i[1, 1]}" iyz="{i[1, 2]}" izz="{i[2, 2]}"/></inertial></link>'
     )
 
 
 def _mjcf_inertial(link: Link) -> str:
-    i = link.central
-    full = [i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]]
+    full = link.central[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return (
         f'<inertial mass="{_text([link.mass])}" pos="{_text(link.com)}" '
         f'fullinertia="{_text(full)}"/>'
@@ -208,22 +208,3 @@ def _mjcf_inertial(link: Link) -> str:
 
 def _text(values: Sequence[float] | Array) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def _matrix(quaternion: Array) -> Array:
-    w, x, y, z = quaternion
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
-def _rpy(r: Array) -> list[float]:
-    return [
-        float(np.arctan2(r[2, 1], r[2, 2])),
-        float(np.arctan2(-r[2, 0], np.hypot(r[2, 1], r[2, 2]))),
-        float(np.arctan2(r[1, 0], r[0, 0])),
-    ]

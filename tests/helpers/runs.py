@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,9 +49,9 @@ def without(recording: Recording, signal: str) -> Recording:
     return replace(recording, **lacking)
 
 
-def experiment(model: Path | None = None, expect: dict[str, Bound] | None = None) -> tb.Experiment:
+def experiment(expect: dict[str, Bound] | None = None) -> tb.Experiment:
     """An experiment that says no more than it must."""
-    return tb.Experiment(name="made", model=str(model or MODELS["puma"]), expect=expect or {})
+    return tb.Experiment(name="made", model=str(MODELS["puma"]), expect=expect or {})
 
 
 def run_of(

@@ -24,9 +24,8 @@ from testbed.instruments.fault import Fault
 from testbed.instruments.faults import fault_of
 from testbed.kernel.layout import layout
 from testbed.recordings.recording import Recording
-from tests.helpers.faulty import clean
 from tests.helpers.ideal import ideal
-from tests.helpers.measured import measured
+from tests.helpers.measured import clean, measured
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot
 from tests.helpers.strategies import few, motions, trees

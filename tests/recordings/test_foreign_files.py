@@ -21,12 +21,13 @@ from scipy.io import savemat
 
 import testbed as tb
 from testbed.errors import RecordingError, UnknownName
+from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.readers import open_foreign
 from testbed.recordings.importing.readers.ros_messages import numbers_of
-from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, SINGLE, some_log, write_c3d
-from tests.helpers.refusals import is_message, refuses
+from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, some_log, write_c3d
+from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few, rngs
 
 STAMPS = 2.4e-7
@@ -55,17 +56,13 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
         found = tb.Recording.from_mapping(tmp_path / f"{mapping}.toml")
         np.testing.assert_allclose(found.time, log.t, rtol=0, atol=STAMPS)
         for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
-            exact = wanted.astype(np.float32) if name in SINGLE else wanted
+            exact = wanted.astype(np.float32) if name == "c3d" else wanted
             np.testing.assert_array_equal(found.measured(signal), exact)
         assert found.facts.get("warnings") is None
-    if name == "mcap":
-        return  # a folder
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 3] + b"," * (name == "csv"))
-    with pytest.raises(RecordingError) as damaged:
+    with refuses(RecordingError, "log."):
         tb.Recording.from_mapping(tmp_path / "map.toml")
-    assert is_message(str(damaged.value))
-    assert "log." in str(damaged.value)
 
 
 def test_tables_of_text_are_read_as_loggers_write_them(tmp_path: Path) -> None:
@@ -146,12 +143,10 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, data in (("a.csv", b""), ("b.csv", b"words\nand words\n"), ("c.csv", b"1,2\n\0\n"),
-                       ("a.c3d", b"\2\x50" + bytes(9)), ("a.xls", b"1"), ("a", b"1")):  # fmt: skip
+                       ("a.c3d", b"\2\x50" + bytes(9)), ("a.xls", b"1"), ("a.", b"1")):  # fmt: skip
         (tmp_path / name).write_bytes(data)
-        with pytest.raises((RecordingError, UnknownName)) as refused:
+        with pytest.raises((RecordingError, UnknownName), match=name[1:]):
             open_foreign(tmp_path / name)
-        assert name[1:] in str(refused.value)
-        assert "\n" not in str(refused.value)
     for nothing in (tmp_path, tmp_path / "none.csv"):
         with refuses(RecordingError, nothing.name):
             open_foreign(nothing)
@@ -170,20 +165,20 @@ def test_files_that_hold_no_log_and_libraries_that_are_missing_are_named(
 def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
     tmp_path: Path,
 ) -> None:
-    def opened(**columns: Any) -> Any:
+    def opened(**columns: Any) -> ForeignTable:
         pq.write_table(pa.table(columns), tmp_path / "log.parquet")
         return open_foreign(tmp_path / "log.parquet")
 
-    for kind in (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64()):
-        (found,) = opened(x=pa.array([0, 1, 1]).cast(kind)).read(["x"]).values()
-        assert (found.dtype, found.tolist()) == (np.float64, [0.0, 1.0, 1.0])
+    kinds = (pa.bool_(), pa.int8(), pa.uint64(), pa.float32(), pa.float64())
+    table = opened(**{f"{kind}": pa.array([0, 1, 1]).cast(kind) for kind in kinds})
+    for values in table.read(table.columns).values():
+        assert values.dtype == np.float64
+        assert values.tolist() == [0.0, 1.0, 1.0]
     for unit, size in {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}.items():
-        ticks = [2 * size, 3 * size, 5 * size]
-        at, lasts = (pa.array(ticks, kind(unit)) for kind in (pa.timestamp, pa.duration))
-        table = opened(at=at, lasts=lasts)
-        for name in ("at", "lasts"):
-            assert table.stamps(name).dtype == np.int64
-            assert (table.stamps(name) * TIMES[table.units[name]]).tolist() == [2.0, 3.0, 5.0]
+        for kind in (pa.timestamp, pa.duration):
+            table = opened(t=pa.array([2 * size, 3 * size, 5 * size], kind(unit)))
+            assert table.stamps("t").dtype == np.int64
+            assert (table.stamps("t") * TIMES[table.units["t"]]).tolist() == [2.0, 3.0, 5.0]
     pairs = pa.list_(pa.float64(), 2)
     table = opened(q=pa.array([[1.0, 2.0], [3.0, 4.0]], pairs), words=["a", "b"])
     assert table.columns == ("q[0]", "q[1]")
@@ -195,7 +190,7 @@ def test_parquet_tables_of_other_programs_hold_numbers_times_truths_and_lists(
             table.read(table.columns)
 
 
-POLYGON, DIAGNOSTIC = "geometry_msgs/msg/Polygon", "diagnostic_msgs/msg/DiagnosticStatus"
+POLYGON = "geometry_msgs/msg/Polygon"
 
 
 @few(4)
@@ -203,19 +198,16 @@ POLYGON, DIAGNOSTIC = "geometry_msgs/msg/Polygon", "diagnostic_msgs/msg/Diagnost
 def test_ros_messages_are_numbers_by_their_paths(
     version: int, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Lists of messages, texts between numbers; lists that grow, and lengths that lie, are none."""
+    """Lists of messages; lists that grow, and lengths that lie, are none."""
     store = get_typestore({1: Stores.ROS1_NOETIC, 2: Stores.ROS2_HUMBLE}[version])
-    kinds, definitions = store.types, store.fielddefs
-
-    def packed(kind: str, message: Any) -> bytes:
-        pack = store.serialize_ros1 if version == 1 else store.serialize_cdr
-        return bytes(pack(message, kind))
+    point = store.types["geometry_msgs/msg/Point32"]
+    pack: Any = store.serialize_ros1 if version == 1 else store.serialize_cdr
 
     def polygon(points: Any) -> bytes:
-        each = [kinds["geometry_msgs/msg/Point32"](*map(float, point)) for point in points]
-        return packed(POLYGON, kinds[POLYGON](each))
+        each = [point(*map(float, xyz)) for xyz in points]
+        return bytes(pack(store.types[POLYGON](each), POLYGON))
 
-    def bag(messages: list[bytes]) -> Path:
+    def opened(messages: list[bytes]) -> ForeignTable:
         path = tmp_path_factory.mktemp("bag") / ("log.bag" if version == 1 else "log")
         kind: Any = {"version": 9, "storage_plugin": StoragePlugin.MCAP}
         writer: Any = Writer1(path) if version == 1 else Writer(path, **kind)
@@ -223,24 +215,20 @@ def test_ros_messages_are_numbers_by_their_paths(
             topic = writer.add_connection("/told", POLYGON, typestore=store)
             for k, message in enumerate(messages):
                 writer.write(topic, EPOCH + k * 10_000_000, message)
-        return path
+        return open_foreign(path, "/told")
 
     points = rng.normal(size=(5, 3, 3)).astype(np.float32)
     names = [f"points[{k}]/{axis}" for k in range(3) for axis in "xyz"]
-    found = open_foreign(bag([polygon(each) for each in points]), "/told").read(names)
+    found = opened([polygon(each) for each in points]).read(names)
     for name, values in zip(names, points.reshape(5, 9).T, strict=True):
         np.testing.assert_array_equal(found[name], values)
     with refuses(RecordingError, "points[2]/x"):
-        open_foreign(bag([polygon(np.ones((k, 3))) for k in (2, 2, 3)]), "/told")
-    pair = kinds["diagnostic_msgs/msg/KeyValue"]
-    told = [pair("temperature", "41.5"), pair("größe", "")]
-    data = packed(DIAGNOSTIC, kinds[DIAGNOSTIC](2, "plate", "warm", "id 7", told))
-    assert numbers_of(data, DIAGNOSTIC, definitions, version) == {"level": 2.0}
+        opened([polygon(np.ones((k, 3))) for k in (2, 2, 3)])
     data, start = polygon(np.ones((2, 3))), 0 if version == 1 else 4
     for count in (10**6, 3):
         wrong = data[:start] + count.to_bytes(4, "little") + data[start + 4 :]
         with refuses(ValueError):
-            numbers_of(wrong, POLYGON, definitions, version)
+            numbers_of(wrong, POLYGON, store.fielddefs, version)
 
 
 def test_a_c3d_file_has_points_beside_channels_with_units_names_and_what_was_not_seen(

@@ -75,15 +75,14 @@ def clock(rng: np.random.Generator, time: Array, epoch: bool) -> dict[str, Any]:
 
 
 def written(rng: np.random.Generator, stem: Path, columns: dict[str, Any]) -> Path:
-    """A file of some format."""
-    path = stem.with_suffix(pick(rng, (".csv", ".npz", ".parquet")))
-    if path.suffix == ".npz":
-        np.savez(path, **columns)
-    elif path.suffix == ".parquet":
+    """A file of numbers or of text."""
+    if rng.integers(2):
+        path = stem.with_suffix(".parquet")
         pq.write_table(pa.table(columns), path)
-    else:
-        rows = zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True)
-        path.write_text("\n".join([";".join(columns), *map(";".join, rows)]) + "\n")
+        return path
+    rows = zip(*(map(repr, values.tolist()) for values in columns.values()), strict=True)
+    path = stem.with_suffix(".csv")
+    path.write_text("\n".join([";".join(columns), *map(";".join, rows)]) + "\n")
     return path
 
 
@@ -98,10 +97,8 @@ def test_a_guess_converts_the_log_back(
     names = list(pick(rng, ROBOTS)[: rng.integers(2, 8)])
     n, rate = len(names), float(pick(rng, (50, 125, 200, 250, 500)))
     time = np.arange(400) / rate
-    size, speed, phase = rng.uniform(
-        np.array([[0.2], [2], [0]]), np.array([[1.5], [6], [6]]), (3, n)
-    )
-    angle = speed * time[:, None] + phase
+    size, speed = rng.uniform(0.2, 1.5, n), rng.uniform(2, 6, n)
+    angle = speed * time[:, None]
     truth = {
         "position": size * np.sin(angle) + rng.uniform(-1, 1, n),
         "velocity": size * speed * np.cos(angle),

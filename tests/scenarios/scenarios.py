@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -38,18 +38,12 @@ from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import on_free_base
 from testbed.sanity.solved_mapping import solved
 from tests.helpers.campaigns import NOISES, campaign_file
-from tests.helpers.faulty import clean
 from tests.helpers.humanoid import humanoid
-from tests.helpers.ideal import ideal
-from tests.helpers.measured import measured
-from tests.helpers.paths import GOLDEN, REAL, ROOT
+from tests.helpers.measured import clean, measured
+from tests.helpers.paths import REAL, ROOT
+from tests.helpers.plates import loaded, mass_of
 from tests.helpers.robots import random_robot
-from tests.helpers.runs import experiment, noisy, robot, run_of
-
-Figures = dict[str, Array]
-"""Arrays by name."""
-
-Result = TypeVar("Result")
+from tests.helpers.runs import MODELS, experiment, robot, run_of
 
 
 @dataclass(frozen=True)
@@ -81,10 +75,9 @@ def figures_of_estimate(name: str, found: Estimate) -> Iterator[tuple[str, Array
 
 def figures_of_run(run: Run) -> Iterator[tuple[str, ArrayLike]]:
     """Numbers of a run: its signals, estimates, metrics and whatever else it has."""
-    signals = (run.recording.position, run.recording.torque, run.recording.wrench)
-    for signal, values in zip(("position", "torque", "wrench"), signals, strict=True):
-        if values is not None:
-            yield f"{signal} rms", np.sqrt((values**2).mean(axis=0))
+    for signal in ("position", "torque", "wrench"):
+        if signal in run.recording.signals:
+            yield f"{signal} rms", np.sqrt((run.recording.measured(signal) ** 2).mean(axis=0))
     for method, found in run.estimates.items():
         yield from figures_of_estimate(method, found)
     for name, value in sorted(run.metrics.items()):
@@ -145,7 +138,7 @@ NOISES_OF_UR5 = {"encoder": 1e-5, "force": 0.3, "moment": 0.06, "torque": 0.3}
 
 def _ur5() -> Run:
     noises = [f"measurement.{name}_noise={size}" for name, size in NOISES_OF_UR5.items()]
-    return tb.carry_out(tb.Experiment.of_model(GOLDEN / "robots/ur5.urdf", [*SHORT, *noises]))
+    return tb.carry_out(tb.Experiment.of_model(MODELS["ur5"], [*SHORT, *noises]))
 
 
 def _panda() -> Run:
@@ -176,22 +169,18 @@ def _drives() -> Run:
 
 
 def _payload() -> PayloadEstimate:
-    tree = robot("ur5")
-    load = tb.Inertia.about_centre(1.2, [0.03, -0.05, 0.2], np.diag([2e-3, 3e-3, 4e-3]))
-    heavy = replace(tree, inertias=(*tree.inertias[:-1], tree.inertias[-1] + load))
     one, other = (
         tb.identify(each, measured(each, seed, duration=10.0))
-        for seed, each in ((8, tree), (9, heavy))
+        for seed, each in ((8, robot("ur5")), (9, loaded(robot("ur5"))))
     )
-    return payload(tree, one, other)
+    return payload(robot("ur5"), one, other)
 
 
 def _plate() -> Calibration:
     tree, rng = robot("puma"), np.random.default_rng(10)
     mixing = np.eye(6) + 0.01 * rng.uniform(-1, 1, (6, 6))
     right = measured(tree, 10, duration=10.0)
-    mass = sum(inertia.mass for inertia in tree.inertias)
-    known = {"mass": mass, "gain/Fz": float(mixing[2, 2])}
+    known = {"mass": mass_of(tree), "gain/Fz": float(mixing[2, 2])}
     return calibrate(tree, replace(right, wrench=right.measured("wrench") @ mixing.T), known)
 
 
@@ -209,9 +198,9 @@ def _imported() -> Run:
 
 def _several() -> Run:
     tree = robot("puma")
-    joined = Joined(tuple(measured(tree, seed, duration=5.0) for seed in (12, 13)))
-    found = {method: tb.identify(tree, joined, method) for method in METHODS}
-    return replace(run(tree, measured(tree, 12, duration=5.0)), estimates=found)
+    parts = [measured(tree, seed, duration=5.0) for seed in (12, 13)]
+    found = {method: tb.identify(tree, Joined(parts), method) for method in METHODS}
+    return replace(run(tree, parts[0]), estimates=found)
 
 
 def _campaign() -> list[dict[str, Any]]:
@@ -224,13 +213,13 @@ def _campaign() -> list[dict[str, Any]]:
 
 def _motion() -> Excitation:
     quick = ["excitation.starts=1", "excitation.harmonics=4", "motion.duration=10"]
-    return excite(tb.Experiment.of_model(ROOT / "models/puma562.xml", quick))
+    return excite(tb.Experiment.of_model(MODELS["puma"], quick))
 
 
 def _bodies() -> Run:
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
     asked = asked.model_copy(update={"consistent": Wishes()})
-    return with_consistent(run_of(robot("puma"), noisy(ideal(robot("puma"))), asked))
+    return with_consistent(run_of(robot("puma"), asked=asked))
 
 
 def run(tree: tb.Tree, recording: tb.Recording, settings: Settings | None = None) -> Run:
@@ -262,7 +251,7 @@ def result(name: str) -> Any:
     return SCENARIOS[name].make()
 
 
-def figures(name: str) -> Figures:
+def figures(name: str) -> dict[str, Array]:
     """What must not move of a scenario."""
     given = SCENARIOS[name].figures(result(name))
     return {key: np.asarray(value, dtype=float) for key, value in given}

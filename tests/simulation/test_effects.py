@@ -20,10 +20,11 @@ from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
 from testbed.simulation.effect import Effect, StepForces
 from testbed.simulation.effects import KINDS, effect_of
+from testbed.simulation.plant import Plant
 from testbed.simulation.rollout import Rollout, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
-from tests.helpers.plants import PUMA, waving
+from tests.helpers.plants import PUMA, check_laws, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot
 from tests.helpers.strategies import few, robots
@@ -125,15 +126,16 @@ def test_no_push_at_the_joints_reaches_the_plate(robot: tuple[Tree, Path]) -> No
     def rough(time: float, q: Array, qd: Array, motor: Array) -> Array:
         return np.asarray(-1.5 * np.tanh(qd / 0.1) - 0.5 * np.sin(3 * q) + 0.3 * np.sin(40 * time))
 
-    tree, found = robot[0], run(robot, INSTANTS, rough)
-    truth = found.truth
-    motion = tb.Motion(found.time, truth.position, truth.velocity, truth.acceleration)
-    forces, wrench = tb.joint_forces(tree, motion), tb.base_wrench(tree, motion)
-    gap = truth.torque - truth.friction - forces
-    assert np.abs(gap).max() < 1e-11 * np.abs(forces).max()
-    left = truth.wrench - wrench - tb.pedestal_wrench(tree)
-    assert np.abs(left).max() < 1e-11 * np.abs(wrench).max()
-    assert np.abs(truth.friction).max() > 1.0
+    found = run(robot, INSTANTS, rough)
+    check_laws(robot[0], found.time, found.truth, 1e-11)
+    assert np.abs(found.truth.friction).max() > 1.0
+
+
+def built(tree: Tree, path: Path = PUMA, **table: object) -> tuple[Effect, tb.Tree, Plant]:
+    """An effect on a robot, and the plant with it."""
+    effect = effect_of(table).on(tree.names)
+    loaded = effect.robot(tree)
+    return effect, loaded, build_plant(ModelFile(path), loaded, 1e-3, effects=[effect])
 
 
 @few(4)
@@ -145,41 +147,28 @@ def test_a_payload_is_the_same_body_for_tree_and_plant(
     path = tmp_path_factory.mktemp("payload") / "r.xml"
     path.write_text(robot.mjcf())
     tree = tb.load_tree(path)
-    table = {"kind": "payload", "joint": tree.names[1], "mass": 0.7,
-             "centre": [0.1, -0.05, 0.2], "inertia": [2e-3, 3e-3, 4e-3]}  # fmt: skip
-    effect = effect_of(table).on(tree.names)
-    loaded = effect.robot(tree)
+    loaded = built(tree, path, kind="payload", joint=tree.names[1], mass=0.7,
+                   centre=[0.1, -0.05, 0.2], inertia=[2e-3, 3e-3, 4e-3])[1]  # fmt: skip
     assert loaded.inertias[1].mass == pytest.approx(tree.inertias[1].mass + 0.7)
-    build_plant(ModelFile(path), loaded, 1e-3, effects=[effect])
     if loaded.joints[1].revolute and np.any(tree.gravity):
         with refuses(ModelError, path.name):
             build_plant(ModelFile(path), loaded, 1e-3)
 
 
-def built(tree: Tree, path: Path = PUMA, **table: object) -> tuple[Effect, tb.Tree, object]:
-    """An effect on a robot, and the plant's model with it."""
-    effect = effect_of(table).on(tree.names)
-    loaded = effect.robot(tree)
-    return effect, loaded, build_plant(ModelFile(path), loaded, 1e-3, effects=[effect])
-
-
-def test_a_rotors_spin_reaches_the_plate_by_its_law(tmp_path: Path, puma: Tree) -> None:
+def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], puma: Tree) -> None:
     """MuJoCo's geared bodies against a change of inertias; sliding joints have no spin."""
     for name in ("puma562.xml", "puma562.urdf"):
         path = ROOT / "models" / name
-        tree = tb.load_tree(path)
         table: dict[str, Any] = {"kind": "geared_rotor", "inertia": 3e-4}
-        _, loaded, plant = built(tree, path, ratio=-50.0, **table)
-        other = effect_of({"ratio": -51.0, **table}).on(tree.names)
-        assert other.flaw(plant, loaded) is not None  # type: ignore[arg-type]
+        _, loaded, plant = built(tb.load_tree(path), path, ratio=-50.0, **table)
+        other = effect_of({"ratio": -51.0, **table}).on(puma.names)
+        assert other.flaw(plant, loaded) is not None
     minimal = tb.minimal_set(puma, "reaction", zeros=True)
     spun = with_rotor_spin(puma, {"waist": 0.018})
     more = minimal.values(tb.barycentric(spun)) - minimal.values(tb.barycentric(puma))
     expected = [0.018 * (name == "K*1zz") for name in minimal.names]
     np.testing.assert_allclose(more, expected, atol=1e-15)
-    path = tmp_path / "robot.xml"
-    path.write_text(random_robot(np.random.default_rng(3), 5).mjcf())
-    tree = tb.load_tree(path)
+    tree = robot[0]
     sliding = next(joint.name for joint in tree.joints if not joint.revolute)
     with refuses(SettingsError, sliding):
         effect_of({"kind": "geared_rotor"}).on(tree.names).robot(tree)
@@ -191,10 +180,9 @@ def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
     """Springs and dampers by MuJoCo's own mass matrix; gravity keeps its size and turns."""
     soft: dict[str, Any] = {"kind": "compliant_plate", "damping": 0.1}
     _, loaded, plant = built(puma, frequency=80.0, **soft)
-    model = plant.model  # type: ignore[attr-defined]
+    model = plant.model
     assert model.nv == puma.n + 6
-    wrong = effect_of({"frequency": 81.0, **soft})
-    assert wrong.flaw(plant, loaded) is not None  # type: ignore[arg-type]
+    assert effect_of({"frequency": 81.0, **soft}).flaw(plant, loaded) is not None
     data, mass = mujoco.MjData(model), np.zeros((model.nv, model.nv))
     mujoco.mj_forward(model, data)
     mujoco.mj_fullM(model, data, mass)
@@ -204,10 +192,10 @@ def test_the_bedplate_gives_way_and_tilts_as_asked(puma: Tree) -> None:
     again = effect_of(soft)
     with refuses(SettingsError, "compliant_plate"):
         build_plant(ModelFile(PUMA), puma, 1e-3, effects=[again, again])
-    plant = built(puma, kind="tilt", angle=0.1, direction=np.pi / 2)[2]
+    tilted = built(puma, kind="tilt", angle=0.1, direction=np.pi / 2)[2]
     size = np.linalg.norm(puma.gravity)
     turned = size * np.array([-np.sin(0.1), 0, -np.cos(0.1)])
-    np.testing.assert_allclose(plant.model.opt.gravity, turned, atol=1e-9)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(tilted.model.opt.gravity, turned, atol=1e-9)
 
 
 def test_an_experiment_file_says_effects_and_what_it_cannot_mean_is_refused() -> None:

@@ -20,7 +20,7 @@ from testbed.simulation.rollout import SimulationDiverged, Task, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
-from tests.helpers.plants import PUMA, run, waving
+from tests.helpers.plants import PUMA, check_laws, run, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot
 from tests.helpers.strategies import few, rngs, robots
@@ -145,7 +145,7 @@ def test_what_is_watched_is_what_is_recorded_and_what_went_before(puma: tb.Tree)
 def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     puma: tb.Tree,
 ) -> None:
-    """The waving takes the shoulder to its limit; dry friction is Coulomb's unless it stands."""
+    """The waving takes the shoulder to its limit."""
     done = run(puma, PUMA, waving(3), INSTANTS, 1e-3)
     away = done.truth.position - waving(3).at(done.time).q
     np.testing.assert_allclose(done.tracking, np.sqrt(np.mean(away**2, axis=0)), rtol=1e-9)
@@ -154,10 +154,6 @@ def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     assert (np.abs(done.truth.torque) <= limits).all()
     np.testing.assert_array_equal(done.saturated, at_limit.mean(axis=0))
     assert 0 < done.saturated.max() < 1
-    speed = done.truth.velocity
-    law = np.array([6.3, 5.5, 2.6]) * np.sign(speed) + np.array([5.80, 9.50, 3.98]) * speed
-    fast = np.abs(speed) > 0.02
-    np.testing.assert_allclose(done.truth.friction[fast], law[fast], atol=1e-9)
     with refuses(SimulationDiverged, "shoulder"):
         run(with_all(puma, max_effort=0.5), PUMA, waving(3), INSTANTS, 1e-3)
     strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)
@@ -181,17 +177,14 @@ def test_an_experiment_states_friction_and_a_drives_beliefs_and_repeats_to_the_b
     )
     truth = wrong.truth
     assert truth is not None
-    assert right.truth is not None
-    for name, values in vars(truth).items():
-        np.testing.assert_array_equal(getattr(again.truth, name), values)
-    assert np.abs(truth.position - right.truth.position).max() > 1e-4
+    for name, values in wrong.true_columns().items():
+        np.testing.assert_array_equal(again.true_columns()[name], values)
+    assert np.abs(wrong.position - right.position).max() > 1e-4
     load = tb.Inertia.about_centre(2.0, [0.05] * 3, 2e-3 * np.eye(3))
     tree = tb.load_tree(PUMA).with_inertia(2, load)
-    motion = tb.Motion(wrong.time, truth.position, truth.velocity, truth.acceleration)
-    wrench = tb.base_wrench(tree, motion) + np.asarray(wrong.tare)
-    np.testing.assert_allclose(truth.wrench, wrench, atol=1e-9 * np.abs(wrench).max())
-    law = np.array([6.3, 5.5, 4.5]) * np.sign(motion.qd) + [0, 9.5, 3.98] * motion.qd
-    fast = np.abs(motion.qd) > 0.02
+    check_laws(tree, wrong.time, truth, 1e-9)
+    speed, fast = truth.velocity, np.abs(truth.velocity) > 0.02
+    law = np.array([6.3, 5.5, 4.5]) * np.sign(speed) + [0, 9.5, 3.98] * speed
     np.testing.assert_allclose(truth.friction[fast], law[fast], atol=1e-9)
     for error in ("-0.1", "1.0", "nan"):
         with refuses(tb.TestbedError, "simulation.drive_model_error"):
