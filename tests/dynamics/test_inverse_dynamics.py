@@ -12,6 +12,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import blocks, parameter_regressor
 from testbed.dynamics.kinematics import poses
+from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.parameters.rules import Model
 from testbed.robot.visuals.shapes import poses_at_zero
 from tests.helpers.pinocchio import by_pinocchio
@@ -71,6 +72,31 @@ def test_regressors_times_parameters_are_the_forces(
     there = tree.with_gravity(gravity)
     np.testing.assert_array_equal(force, force_of(there, states))
     np.testing.assert_array_equal(tb.pedestal_wrench(tree, gravity), tb.pedestal_wrench(there))
+
+
+@few(20)
+@given(robots((1, 8)), rngs)
+def test_derivatives_of_the_wrench_are_its_differences(
+    robot: Robot, rng: np.random.Generator
+) -> None:
+    """Errors of encoders become columns by these; more instants than one block holds."""
+    tree = robot.tree()
+    states, theta = motion(rng, 515, tree.n), np.array(tb.barycentric(tree))
+    wrench, slopes = base_wrench_derivatives(tree, states, theta)
+    assert near(wrench, tb.base_wrench(tree, states))
+    step, last = 1e-5, slice(510, 515)
+    for joint in range(tree.n):
+        for kind in range(3):
+            moved = np.zeros((3, 515, tree.n))
+            moved[kind, :, joint] = step
+            plus, minus = (
+                tb.Motion(states.t, states.q + x[0], states.qd + x[1], states.qdd + x[2])[last]
+                for x in (moved, -moved)
+            )
+            found = (tb.base_wrench(tree, plus) - tb.base_wrench(tree, minus)) / (2 * step)
+            np.testing.assert_allclose(
+                slopes[joint, kind, last], found, atol=1e-7 * np.abs(slopes).max()
+            )
 
 
 @given(trees((3, 3)), rngs, st.integers(0, 2900))

@@ -13,8 +13,8 @@ from functools import cached_property
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
+from testbed.dynamics.wrench_derivatives import base_wrench_derivatives
 from testbed.identification.filters import slope_weights
 from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
@@ -28,9 +28,6 @@ Number = Array | float
 
 Change = Callable[[Array, Array, Array], tuple[Number, Number, Number]]
 """Of a coordinate, its velocity and its acceleration, (m,) each, of which it is a function."""
-
-SMALL = 1e-6
-"""Difference [rad, m, 1] by which derivatives are taken: rounding and curvature are 1e-9."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +117,7 @@ class Foretold:
     @cached_property
     def moving(self) -> Array:
         """Wrench of the moving bodies, (m, 6) [N, N m]."""
-        return self._wrench(self.motion.q, self.motion.qd, self.motion.qdd)
+        return self._derivatives[0]
 
     @cached_property
     def wrench(self) -> Array:
@@ -137,7 +134,7 @@ class Foretold:
         """
         coordinate = (each[:, joint] for each in self._coordinates)
         found = np.zeros_like(self.moving)
-        for by, slope in zip(change(*coordinate), self._slopes[joint], strict=True):
+        for by, slope in zip(change(*coordinate), self._derivatives[1][joint], strict=True):
             found += np.broadcast_to(by, len(found))[:, None] * slope
         return found
 
@@ -149,7 +146,7 @@ class Foretold:
         Args:
             joint: Index.
         """
-        by_position, by_velocity, by_acceleration = self._slopes[joint]
+        by_position, by_velocity, by_acceleration = self._derivatives[1][joint]
         q, qd, qdd = (each[:, joint, None] for each in self._coordinates)
         del q
         turning = _rate(by_acceleration, self.motion.t)
@@ -161,15 +158,9 @@ class Foretold:
         return self.motion.q, self.motion.qd, self.motion.qdd
 
     @cached_property
-    def _slopes(self) -> list[list[Array]]:
-        """Derivatives of the wrench by each joint's position, velocity, acceleration, (m, 6)."""
-        return [[self._slope(joint, kind) for kind in range(3)] for joint in range(self.tree.n)]
-
-    def _slope(self, joint: int, kind: int) -> Array:
-        moved = [each.copy() for each in self._coordinates]
-        moved[kind][:, joint] += SMALL
-        found: Array = (self._wrench(*moved) - self.moving) / SMALL
-        return found
+    def _derivatives(self) -> tuple[Array, Array]:
+        """That wrench, and its derivatives by each joint's coordinates, (n, 3, m, 6)."""
+        return base_wrench_derivatives(self.tree, self.motion, self.theta, self.gravity)
 
     def rows(self, signals: Array) -> Array:
         """Signals at the instants, (m, 6, k), filtered at the rows, (rows, 6, k)."""
@@ -182,10 +173,6 @@ class Foretold:
     def _filtered(self, signals: Array, weights: Array) -> Array:
         windows = np.lib.stride_tricks.sliding_window_view(signals, len(weights), axis=0)
         return np.asarray(windows[:: self.filter.step] @ weights)
-
-    def _wrench(self, q: Array, qd: Array, qdd: Array) -> Array:
-        motion = Motion(self.motion.t, q, qd, qdd)
-        return linear(self.tree, motion, self.theta[..., None], self.gravity)[1][..., 0]
 
 
 def _rate(signal: Array, time: Array) -> Array:

@@ -1,0 +1,243 @@
+"""How the base wrench changes with each joint's position, velocity and acceleration: exactly.
+
+One sweep to the leaves and one back give all 3 n derivatives, in place of 3 n + 1 inverse dynamics
+and their differences. All is told about the bedplate's origin, in its axes. With joint j's screw s,
+the screws v and a of its body's velocity and acceleration (less gravity), and W, I and B of all
+that the joint carries,
+
+    psi = v x s        dW/dq   = s x* W + I phi + B psi
+    phi = a x s        dW/dq'  = B s + 2 I psi
+        + v x psi      dW/dq'' = I s
+
+W is the wrench, I the inertia, and B what velocities make of a screw, the sum over bodies of
+
+    (2 w x p,  -2 v_w x J w + 2 (h . v_u) w - 2 v_u (h . w))
+
+where w is the screw's turning, p a body's momentum, h its first moment, and J its integral of r r'.
+
+Numbers of all instants lie side by side, (3, m): a few hundred calls whatever the number of
+instants.
+
+Source    [SRW22] eqs. of the derivatives in joint space, summed to the base
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array, skew
+from testbed.dynamics.inverse_dynamics import blocks
+from testbed.dynamics.motion import Motion
+from testbed.parameters.barycentric import STANDARD, TENSOR, to_standard
+from testbed.robot.tree import Joint, Tree
+
+BLOCK = 512
+"""Instants whose numbers stay in the processor's cache."""
+
+Pair = tuple[Array, Array]
+"""A screw, turning and sliding, or a wrench, force and moment: (3, m) each."""
+
+
+def base_wrench_derivatives(
+    tree: Tree, motion: Motion, theta: Array, gravity: ArrayLike | None = None
+) -> tuple[Array, Array]:
+    """The base wrench, and its derivatives by each joint's position, velocity, acceleration.
+
+    Args:
+        tree: The robot; only its geometry matters.
+        motion: M samples, columns in the order of `tree.names`.
+        theta: Barycentric parameters, (n, 10).
+        gravity: (3,) [m/s^2], bedplate frame; default the model file's.
+
+    Returns:
+        (M, 6) [N, N m], force first, about O^0; and (n, 3, M, 6) [N or N m per rad or m, and with
+        s and s^2].
+    """
+    own = to_standard(tree, theta)
+    six = own[:, [STANDARD.index(f"I{pair}") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")]]
+    tensor = np.einsum("abk,nk->nab", TENSOR, six)
+    second = np.trace(tensor, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - tensor
+    bodies = list(zip(own[:, 0], own[:, 1:4], second, strict=True))
+    g = tree.gravity_or(gravity)
+    wrench = np.empty((motion.samples, 6))
+    slopes = np.empty((tree.n, 3, motion.samples, 6))
+    for part in blocks(motion.samples, BLOCK):
+        moving = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
+        matter = [_Matter.of(*body, at) for body, at in zip(bodies, moving, strict=True)]
+        whole = _inward(tree, moving, matter, slopes[:, :, part])
+        wrench[part, :3], wrench[part, 3:] = whole[0].T, whole[1].T
+    return wrench, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class _Moving:
+    """A body at m instants.
+
+    Attributes:
+        turn: To the bedplate's axes, (3, 3, m).
+        place: Of its origin, (3, m) [m].
+        screw: Its joint's.
+        velocity: Its screw.
+        acceleration: The same, less gravity.
+    """
+
+    turn: Array
+    place: Array
+    screw: Pair
+    velocity: Pair
+    acceleration: Pair
+
+
+def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_Moving]:
+    """The motion of every body; coordinates (n, m)."""
+    still = np.zeros((3, q.shape[1]))
+    flat = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
+    bedplate = _Moving(
+        flat, still, (still, still), (still, still), (still, still - gravity[:, None])
+    )
+    found: list[_Moving] = []
+    for j, joint in enumerate(tree.joints):
+        carrier = bedplate if joint.parent < 0 else found[joint.parent]
+        turn, place, axis = _pose(joint, carrier, q[j])
+        screw = (axis, _cross(place, axis)) if joint.revolute else (still, axis)
+        velocity = _sum(carrier.velocity, _times(screw, qd[j]))
+        acceleration = _sum(carrier.acceleration, _times(screw, qdd[j]),
+                            _times(_moved(velocity, screw), qd[j]))  # fmt: skip
+        found.append(_Moving(turn, place, screw, velocity, acceleration))
+    return found
+
+
+def _pose(joint: Joint, carrier: _Moving, q: Array) -> tuple[Array, Array, Array]:
+    """A body's axes and origin, and its joint's axis, in the bedplate's."""
+    turn = np.einsum("abm,bc->acm", carrier.turn, joint.rotation)
+    place = carrier.place + np.einsum("abm,b->am", carrier.turn, joint.offset)
+    axis = np.einsum("abm,b->am", turn, joint.axis)
+    if not joint.revolute:
+        return turn, place + axis * q, axis
+    along = np.einsum("abm,bc->acm", turn, np.outer(joint.axis, joint.axis))
+    across = np.einsum("abm,bc->acm", turn, skew(joint.axis))
+    return along + np.cos(q) * (turn - along) + np.sin(q) * across, place, axis
+
+
+@dataclass(eq=False)
+class _Matter:
+    """Bodies about the bedplate's origin at m instants; what is carried is added to its carrier.
+
+    Attributes:
+        mass: [kg].
+        first: Moment, h, (3, m) [kg m].
+        second: Integral of r r', J, (3, 3, m) [kg m^2].
+        twice: The momentum, 2 p, (3, m) [kg m/s].
+        mixed: What velocities make of a turning's moment, (3, 3, m) [kg m^2/s].
+        wrench: That moves them.
+    """
+
+    mass: float
+    first: Array
+    second: Array
+    twice: Array
+    mixed: Array
+    wrench: Pair
+
+    @classmethod
+    def of(cls, mass: float, first: Array, second: Array, at: _Moving) -> _Matter:
+        """One body, its moments about and along its own frame."""
+        arm = np.einsum("abm,b->am", at.turn, first)
+        turned = np.einsum("abm,bc->acm", at.turn, second)
+        about = np.einsum("abm,cbm->acm", turned, at.turn)
+        across = arm[:, None] * at.place
+        about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
+        found = cls(mass, arm + mass * at.place, about, arm, about, (arm, arm))
+        (turning, sliding), momentum = at.velocity, found.inertia(at.velocity)
+        moving = found.inertia(at.acceleration)
+        found.wrench = (
+            moving[0] + _cross(turning, momentum[0]),
+            moving[1] + _cross(turning, momentum[1]) + _cross(sliding, momentum[0]),
+        )
+        found.twice = 2 * momentum[0]
+        found.mixed = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
+        found.mixed[range(3), range(3)] += 2 * _dot(found.first, sliding)
+        return found
+
+    def inertia(self, screw: Pair) -> Pair:
+        """I times a screw."""
+        turning, sliding = screw
+        trace = self.second[0, 0] + self.second[1, 1] + self.second[2, 2]
+        force = self.mass * sliding + _cross(turning, self.first)
+        moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
+        return force, moment
+
+    def velocities(self, screw: Pair) -> Pair:
+        """B times a screw."""
+        return _cross(screw[0], self.twice), _apply(self.mixed, screw[0])
+
+    def carry(self, other: _Matter) -> None:
+        """Add what another body carries."""
+        self.mass += other.mass
+        self.wrench = _sum(self.wrench, other.wrench)
+        for mine, its in ((self.first, other.first), (self.second, other.second),
+                          (self.twice, other.twice), (self.mixed, other.mixed)):  # fmt: skip
+            mine += its
+
+
+def _inward(tree: Tree, moving: list[_Moving], matter: list[_Matter], slopes: Array) -> Pair:
+    """The base wrench; derivatives of it into `slopes`, (n, 3, m, 6)."""
+    still = np.zeros_like(moving[0].place)
+    whole = still, still
+    for j in reversed(range(tree.n)):
+        at, carried = moving[j], matter[j]
+        psi = _moved(at.velocity, at.screw)
+        phi = _sum(_moved(at.acceleration, at.screw), _moved(at.velocity, psi))
+        turning, sliding = at.screw
+        force, moment = carried.wrench
+        turned = _cross(turning, force), _cross(turning, moment) + _cross(sliding, force)
+        for kind, pair in enumerate(
+            (
+                _sum(turned, carried.inertia(phi), carried.velocities(psi)),
+                _sum(carried.velocities(at.screw), _times(carried.inertia(psi), 2.0)),
+                carried.inertia(at.screw),
+            )
+        ):
+            slopes[j, kind, :, :3], slopes[j, kind, :, 3:] = pair[0].T, pair[1].T
+        if tree.parents[j] < 0:
+            whole = _sum(whole, carried.wrench)
+        else:
+            matter[tree.parents[j]].carry(carried)
+    return whole
+
+
+def _moved(velocity: Pair, screw: Pair) -> Pair:
+    """The rate of a screw that a body carries: velocity x screw."""
+    (w, u), (turning, sliding) = velocity, screw
+    return _cross(w, turning), _cross(u, turning) + _cross(w, sliding)
+
+
+def _sum(*pairs: Pair) -> Pair:
+    first, second = pairs[0]
+    for one, other in pairs[1:]:
+        first, second = first + one, second + other
+    return first, second
+
+
+def _times(pair: Pair, factor: Array | float) -> Pair:
+    return pair[0] * factor, pair[1] * factor
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Of vectors whose components come first."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                     a[0] * b[1] - a[1] * b[0]])  # fmt: skip
+
+
+def _dot(a: Array, b: Array) -> Array:
+    found: Array = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return found
+
+
+def _apply(matrix: Array, vector: Array) -> Array:
+    """(3, 3, m) times (3, m)."""
+    found: Array = matrix[:, 0] * vector[0] + matrix[:, 1] * vector[1] + matrix[:, 2] * vector[2]
+    return found
