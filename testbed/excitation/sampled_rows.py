@@ -54,7 +54,8 @@ class SampledRows:
         )
         if self._room is None:
             self._room = numba_engine.workspace(self.layout, signals)
-        return np.concatenate(numba_engine.rows(self.layout, signals, self._room), axis=1)
+        made = numba_engine.rows(self.layout, signals, self._room)
+        return np.concatenate([block.rows for block in made], axis=1)
 
     _room: Work | None = None
 

@@ -20,7 +20,7 @@ from testbed.arrays import Array
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
-from testbed.kernel.records import Question, Signals, Sums
+from testbed.kernel.records import Block, Question, Signals, Sums
 from testbed.recordings.checks import LARGEST, check_times, check_values
 from testbed.recordings.recording import Recording
 
@@ -32,14 +32,14 @@ Columns = Callable[[Signals, int], Array]
 
 Answer = TypeVar("Answer")
 
-SMALL = 2.0
+SMALL = 0.3
 """Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
 
 PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
 
 KEPT = 64e6
-"""Bytes of rows that are kept from the first pass to the next, in small jobs."""
+"""Bytes of rows that are kept from the first pass to the next."""
 
 
 def is_small(plan: Plan) -> bool:
@@ -73,8 +73,9 @@ class Passes:
         self.done = 0
         self.surveyor = Surveyor(plan.source.samples)
         self._rooms: SimpleQueue[Any] = SimpleQueue()
-        self._kept: dict[int, list[numpy_engine.Block]] = {}
-        self._keeps = plan.rows * plan.layout.rows.slots * 8 < KEPT
+        self._kept: dict[int, list[Block]] = {}
+        thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
+        self._keeps = thinned and plan.rows * plan.layout.rows.slots * 8 < KEPT
 
     def sums(self, question: Question) -> Iterator[Sums]:
         """The answers of all windows, in order; the first time, what was read is checked."""
@@ -152,7 +153,7 @@ class Passes:
 
     def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
         layout = self.plan.layout
-        if not self.compiled:
+        if self._keeps or not self.compiled:
             return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
         from testbed.kernel import numba_engine
 
@@ -168,23 +169,26 @@ class Passes:
         signals = self.plan.signals(part, window)
         none = np.zeros((self.plan.layout.width, window.rows, 0))
         further = none if beside is None else beside(signals, window.row)
+        return [block.rows for block in self._blocks(signals, window)], further
+
+    def _blocks(self, signals: Signals, window: Window) -> list[Block]:
+        if window.row in self._kept:
+            return self._kept[window.row]
+        found = self._made(signals)
+        if self._keeps:
+            self._kept[window.row] = found
+        return found
+
+    def _made(self, signals: Signals) -> list[Block]:
         if not self.compiled:
-            return [block.rows for block in self._blocks(signals, window)], further
+            return numpy_engine.rows(self.plan.layout, signals)
         from testbed.kernel import numba_engine
 
         work = self._room(signals)
         try:
-            return numba_engine.rows(self.plan.layout, signals, work), further
+            return numba_engine.rows(self.plan.layout, signals, work)
         finally:
             self._rooms.put(work)
-
-    def _blocks(self, signals: Signals, window: Window) -> list[numpy_engine.Block]:
-        if window.row in self._kept:
-            return self._kept[window.row]
-        found = numpy_engine.rows(self.plan.layout, signals)
-        if self._keeps:
-            self._kept[window.row] = found
-        return found
 
     def _room(self, signals: Signals) -> Any:
         """A workspace that no other thread is using."""

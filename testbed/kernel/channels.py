@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import AnyArray
 from testbed.kernel.canonical import Canonical, Link
-from testbed.kernel.constants import CACHE, KS, NB, PUSHED, SEEDS, SLIDING, TURNING, USUAL
+from testbed.kernel.constants import CACHE, KS, MBAR, NB, PUSHED, SEEDS, SLIDING, TURNING, USUAL
 from testbed.kernel.records import Bools, Ints, Rows
 
 
@@ -71,7 +71,9 @@ class Draft:
             if link < 0 or self._carries(link, k):
                 here = [p for p in self.places[k] if not force or p[0] in PUSHED]
                 inner = k != link and not self._stands(k)
-                pairs.append((k, self.slots, [e + (e == 9 and inner) for e, _ in here]))
+                if inner and not self.links[k].slides:  # its carriers know its mass already
+                    here = [p for p in here if p[0] != MBAR]
+                pairs.append((k, self.slots, [e + (e == MBAR and inner) for e, _ in here]))
                 columns += [column for _, column in here]
                 self.slots += len(here)
         for law, column in terms:

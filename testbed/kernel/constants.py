@@ -10,7 +10,10 @@ ORDER = (1, 2, 4, 5, 6, 8, 9, 3, 7, 0)
 USUAL = 7
 """How many entries the kernel makes at once; `screws.rest` makes the others."""
 
-PUSHED = (0, 1, 7, 9)
+MBAR = 9
+"""The entry of a body's mass where it stands on the bedplate; the next is as carriers feel it."""
+
+PUSHED = (0, 1, 7, MBAR)
 """Entries that a force has: first moments and mass."""
 
 # Places of screws in the workspace.

@@ -12,6 +12,7 @@ from testbed.kernel.constants import CHUNK, SEEDS, B, D
 from testbed.kernel.gram import sweep as compiled
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import (
+    Block,
     Question,
     Signals,
     Sums,
@@ -65,22 +66,26 @@ def sweep(layout: Layout, signals: Signals, question: Question, work: Work) -> S
     return sums
 
 
-def fill_only(layout: Layout, signals: Signals, work: Work) -> None:
+def fill_only(layout: Layout, signals: Signals, work: Work) -> Array:
     """Rows alone, nothing made of them; the last block stays in the workspace.
 
     Args:
         layout: The rows.
         signals: The window.
         work: Room to work in.
+
+    Returns:
+        How many of each channel count, (channels,).
     """
     nothing = products_wanted(layout.width)
     sums = sums_for(layout.rows, signals, nothing, len(layout.basis))
     sums = sums._replace(products=np.empty(0))
     _call(layout.robot, layout.rows, _fixed(signals), work, nothing, sums)
+    return sums.used
 
 
-def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
-    """A window's rows, block by block, (slots, rows) each.
+def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
+    """A window's rows.
 
     Args:
         layout: The rows.
@@ -88,9 +93,10 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Array]:
         work: Room to work in.
     """
     found = []
-    for _, block in blocks(signals, layout.rows.block):
-        fill_only(layout, block, work)
-        found.append(work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy())
+    for first, block in blocks(signals, layout.rows.block):
+        used = fill_only(layout, block, work)
+        z = work.Z.reshape(-1, D)[: layout.rows.slots, : block.number].copy()
+        found.append(Block(first, z, used))
     return found
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,25 +9,11 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.kernel.layout import Layout
-from testbed.kernel.records import Question, Signals, Sums, blocks, sums_for
+from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
 from testbed.robot.shafts import at_places, shares
 
 SAMPLES = 1024
 """Samples taken at once."""
-
-
-class Block(NamedTuple):
-    """Consecutive rows of a window.
-
-    Attributes:
-        first: Number of the first.
-        rows: (slots, rows).
-        used: How many of each channel count, (channels,).
-    """
-
-    first: int
-    rows: Array
-    used: Array
 
 
 def rows(layout: Layout, signals: Signals) -> list[Block]:
@@ -49,7 +33,7 @@ def answer(layout: Layout, signals: Signals, given: list[Block], question: Quest
     Args:
         layout: The rows.
         signals: The window.
-        given: Its `rows`.
+        given: Its `rows`, of whichever engine.
         question: What to find.
     """
     sums = sums_for(layout.rows, signals, question, len(layout.basis))

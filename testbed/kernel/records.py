@@ -80,6 +80,20 @@ def blocks(signals: Signals, size: int) -> Iterator[tuple[int, Signals]]:
         yield first, signals._replace(start=start, number=number)
 
 
+class Block(NamedTuple):
+    """Consecutive rows of a window.
+
+    Attributes:
+        first: Number of the first.
+        rows: (slots, rows).
+        used: How many of each channel count, (channels,).
+    """
+
+    first: int
+    rows: Array
+    used: Array
+
+
 class Work(NamedTuple):
     """What one thread of the kernel writes to."""
 

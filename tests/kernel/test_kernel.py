@@ -23,6 +23,7 @@ from testbed.kernel.layout import Layout, independent_columns, layout
 from testbed.kernel.records import Question, Signals, Sums, products_wanted
 from testbed.kernel.screws import sine_cosine
 from testbed.parameters.rules import Model
+from testbed.robot.free_base import on_free_base
 from testbed.robot.friction import LAWS, joint_terms
 from tests.helpers.paths import ROOT
 from tests.helpers.strategies import few, rngs, trees
@@ -63,12 +64,13 @@ def lower(found: Layout, sums: Sums) -> Array:
 
 
 @few(40)
-@given(any_trees, models, rngs, st.tuples(st.booleans(), st.booleans(), st.booleans()))
+@given(any_trees, models, rngs, st.tuples(*[st.booleans()] * 4))
 def test_compiled_and_plain_engine_say_the_same(
     tree: tb.Tree, model: Model, rng: np.random.Generator, how: tuple[bool, ...]
 ) -> None:
-    """Encoders or sensed kinematics, filtered or not, channels joined; joints that rest."""
-    encoders, filtered, joined = how
+    """Encoders or sensed kinematics, filtered or not, channels joined, on a base that moves."""
+    encoders, filtered, joined, free = how
+    tree = on_free_base(tree) if free else tree
     terms = joint_terms(tree, LAWS) if model == "dynamic" else ()
     found = layout(tree, tb.minimal_set(tree, model), terms, joined=joined)
     signals = some_signals(found, rng, encoders, filtered)
@@ -116,7 +118,8 @@ def test_rows_are_the_minimal_regressor(
     found = layout(tree, minimal)
     none = np.zeros((len(q), found.width))
     signals = Signals(q, qd, qdd, none, UNIT, np.ones(1), 0.0, 0, 0, 1, len(q))
-    z = np.hstack(numba_engine.rows(found, signals, numba_engine.workspace(found, signals)))
+    made = numba_engine.rows(found, signals, numba_engine.workspace(found, signals))
+    z = np.hstack([block.rows for block in made])
     scale = np.abs(expected).max(initial=1.0) * max(1.0, np.abs(found.basis).max(initial=0.0))
     for c, columns in enumerate(found.channels):
         at = found.rows.start[c]
