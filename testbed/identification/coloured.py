@@ -15,6 +15,7 @@ from scipy import linalg, special
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.average import Answer, averaged_fit
+from testbed.identification.noise.biases import carrying_constants
 from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fit
@@ -85,7 +86,8 @@ def under_coloured_noise(
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
     clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    replicas = Replicas(found.noise, m + directions.shape[1])
+    every = units.as_free(given.every)
+    replicas = Replicas(found.noise, carrying_constants(every, directions))
     back = _in_channels(units, directions)
     bias, left = back @ found.values[m:], _Left(back)
     repeated = _repetition_sums(passes, found.noise)

@@ -245,7 +245,7 @@ def _fits(passes: Passes, combined: Array, own: Sequence[Array]) -> list[tuple[N
     sizes = [_left(each.products[0, 0]) for each in given]
     scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
     found = [weighted_fit(each) for each in scaled]
-    replicas = [Replicas(fit.noise, which.shape[1]) for fit, which in zip(found, own, strict=True)]
+    replicas = [Replicas(fit.noise, each) for fit, each in zip(found, scaled, strict=True)]
     for joint, part in _parts(passes, combined, own):
         replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
     corrected = []

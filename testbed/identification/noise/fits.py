@@ -33,7 +33,7 @@ from testbed.identification.noise.autoregression import (
     unforetold,
 )
 from testbed.identification.noise.lagged_products import LaggedProducts
-from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
+from testbed.identification.noise.scaled import inverse_root
 
 ROUNDS = 4
 """Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""
@@ -176,18 +176,20 @@ def _weighted(squares: Array, rows: Array | int, m: int, lost: int = 0) -> _Weig
         m: Number of unknowns.
         lost: Rows' worth of freedom that a channel's noise model took.
     """
-    taken = np.full(len(squares), m / len(squares))
-    left = np.maximum(squares[:, m, m], 0.0)
+    channels, taken = len(squares), np.full(len(squares), m / len(squares))
+    columns = np.ascontiguousarray(squares[:, :m, :m]).reshape(channels, m * m)
+    right, own = squares[:, :m, m], squares[:, m, m]
+    left = np.maximum(own, 0.0)
     for _ in range(REWEIGHTINGS):
         spread = _spread(left, rows - lost - taken)
-        normal = np.tensordot(1 / spread**2, squares[:, :m, :m], 1)
-        inverse = scaled_inverse(normal)
-        values = scaled_solve(normal, spread**-2.0 @ squares[:, :m, m])
-        taken = np.einsum("ij,cij->c", inverse, squares[:, :m, :m]) / spread**2
-        left = np.maximum(of_residuals(squares, values), 0.0)
+        root = inverse_root((spread**-2.0 @ columns).reshape(m, m))
+        inverse, values = root @ root.T, root @ (root.T @ (spread**-2.0 @ right))
+        taken = columns @ inverse.ravel() / spread**2
+        explained = 2 * right @ values - columns @ np.outer(values, values).ravel()
+        left = np.maximum(own - explained, 0.0)
     spread = _spread(left, rows - lost - taken)
-    inverse = scaled_inverse(np.tensordot(1 / spread**2, squares[:, :m, :m], 1))
-    return _Weighted(values, inverse, spread, taken)
+    root = inverse_root((spread**-2.0 @ columns).reshape(m, m))
+    return _Weighted(values, root @ root.T, spread, taken)
 
 
 def _spread(left: Array, free: Array) -> Array:

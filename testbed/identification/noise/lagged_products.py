@@ -7,6 +7,7 @@ each is another sum of these products. One look at the rows is enough, whatever 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -42,6 +43,16 @@ class LaggedProducts:
             order: How many.
         """
         return self.rows - order * len(self.first)
+
+    @cached_property
+    def _both(self) -> Array:
+        """Each lag's products and, but for lag 0, their transpose added, (C, K + 1, q q)."""
+        lags, channels, columns, _ = self.products.shape
+        found = np.empty((channels, lags, columns, columns))
+        found[:, 0] = self.products[0]
+        for lag in range(1, lags):
+            np.add(self.products[lag], self.products[lag].swapaxes(1, 2), out=found[:, lag])
+        return found.reshape(channels, lags, -1)
 
     @property
     def at_once(self) -> LaggedProducts:
@@ -88,7 +99,8 @@ class LaggedProducts:
             inner: B, symmetric, (q, q).
             order: P, at most K.
         """
-        whole = np.tensordot(self.products[: order + 1], inner, 2)
+        whole = (self._both[:, : order + 1] @ inner.ravel()).T
+        whole[1:] /= 2
         first, last = (each @ inner @ each.swapaxes(2, 3) for each in (self.first, self.last))
         found, size = np.zeros((len(whole[0]), order + 1, order + 1)), self.last.shape[2]
         for i in range(order + 1):
@@ -107,11 +119,10 @@ class LaggedProducts:
             coefficients: a, channel by channel, (C, P), P at most K.
         """
         alpha, order = prediction_errors(coefficients), coefficients.shape[1]
-        total: Array = np.zeros_like(self.products[0])
-        for lag in range(order + 1):  # of all t, as if zeros stood before and after the rows
-            share = (alpha[:, lag:] * alpha[:, : order + 1 - lag]).sum(axis=1)
-            part = share[:, None, None] * self.products[lag]
-            total += part + part.transpose(0, 2, 1) if lag else part
+        share = np.stack(  # of all t, as if zeros stood before and after the rows
+            [(alpha[:, lag:] * alpha[:, : order + 1 - lag]).sum(axis=1) for lag in range(order + 1)]
+        )
+        total = (share.T[:, None] @ self._both[:, : order + 1]).reshape(self.products.shape[1:])
         edges = self._edges(alpha)
         total -= _together(edges, edges)
         return total

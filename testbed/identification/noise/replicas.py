@@ -15,7 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.identification.noise.autoregression import HIGHEST, Autoregression, NoiseMaker
+from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
 from testbed.identification.noise.fits import Fit, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 
@@ -27,18 +27,26 @@ SEED = 1996
 
 
 class Replicas:
-    """Products of rows with replicas of their noise."""
+    """Products of rows with replicas of their noise.
 
-    def __init__(self, noise: Autoregression, columns: int) -> None:
+    Of columns with columns they are known from the residuals' own products.
+    """
+
+    def __init__(self, noise: Autoregression, known: LaggedProducts) -> None:
         """Nothing yet.
 
         Args:
             noise: What is to be made.
-            columns: How many columns rows have.
+            known: Products of the rows' columns, residuals and ones.
         """
-        self._columns, self._order = columns, noise.order
+        self._order = noise.order
+        columns = known.products.shape[2] - 2
+        self._known = known.picked([*range(columns), columns + 1])
         self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(SEED))
-        self._sums = LaggedSums(HIGHEST)
+        self._noise = LaggedSums(known.lags)
+        lags, channels = known.products.shape[:2]
+        self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
+        self._before: tuple[Array, Array] | None = None
 
     def add(self, columns: Array, ones: Array) -> None:
         """Go on with consecutive rows.
@@ -48,23 +56,48 @@ class Replicas:
             ones: Where a row counts, (C, rows).
         """
         noise = self._maker.rows(columns.shape[1]) * ones[..., None]
-        self._sums.add(np.concatenate([columns, noise, ones[..., None]], axis=2))
+        self._noise.add(noise)
+        now = np.concatenate([columns, ones[..., None]], axis=2), noise
+        lags, rows = len(self._across) - 1, columns.shape[1]
+        before = self._before or tuple(np.zeros((len(ones), lags, z.shape[2])) for z in now)
+        columns, noise = (np.concatenate(each, axis=1) for each in zip(before, now, strict=True))
+        for lag in range(lags + 1):  # as a lag's products and their transpose come together only
+            late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
+            self._across[lag] += columns[:, late].swapaxes(1, 2) @ noise[:, early] / 2
+            self._across[lag] += columns[:, early].swapaxes(1, 2) @ noise[:, late] / 2
+        self._before = columns[:, rows:], noise[:, rows:]
 
     def pause(self) -> None:
         """What comes next does not follow what came last."""
-        self._sums.pause()
+        self._noise.pause()
+        self._before = None
 
     def each(self, maps: Array | None = None) -> Iterator[LaggedProducts]:
         """Products with one replica after the other in the residuals' place.
 
+        Those of a lag are symmetric: half of what they are and of their transpose. They serve until
+        the next replica takes their place.
+
         Args:
             maps: How columns and ones make up other columns, (C, m + 1, r); default as they are.
         """
-        given, m = self._sums.finish(), self._columns
-        if maps is not None:
-            given, m = given.carrying(maps), maps.shape[2]
+        made, columns = self._noise.finish(), self._across.shape[2] - 1
+        maps = np.eye(columns + 1, columns) if maps is None else maps
+        whole = np.zeros((self._across.shape[1], columns + 1, maps.shape[-1] + 1))
+        whole[..., :-1], whole[:, -1, -1] = maps, 1.0  # ones stay the last
+        known = self._known.combined(whole)
+        across = whole.swapaxes(1, 2) @ self._across
+        size = whole.shape[2] + 1
+        others, own = np.array([*range(size - 2), size - 1]), size - 2
+        first, last = (np.insert(each, own, 0.0, axis=3) for each in (known.first, known.last))
+        products = np.zeros((*across.shape[:2], size, size))
+        within = (known.products + known.products.swapaxes(2, 3)) / 2
+        products[:, :, others[:, None], others] = within
         for replica in range(REPLICAS):
-            yield given.picked([*range(m), m + replica, m + REPLICAS])
+            products[:, :, own, others] = products[:, :, others, own] = across[..., replica]
+            products[:, :, own, own] = made.products[:, :, replica, replica]
+            first[..., own], last[..., own] = made.first[..., replica], made.last[..., replica]
+            yield LaggedProducts(made.rows, products, first, last)
 
     def factor(self, fit: Fit, lead: Array) -> float:
         """By how much sigma has to be multiplied: at least one.

@@ -223,7 +223,7 @@ class Clues:
             whole, independent = given.carrying(self._whole), given.carrying(self._independent)
             self._traces, noise = traces(whole, independent, question)
             self._order = noise.order
-            self._replicas = Replicas(noise, question.columns)
+            self._replicas = Replicas(noise, given)
 
     def add(self, columns: Array, ones: Array, looked_at: bool = True) -> None:
         """Go on with consecutive rows.
