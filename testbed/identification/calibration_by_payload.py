@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import special
 from scipy.linalg import block_diag, null_space
-from scipy.stats import chi2
 
 from testbed.arrays import Array
 from testbed.blas import eigh
@@ -155,7 +155,7 @@ def joined(pair: Pair, first: Estimate, second: Estimate) -> Estimate:
     gain = across @ inverse
     left = np.eye(len(spread)) - gain @ facts.of_first
     moved, spread = -gain @ facts.gap, left @ spread @ left.T + gain @ others @ gain.T
-    chance = float(chi2.sf(facts.gap @ inverse @ facts.gap, max(rank, 1)))
+    chance = float(special.chdtrc(max(rank, 1), facts.gap @ inverse @ facts.gap))
     p = len(first.values)
     numbers = zip(first.nuisances, moved[p:], np.diagonal(spread)[p:], strict=True)
     joint = replace(

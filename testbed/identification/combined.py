@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import special
 from scipy.linalg import block_diag
-from scipy.stats import chi2, norm
 
 from testbed.arrays import Array, readonly
 from testbed.blas import eigh
@@ -203,8 +203,8 @@ def _disagreement(bodies: Estimate, values: Array, covariance: Array) -> Disagre
     sizes, axes = eigh((unit + unit.T) / 2)
     kept = sizes > INFORMATIVE
     along = (moved / scale) @ axes[:, kept] / np.sqrt(sizes[kept])
-    chance = float(chi2.sf(along @ along, max(int(kept.sum()), 1)))
+    chance = float(special.chdtrc(max(int(kept.sum()), 1), along @ along))
     if z.size:
-        chance = min(chance, z.size * 2 * float(norm.sf(np.abs(z).max())))
+        chance = min(chance, z.size * 2 * float(special.ndtr(-np.abs(z).max())))
     names = tuple(name for name, each in zip(bodies.names, said, strict=True) if each)
     return Disagreement(names, z, min(chance, 1.0))

@@ -20,6 +20,7 @@ from testbed.arrays import Array
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
+from testbed.kernel.layout import Layout
 from testbed.kernel.records import Block, Question, Signals, Sums
 from testbed.recordings.checks import LARGEST, check_times, check_values
 from testbed.recordings.recording import Recording
@@ -48,8 +49,24 @@ def is_small(plan: Plan) -> bool:
     return plan.source.samples * seconds < SMALL
 
 
-def _is_for_the_compiled(plan: Plan) -> bool:
-    return plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+def is_compiled(plan: Plan) -> bool:
+    """Whether the compiled kernel makes a plan's rows."""
+    wanted = plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+    return wanted and plan.layout.compiles
+
+
+def compiled_rows(layout: Layout, q: Array, qd: Array, qdd: Array) -> Array:
+    """Rows of a motion without measurements, by the compiled kernel, (slots, M).
+
+    Args:
+        layout: The rows.
+        q: Positions, (M, n).
+        qd: Velocities, (M, n).
+        qdd: Accelerations, (M, n).
+    """
+    from testbed.kernel import numba_engine
+
+    return numba_engine.motion_rows(layout, q, qd, qdd)
 
 
 class Passes:
@@ -66,7 +83,7 @@ class Passes:
         """
         self.number = number
         self.plan = plan
-        self.compiled = plan.layout.compiles and _is_for_the_compiled(plan)
+        self.compiled = is_compiled(plan)
         self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
         self.progress = progress
         self.checked = False
@@ -108,12 +125,12 @@ class Passes:
                 yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
             done, first = window.row + window.rows, 0
             for block in blocks:
-                columns = np.empty((layout.width, block.shape[1], lead.shape[1]))
-                for c, own in enumerate(layout.channels):
-                    at = layout.rows.start[c]
-                    columns[c] = block[at : at + len(own)].T @ lead[own]
                 last = first + block.shape[1]
-                yield columns, further[:, first:last], block[layout.rows.measured]
+                yield (
+                    layout.combined(block, lead),
+                    further[:, first:last],
+                    block[layout.rows.measured],
+                )
                 first = last
 
     def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:

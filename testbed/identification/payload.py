@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy import special
 
 from testbed.arrays import Array, readonly
 from testbed.errors import SettingsError
@@ -147,7 +147,7 @@ def _fitted(joint: str, adds: Array, difference: Array, noise: Array) -> Payload
     told = np.abs(np.linalg.norm(seen, axis=1) - 1) < SEEN
     covariance = seen @ inverse @ seen.T
     left = float(np.sum((right - columns @ found) ** 2))
-    chance = float(chi2.sf(left, max(len(adds) - rank, 1)))
+    chance = float(special.chdtrc(max(len(adds) - rank, 1), left))
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
     return PayloadEstimate(
         joint=joint,

@@ -64,6 +64,19 @@ class Layout:
         """Number of measured channels."""
         return len(self.channels)
 
+    def combined(self, rows: Array, lead: Array) -> Array:
+        """Combinations of the columns, (C, k, q).
+
+        Args:
+            rows: All slots, (slots, k).
+            lead: How the columns are combined, (P, q).
+        """
+        found = np.empty((self.width, rows.shape[1], lead.shape[1]))
+        for c, own in enumerate(self.channels):
+            at = self.rows.start[c]
+            found[c] = rows[at : at + len(own)].T @ lead[own]
+        return found
+
     @property
     def compiles(self) -> bool:
         """Whether the compiled kernel knows all columns: those of laws in LAWS, at joints."""

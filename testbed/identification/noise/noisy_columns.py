@@ -17,9 +17,8 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.identification.noise.counts import Counts
-from testbed.identification.passes import Columns
+from testbed.identification.passes import Columns, compiled_rows, is_compiled
 from testbed.identification.windows import Plan
-from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
 from testbed.robot.friction import term_torque
 
@@ -123,7 +122,7 @@ class NoisyColumns:
         noise = self.coordinates(first, signals.number)
         if self._counts:
             noise = noise + self._counts.changing(signals, first)
-        return changed(self._plan.layout, at_rows(signals), noise, self._lead)
+        return changed(self._plan, at_rows(signals), noise, self._lead)
 
     def coordinates(self, first: int, count: int) -> Array:
         """Made noise of positions, velocities and accelerations, filtered, (3, rows, n).
@@ -162,9 +161,9 @@ class CountReplicas:
     def __call__(self, signals: Signals, first: int) -> Array:
         """Of a window's rows, replica by replica, (C, rows, ZEROS)."""
         del first
-        motion, layout = at_rows(signals), self._plan.layout
+        motion = at_rows(signals)
         each = [self._counts.lasting(signals, replica) for replica in range(ZEROS)]
-        return np.concatenate([changed(layout, motion, e, self._lead) for e in each], axis=2)
+        return np.concatenate([changed(self._plan, motion, e, self._lead) for e in each], axis=2)
 
 
 def at_rows(signals: Signals) -> Array:
@@ -175,16 +174,19 @@ def at_rows(signals: Signals) -> Array:
     return np.moveaxis(around[at] @ signals.taps.T, 2, 0)
 
 
-def changed(layout: Layout, motion: Array, noise: Array, lead: Array) -> Array:
+def changed(plan: Plan, motion: Array, noise: Array, lead: Array) -> Array:
     """By how much noise changes combinations of the columns, to second order, (C, rows, q).
 
     Args:
-        layout: The robot's rows.
+        plan: The rows.
         motion: Positions, velocities, accelerations, (3, rows, n).
         noise: Of these, (3, rows, n).
         lead: How the columns are combined, (P, q).
     """
-    moved = np.concatenate([motion + noise, motion - noise], axis=1)
+    moved, layout = np.concatenate([motion + noise, motion - noise], axis=1), plan.layout
+    if is_compiled(plan):
+        more, less = np.split(compiled_rows(layout, *moved), 2, axis=1)
+        return layout.combined((more - less) / 2, lead)
     time, bodies = np.arange(moved.shape[1], dtype=np.float64), layout.theta.shape[2]
     joints, base = linear(
         layout.tree, Motion(time, *moved), layout.theta @ lead[:bodies], layout.gravity
