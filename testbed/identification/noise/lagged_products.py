@@ -45,13 +45,12 @@ class LaggedProducts:
         return self.rows - order * len(self.first)
 
     @cached_property
-    def _both(self) -> Array:
-        """Each lag's products and, but for lag 0, their transpose added, (C, K + 1, q q)."""
+    def symmetric(self) -> Array:
+        """Half of each lag's products and of their transpose, (C, K + 1, q q)."""
         lags, channels, columns, _ = self.products.shape
         found = np.empty((channels, lags, columns, columns))
-        found[:, 0] = self.products[0]
-        for lag in range(1, lags):
-            np.add(self.products[lag], self.products[lag].swapaxes(1, 2), out=found[:, lag])
+        for lag, each in enumerate(self.products):
+            np.add(each / 2, each.swapaxes(1, 2) / 2, out=found[:, lag])
         return found.reshape(channels, lags, -1)
 
     @property
@@ -99,8 +98,7 @@ class LaggedProducts:
             inner: B, symmetric, (q, q).
             order: P, at most K.
         """
-        whole = (self._both[:, : order + 1] @ inner.ravel()).T
-        whole[1:] /= 2
+        whole = (self.symmetric[:, : order + 1] @ inner.ravel()).T
         first, last = (each @ inner @ each.swapaxes(2, 3) for each in (self.first, self.last))
         found, size = np.zeros((len(whole[0]), order + 1, order + 1)), self.last.shape[2]
         for i in range(order + 1):
@@ -122,7 +120,9 @@ class LaggedProducts:
         share = np.stack(  # of all t, as if zeros stood before and after the rows
             [(alpha[:, lag:] * alpha[:, : order + 1 - lag]).sum(axis=1) for lag in range(order + 1)]
         )
-        total = (share.T[:, None] @ self._both[:, : order + 1]).reshape(self.products.shape[1:])
+        share[1:] *= 2  # a lag's products, and their transpose
+        total = share.T[:, None] @ self.symmetric[:, : order + 1]
+        total = total.reshape(self.products.shape[1:])
         edges = self._edges(alpha)
         total -= _together(edges, edges)
         return total
@@ -151,6 +151,17 @@ class LaggedProducts:
         whole[:, :m, :r], whole[:, -1, :r] = maps[:, :m], maps[:, m]
         whole[:, m:, r:] = np.eye(kept)
         return self.combined(whole)
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricProducts(LaggedProducts):
+    """Products of which those of a lag are symmetric, (C, K + 1, q, q) in memory."""
+
+    @property
+    def symmetric(self) -> Array:
+        """As they are, (C, K + 1, q q)."""
+        whole = self.products.swapaxes(0, 1)
+        return whole.reshape(*whole.shape[:2], -1)
 
 
 def _together(now: Array, before: Array) -> Array:

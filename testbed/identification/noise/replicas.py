@@ -17,7 +17,11 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
 from testbed.identification.noise.fits import Fit, NoiseFit
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.lagged_products import (
+    LaggedProducts,
+    LaggedSums,
+    SymmetricProducts,
+)
 
 REPLICAS = 12
 """Replicas of the noise: with all parameters pooled, sigma is found to a few percent."""
@@ -90,14 +94,15 @@ class Replicas:
         size = whole.shape[2] + 1
         others, own = np.array([*range(size - 2), size - 1]), size - 2
         first, last = (np.insert(each, own, 0.0, axis=3) for each in (known.first, known.last))
-        products = np.zeros((*across.shape[:2], size, size))
-        within = (known.products + known.products.swapaxes(2, 3)) / 2
-        products[:, :, others[:, None], others] = within
+        lags, channels = across.shape[:2]
+        products = np.zeros((channels, lags, size, size)).swapaxes(0, 1)
+        within = known.symmetric.reshape(channels, lags, size - 1, size - 1)
+        products[:, :, others[:, None], others] = within.swapaxes(0, 1)
         for replica in range(REPLICAS):
             products[:, :, own, others] = products[:, :, others, own] = across[..., replica]
             products[:, :, own, own] = made.products[:, :, replica, replica]
             first[..., own], last[..., own] = made.first[..., replica], made.last[..., replica]
-            yield LaggedProducts(made.rows, products, first, last)
+            yield SymmetricProducts(made.rows, products, first, last)
 
     def factor(self, fit: Fit, lead: Array) -> float:
         """By how much sigma has to be multiplied: at least one.
