@@ -15,7 +15,7 @@ import testbed as tb
 from testbed.errors import RecordingError, UnseenParameters
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps
-from testbed.identification.predict import own_torque, predictions
+from testbed.identification.predict import motion_in, own_torque, predictions
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
@@ -38,14 +38,9 @@ def with_drives(tree: tb.Tree, rng: np.random.Generator, kinds: tuple[str, ...] 
     return replace(tree, joints=tuple(joints))
 
 
-def motion_of(recording: Recording) -> tb.Motion:
-    parts = (recording.position, recording.velocity, recording.acceleration)
-    return tb.Motion(recording.time, *parts)  # type: ignore[arg-type]
-
-
 def rank(tree: tb.Tree, recording: Recording, kinds: tuple[str, ...]) -> int:
     """Of the torque regressor with all terms' columns: what can be told at all."""
-    motion = motion_of(recording)
+    motion, _ = motion_in(recording)
     parts = [tb.regressor(tree, motion, tb.minimal_set(tree, "dynamic"))]
     for law in LAWS:
         if law.kind in kinds:
@@ -95,7 +90,7 @@ def test_a_law_of_ones_own_goes_all_the_way(
     assert [term.name for term in terms] == [f"cubic/{name}" for name in tree.names]
     assert [term.unit for term in terms] == [law.unit(joint) for joint in tree.joints]
     np.testing.assert_allclose([term.value for term in terms], coefficients, rtol=1e-8)
-    motion = motion_of(recording)
+    motion, _ = motion_in(recording)
     torque = predictions(tree, recording, motion, {"internal": found})[1]["internal"]
     np.testing.assert_allclose(torque, recording.measured("torque"), atol=1e-7)
     np.testing.assert_allclose(own_torque(motion, found), coefficients * motion.qd**3, atol=1e-7)
@@ -127,7 +122,7 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
     """A joint rests; or noise is large, which is a warning that names them."""
     clean = ideal(puma)
     frozen = np.array([1.0, 1.0, 0.0])
-    states = motion_of(clean)
+    states, _ = motion_in(clean)
     still = tb.Motion(states.t, states.q * frozen, states.qd * frozen, states.qdd * frozen)
     rates = {"position": still.q, "velocity": still.qd, "acceleration": still.qdd}
     resting = replace(clean, **rates, wrench=tb.base_wrench(puma, still))  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ from testbed.experiment.results import estimate_as_json
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.influence import by_influence, influence
 from testbed.identification.known import parse_known
+from testbed.identification.predict import motion_in
 from testbed.identification.ridge import ridge
 from testbed.identification.trace_findings import LEVEL
 from testbed.robot.rotations import about
@@ -226,8 +227,7 @@ def test_a_parameter_counts_for_the_signal_that_it_makes_alone() -> None:
     recording = ideal(tree)
     found = run_of(tree, recording).estimates["external"]
     truth = found.minimal.values(tb.barycentric(tree))
-    states = (recording.measured(s) for s in ("position", "velocity", "acceleration"))
-    columns = tb.regressor(tree, tb.Motion(recording.time, *states), found.minimal) * truth
+    columns = tb.regressor(tree, motion_in(recording)[0], found.minimal) * truth
     parts = (columns[:, :3], columns[:, 3:])
     wanted = np.max(
         [np.linalg.norm(p, axis=(0, 1)) / np.linalg.norm(p.sum(axis=2)) for p in parts], axis=0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -57,16 +56,19 @@ def witness(
 def test_residuals_and_what_sigma_adds_are_those_of_dense_computation(
     name: str, method: Method
 ) -> None:
-    """Inverse dynamics row by row; the spread of predictions, direction by direction."""
+    """Inverse dynamics row by row; the spread of predictions, direction by direction.
+
+    Neither the model file's masses nor the truth are looked at.
+    """
     tree = robot(name)
     estimate = tb.identify(tree, measured(tree, 1, duration=12), method, settings=SETTINGS)
     other = measured(tree, 2, duration=9)
-    found = validate(tree, other, estimate, settings=SETTINGS)
+    heavier, lie = replace(tree, inertias=tree.inertias[::-1]), ideal(tree, 9).truth
+    found = validate(heavier, replace(other, truth=lie), estimate, settings=SETTINGS)
     rows, rms, mean = witness(tree, other, estimate, SETTINGS)
     assert found.rows == tuple(rows)
     np.testing.assert_allclose(found.residual, rms, rtol=1e-9)
     np.testing.assert_allclose(found.mean, mean, rtol=1e-9, atol=1e-9 * rms.max())
-    assert (found.channels, found.units) == (estimate.channels, estimate.channel_units)
     silent = plus(other, wrench=-other.measured("wrench"), torque=-other.measured("torque"))
     silent = replace(silent, tare=np.zeros(6))
     squares = np.zeros(len(found.channels))
@@ -84,35 +86,29 @@ def test_a_sound_instrument_is_foretold_and_a_changed_gain_is_named(
     name: str, method: Method
 ) -> None:
     """Another motion as sigma says; five per cent in any channel that is strong enough."""
-    tree = robot(name)
+    tree, signal = robot(name), SIGNAL_OF[method]
     estimate, other = tb.identify(tree, measured(tree, 1), method), measured(tree, 2)
-    found, tried = validate(tree, other, estimate), 0
+    found = validate(tree, other, estimate)
     assert np.all((found.ratio > 0.6) & (found.ratio < 1.6))
     assert found.findings == ()
-    for c, size in enumerate(found.signal):
-        if 0.05 * size > 3 * LIMIT * estimate.residual[c]:
-            tried += 1
-            more = 0.05 * np.eye(len(found.signal))[c]
-            signal = SIGNAL_OF[method]
-            wrong = plus(other, **{signal: other.measured(signal) * more})
-            (told,) = validate(tree, wrong, estimate).findings
-            assert (told.code, told.subject) == ("prediction", estimate.label(c))
-    assert tried > 0
+    strong = np.flatnonzero(0.05 * found.signal > 3 * LIMIT * estimate.residual)
+    assert len(strong) > 0
+    for c in strong.tolist():
+        more = 0.05 * np.eye(len(found.signal))[c] * other.measured(signal)
+        (told,) = validate(tree, plus(other, **{signal: more}), estimate).findings
+        assert (told.code, told.subject) == ("prediction", estimate.label(c))
 
 
 def test_rows_of_joints_that_rest_do_not_count(puma: tb.Tree) -> None:
     settings = replace(EXACT, deadband=0.3)
     estimate = tb.identify(puma, noisy(ideal(puma, seed=1)), "internal", settings=settings)
     other = noisy(ideal(puma, seed=2))
-    assert other.velocity is not None
-    rest = np.abs(other.velocity) <= settings.deadband
+    rest = np.abs(other.measured("velocity")) <= settings.deadband
     spoiled = plus(other, torque=1e6 * rest)
     found, same = (validate(puma, r, estimate, settings=settings) for r in (spoiled, other))
     np.testing.assert_array_equal(found.residual, same.residual)
-    np.testing.assert_array_equal(found.spread, same.spread)
     assert found.rows == tuple((~rest).sum(axis=0))
-    moving = np.array([1.0, 0.0, 1.0])
-    still = replace(other, velocity=other.velocity * moving)
+    still = replace(other, velocity=other.measured("velocity") * [1.0, 0.0, 1.0])
     found = validate(puma, still, estimate, settings=settings)
     assert found.rows[1] == 0
     assert np.isnan([found.residual[1], found.ratio[1], found.signal[1], found.spread[1]]).all()
@@ -135,14 +131,15 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     np.testing.assert_allclose(found.mean, zero, atol=1.0)
     passing = replace(stated(sound), nuisances={"bias/Fx": 50.0, "slope/Fy": 5.0})
     np.testing.assert_array_equal(validate(puma, other, passing).residual, plain.residual)
-    off, order = np.array([0.0, 0.03, -0.05]), [2, 0, 1]
+    off = np.array([0.0, 0.03, -0.05])
     zeros = {f"joint_zeros/{j}": float(x) for j, x in zip(puma.names, off, strict=True)}
-    shuffled: dict[str, Any] = {
-        "names": tuple(puma.names[k] for k in order),
-        "position": (other.position + off)[:, order],
-        "torque": other.measured("torque")[:, order],
-    }
-    again = validate(puma, replace(other, **shuffled), replace(stated(sound), nuisances=zeros))
+    shuffled = replace(
+        other,
+        names=puma.names[::-1],
+        position=(other.position + off)[:, ::-1],
+        torque=other.measured("torque")[:, ::-1],
+    )
+    again = validate(puma, shuffled, replace(stated(sound), nuisances=zeros))
     np.testing.assert_allclose(again.residual, plain.residual, rtol=1e-6)
     asked = tb.Settings(nuisances=("skew",))
     late = [replace(r.part(4, r.samples), wrench=r.measured("wrench")[:-4]) for r in (one, other)]
@@ -152,17 +149,6 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     told, silent = (validate(puma, late[1], e, settings=asked) for e in (ignorant, estimate))
     assert told.findings
     assert not silent.findings
-
-
-@pytest.mark.parametrize("method", METHODS)
-def test_masses_and_truth_are_not_looked_at(puma: tb.Tree, method: Method) -> None:
-    estimate = tb.identify(puma, ideal(puma, seed=1), method, settings=EXACT)
-    other = ideal(puma, seed=2)
-    plain = validate(puma, other, estimate, settings=EXACT)
-    heavier = replace(puma, inertias=puma.inertias[::-1])
-    blind = validate(heavier, other.blind(), estimate, settings=EXACT)
-    np.testing.assert_array_equal(plain.residual, blind.residual)
-    np.testing.assert_array_equal(plain.ratio, blind.ratio)
 
 
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
@@ -178,6 +164,5 @@ def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
     ):
         with refuses(kind, culprit):
             validate(puma, recording, given, settings=settings)
-    with pytest.raises(UnknownName) as caught:
+    with refuses(UnknownName, "pose/rw"):
         validate(puma, other, replace(said, nuisances={"pose/rw": 1.0}), settings=EXACT)
-    assert caught.value.name == "pose/rw"
