@@ -14,9 +14,7 @@ import testbed as tb
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.settings import Settings
 from testbed.identification.term_choice import choose_terms
-from testbed.identification.wishes import Wishes
-from testbed.parameters.prior import prior_of
-from testbed.robot.friction import LAWS, JointLaw
+from testbed.robot.friction import JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
@@ -43,6 +41,7 @@ MEANINGLESS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"nuisances": ("skew", "skew")}, "nuisances"),
     ({"nuisances": ("skew",), "noise": "white"}, "nuisances"),
     ({"nuisances": ("skew",), "cutoff": "off"}, "nuisances"),
+    *(({"known": {"mass": given}}, "known") for given in ("20", (1, -1), (1, 2, 3))),
     ({"noise": "white", "known": {"mass": 3.0}}, "known"),
     *(({"span": s}, "span") for s in ([1.0], [2.0, 1.0], [1.0, 1.0], "ab", ["a", 2], [0, np.inf])),
 )
@@ -82,62 +81,43 @@ def test_settings_are_values() -> None:
     covariance = np.diag([1.0, 2.0])
     one = Settings(zeros=["mb1x"], terms=["rotor"], weights=covariance.tolist())
     other = Settings(zeros=("mb1x",), terms=("rotor",), weights=covariance)  # type: ignore[arg-type]
-    assert one == other
-    assert hash(one) == hash(other)
-    np.testing.assert_array_equal(one.covariance, covariance)
-    assert (one.joined, Settings().joined) == (True, False)
-    assert (one.laws, Settings().laws) == ((LAWS[3],), LAWS[:2])
+    assert (one, hash(one)) == (other, hash(other))
+    assert replace(one, deadband=1) == replace(other, deadband=1.0)
     with pytest.raises(FrozenInstanceError):
         one.deadband = 1.0  # type: ignore[misc]
-    assert replace(one, deadband=1) == replace(other, deadband=1.0)
 
 
 def test_known_zeros_are_left_out_and_an_argument_overrides_the_setting(puma: tb.Tree) -> None:
     """Three bodies on a line: some of their parameters are zero in the model file."""
     recording, with_zeros = ideal(puma), replace(EXACT, zeros=True)
-    none, every, asked, refused, some = (
-        len(tb.identify(puma, recording, settings=settings, zeros=zeros).names)
-        for settings, zeros in (
-            (EXACT, None),
-            (with_zeros, None),
-            (EXACT, True),
-            (with_zeros, False),
-            (EXACT, ["K3xy"]),
-        )
-    )
-    assert none == refused > some > every == asked
-    found = tb.identify(puma, recording, settings=with_zeros)
-    np.testing.assert_allclose(found.values, true_values(puma, "external", zeros=True), rtol=1e-9)
-    light = replace(
-        puma, inertias=(tb.Inertia.about_centre(0.0, np.zeros(3), np.zeros((3, 3))),) * 3
-    )
-    for method in ("external", "internal"):
-        with refuses(SettingsError, "zeros"):  # nothing is left
-            tb.identify(light, recording, method, settings=with_zeros)
+    truth = true_values(puma, "external", zeros=True)
+    for settings, zeros, count in (
+        (EXACT, None, 20),
+        (with_zeros, None, len(truth)),
+        (EXACT, True, len(truth)),
+        (with_zeros, False, 20),
+        (EXACT, ["K3xy"], 19),
+    ):
+        found = tb.identify(puma, recording, settings=settings, zeros=zeros)
+        assert len(found.names) == count
+        if count == len(truth):
+            np.testing.assert_allclose(found.values, truth, rtol=1e-9)
 
 
 def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> None:
     tree = robot("ur5")
     recording = noisy(ideal(tree))
-    estimate, prior, link = tb.identify(tree, recording), prior_of(tree), tree.joints[2].body
-    light = replace(prior, standard=prior.standard * (np.arange(tree.n) != 2)[:, None])
-    elsewhere = replace(estimate, gravity=np.array([0.0, 1.0, -9.76]))
-    wished = Wishes(known={f"mass/{link}": 2.0}, prior_error=0.3)
-    nowhere = Wishes(symmetric={"nowhere": ("xz",)}, prior_error=0.3)
-    five = replace(EXACT, weights=np.eye(5).tolist())
-    chosen, gantry = Wishes(prior_error="chosen"), robot("gantry")
-    short = measured(gantry, duration=0.8)
+    nothing = tb.Inertia.about_centre(0.0, np.zeros(3), np.zeros((3, 3)))
+    light, zeros = replace(tree, inertias=(nothing,) * tree.n), replace(EXACT, zeros=True)
+    estimate, five = tb.identify(tree, recording), replace(EXACT, weights=np.eye(5).tolist())
+    elsewhere, short = replace(estimate, gravity=np.ones(3)), measured(tree, duration=0.8)
     cases: tuple[tuple[type[Exception], str, Callable[[], object]], ...] = (
-        (SettingsError, "symmetric", lambda: Wishes(symmetric=["xz"])),  # type: ignore[arg-type]
-        (SettingsError, "centres_in_shapes", lambda: Wishes(centres_in_shapes=1)),  # type: ignore[arg-type]
-        (SettingsError, f"mass/{link}", lambda: tb.consistent(tree, [estimate], light, wished)),
-        (UnknownName, "nowhere", lambda: tb.consistent(tree, [estimate], prior, nowhere)),
-        (SettingsError, "prior", lambda: tb.consistent(tree, [estimate], prior, chosen)),
         (SettingsError, "gravity", lambda: tb.payload(tree, estimate, elsewhere)),
         (SettingsError, "5 channels", lambda: tb.identify(tree, recording, settings=five)),
+        (SettingsError, "zeros", lambda: tb.identify(light, recording, settings=zeros)),
         (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
         (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
-        (RecordingError, "rows", lambda: choose_terms(gantry, short, Settings())),
+        (RecordingError, "rows", lambda: choose_terms(tree, short, Settings())),
     )
     for kind, culprit, asked in cases:
         with refuses(kind, culprit):
