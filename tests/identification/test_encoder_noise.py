@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -11,14 +10,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.dynamics.drive_set import drive_set
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.identification.noise.counts import Counts
 from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
 from testbed.identification.survey import Surveyor
-from testbed.identification.windows import Plan, make_plan
+from testbed.identification.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout
-from testbed.parameters.rules import Model
+from testbed.kernel.records import Signals
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import open_source
 from tests.helpers.measured import measured
@@ -32,12 +29,14 @@ def rounded(recording: Recording, count: float = COUNT) -> Recording:
     return replace(recording, position=count * np.round(recording.position / count))
 
 
-def planned(tree: tb.Tree, recording: Recording, model: Model = "reaction") -> Plan:
+def planned(tree: tb.Tree, recording: Recording) -> Plan:
     """How the recording is gone through."""
-    minimal = tb.minimal_set(tree, model)
-    terms = drive_set(tree, minimal, ("viscous", "rotor")).terms if model == "dynamic" else ()
-    rows, settings = layout(tree.without_inertias(), minimal, terms), tb.Settings(deadband=0.0)
-    return make_plan(open_source(recording), rows, pedestal_wrench(tree), settings)
+    rows = layout(tree.without_inertias(), tb.minimal_set(tree, "reaction"))
+    return make_plan(open_source(recording), rows, tb.pedestal_wrench(tree), tb.Settings())
+
+
+def signals_of(plan: Plan, window: Window) -> Signals:
+    return plan.signals(plan.source.part(window.first, window.last), window)
 
 
 def counts_of(tree: tb.Tree, recording: Recording) -> Array:
@@ -45,8 +44,7 @@ def counts_of(tree: tb.Tree, recording: Recording) -> Array:
     plan = planned(tree, recording)
     surveyor = Surveyor(plan.source.samples)
     for window in plan.windows():
-        signals = plan.signals(plan.source.part(window.first, window.last), window)
-        surveyor.look(signals, window.first, plan.own(window))
+        surveyor.look(signals_of(plan, window), window.first, plan.own(window))
     return np.asarray(surveyor.survey().encoder_count)
 
 
@@ -72,16 +70,6 @@ def test_whole_counts_are_told_from_noise(name: str) -> None:
             assert not counts_of(tree, other).any()
 
 
-def errors(plan: Plan, tree: tb.Tree) -> Iterator[Array]:
-    """Made ones of ten kinds of zeros, (3, rows, n); those of the last change."""
-    counts = Counts(plan, np.full(tree.n, COUNT))
-    (window,) = plan.windows()
-    signals = plan.signals(plan.source.part(window.first, window.last), window)
-    for replica in range(9):
-        yield counts.lasting(signals, replica)
-    yield counts.changing(signals, window.row)
-
-
 def test_made_errors_of_counts_are_like_real_ones() -> None:
     """As large, joint by joint, but of other numbers; of lasting zeros, they repeat."""
     tree = robot("puma")
@@ -92,17 +80,20 @@ def test_made_errors_of_counts_are_like_real_ones() -> None:
     off, kernels = COUNT * (np.round(shown) - shown), kernels_of(plan)
     around = sliding_window_view(off, kernels.shape[1], axis=1)
     real = np.moveaxis(around[:, :: plan.step] @ kernels.T, 3, 1)[:, :, : plan.rows]
-    made = np.array(list(errors(plan, tree)))
+    (window,) = plan.windows()
+    counts, signals = Counts(plan, np.full(tree.n, COUNT)), signals_of(plan, window)
+    lasting = [counts.lasting(signals, replica) for replica in range(9)]
+    made = np.array([*lasting, counts.changing(signals, window.row)])
     ratio = np.sqrt((made**2).mean(axis=(0, 2)) / (real**2).mean(axis=(0, 2)))
     np.testing.assert_allclose(ratio, 1, atol=0.5)
     np.testing.assert_allclose(ratio.mean(axis=1), 1, atol=0.2)
     alike = (real * made).sum() / np.sqrt((real**2).sum() * (made**2).sum())
     assert abs(alike) < 0.15
     period = round(10.0 * plan.rate)
-    for each, repeats in ((made[0], True), (made[-1], False)):
-        apart = each[:, period:] - each[:, :-period]
-        part = (apart**2).sum() / (2 * (each**2).sum())
-        assert part < 0.2 if repeats else part > 0.6
+    apart = ((made[:, :, period:] - made[:, :, :-period]) ** 2).sum(axis=(1, 2, 3))
+    part = apart / (2 * (made**2).sum(axis=(1, 2, 3)))
+    assert part[:-1].max() < 0.2
+    assert part[-1] > 0.6
 
 
 @pytest.mark.slow
@@ -127,19 +118,16 @@ def test_made_noise_has_the_spectrum_of_filtered_white_noise(rate: float) -> Non
     """Variances at a row, and from row to row, at any rate; the same for any cut into blocks."""
     tree = robot("puma")
     plan = planned(tree, measured(tree, 4, duration=8.0, rate=rate, speed=0.3, noise=0.0))
-    combined = np.eye(len(plan.layout.basis))
-    white = PositionNoise(np.array([1.0, 1.0, 0.0]), np.array([0.0, COUNT, 0.0]))
-    assert white.least_counts == (0.0, COUNT, 0.0)
-    assert replace(white, count=np.zeros(3)).least_counts == ()
-    maker = NoisyColumns(plan, replace(white, count=np.zeros(3)), combined)
+    white = PositionNoise(np.array([1.0, 1.0, 0.0]), np.zeros(3))
+    maker = NoisyColumns(plan, white, np.eye(len(plan.layout.basis)))
     made = maker.coordinates(0, 20_000)
     parts = [maker.coordinates(first, 70) for first in range(0, 700, 70)]
     np.testing.assert_array_equal(made[:, :700], np.concatenate(parts, axis=1))
     assert not made[..., 2].any()
     made, kernels = made[..., :2], kernels_of(plan)
     size = np.linalg.norm(kernels, axis=1)
-    found = np.tensordot(made, made, ([1, 2], [1, 2])) / 40_000
     scale = np.outer(size, size)
+    found = np.tensordot(made, made, ([1, 2], [1, 2])) / 40_000
     np.testing.assert_allclose(found / scale, kernels @ kernels.T / scale, atol=0.05)
     later = kernels[:, : -plan.step] @ kernels[:, plan.step :].T
     next_row = np.tensordot(made[:, 1:], made[:, :-1], ([1, 2], [1, 2])) / 40_000

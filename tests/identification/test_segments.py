@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 import testbed as tb
-from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.estimate import METHODS, Estimate
+from testbed.identification.estimate import METHODS, Method
 from testbed.recordings.joined import Joined
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Stretch, segments_of
@@ -27,53 +26,42 @@ def runs_of(tree: tb.Tree, *seeds: int, duration: float = 12.0) -> list[Recordin
     return [measured(tree, seed, duration=duration) for seed in seeds]
 
 
-def z_of(found: Estimate, truth: Array) -> Array:
-    z: Array = (found.values - truth) / found.sigma
-    return z
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
-def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: str) -> None:
+def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Method) -> None:
     """No row reaches across a gap: in any order; sigma is smaller, and honest."""
-    for name in ("gantry",):
-        tree = robot(name)
-        parts = runs_of(tree, 1, 2, 3)
-        whole, backwards = (
-            tb.identify(tree, Joined(some), method)  # type: ignore[arg-type]
-            for some in (parts, parts[::-1])
-        )
-        each = [tb.identify(tree, part, method) for part in parts]  # type: ignore[arg-type]
+    tree = robot("gantry")
+    parts = runs_of(tree, 1, 2, 3)
+    each = [tb.identify(tree, part, method) for part in parts]
+    for order in (1, -1):
+        whole = tb.identify(tree, Joined(parts[::order]), method)
         for what in ("used", "normal", "right", "square"):
             total = sum(getattr(one.normal_equations, what) for one in each)
-            for found in (whole, backwards):
-                mine = getattr(found.normal_equations, what)
-                np.testing.assert_allclose(mine, total, rtol=1e-9, atol=1e-9)
-        assert np.median(whole.sigma / each[0].sigma) < 0.75
-        z = z_of(whole, true_values(tree, method))  # type: ignore[arg-type]
-        assert np.sqrt(np.mean(z**2)) < 1.6
+            mine = getattr(whole.normal_equations, what)
+            np.testing.assert_allclose(mine, total, rtol=1e-9, atol=1e-9)
+    assert np.median(whole.sigma / each[0].sigma) < 0.75
+    z = (whole.values - true_values(tree, method)) / whole.sigma
+    assert np.sqrt(np.mean(z**2)) < 1.6
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("method", METHODS)
-def test_sigma_is_honest_across_gaps(method: str) -> None:
+def test_sigma_is_honest_across_gaps(method: Method) -> None:
     """With noise that remembers: errors over sigma of thirty pairs have the size of one."""
     tree, z = robot("puma"), []
     for seed in range(100, 160, 2):
         both = Joined([measured(tree, seed + k, duration=12.0, memory=0.9) for k in (0, 1)])
-        found = tb.identify(tree, both, method)  # type: ignore[arg-type]
-        z.append(z_of(found, true_values(tree, method)))  # type: ignore[arg-type]
+        found = tb.identify(tree, both, method)
+        z.append((found.values - true_values(tree, method)) / found.sigma)
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.25
 
 
 def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
-    parts = [
-        replace(part, facts={"warnings": lines})
-        for part, lines in zip(
-            runs_of(puma, 1, 2, duration=2.0), (["a gap", "both"], ["both", "late"]), strict=True
-        )
-    ]
-    both = Joined(parts)
+    one, two = runs_of(puma, 1, 2, duration=2.0)
+    lines = ["a gap", "both"], ["both", "late"]
+    both = Joined(
+        [replace(part, facts={"warnings": w}) for part, w in zip((one, two), lines, strict=True)]
+    )
     assert both.facts["warnings"] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
     assert segments_of(Stretch(both, 100, last - 50)) == ((0, end - 100), (begin - 100, last - 150))
@@ -102,12 +90,12 @@ def test_recordings_that_do_not_belong_together_are_refused(puma: tb.Tree) -> No
 def test_one_command_takes_several_recordings_tared_each_in_its_way(tmp_path: Path) -> None:
     tree = robot("puma")
     one, two = runs_of(tree, 1, 2, duration=8.0)
-    more = np.array([1.0, 2.0, 30.0, 0.1, 0.2, 0.3])
-    assert two.tare is not None
-    moved = replace(plus(two, wrench=more), tare=two.tare + more)
     direct = tb.identify(tree, Joined([one, two]))
-    for name, part in (("a", one), ("b", moved)):
-        part.save(tmp_path / f"{name}.parquet")
+    more = np.array([1.0, 2.0, 30.0, 0.1, 0.2, 0.3])
+    one.save(tmp_path / "a.parquet")
+    replace(plus(two, wrench=more), tare=tb.pedestal_wrench(tree) + more).save(
+        tmp_path / "b.parquet"
+    )
     words = ("identify", "a.parquet", "b.parquet", "--model", str(MODELS["puma"]), "--json")
     done = command_line(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -120,22 +108,18 @@ def test_one_command_takes_several_recordings_tared_each_in_its_way(tmp_path: Pa
 def test_a_plate_whose_zero_nobody_knows_tells_the_tared_set(name: str) -> None:
     """Beside a drift, too."""
     tree = robot(name)
-    offset, slopes = (
-        np.array([5.0, -3.0, 80.0, 2.0, 1.0, -4.0]),
-        np.array([0.1, -0.2, 0.5, 0, 0, 0]),
-    )
     plain = measured(tree, 3, duration=30.0)
     tared = tb.minimal_set(tree, "reaction", tared=True)
-    for drift, asked in ((0.0 * slopes, ()), (slopes, ("slope",))):
-        wrench = offset + plain.time[:, None] * drift
+    drift = np.array([0.1, -0.2, 0.5, 0, 0, 0])
+    for slope, asked in ((0 * drift, ()), (drift, ("slope",))):
+        wrench = np.array([5.0, -3.0, 80.0, 2.0, 1.0, -4.0]) + plain.time[:, None] * slope
         settings = tb.Settings(tare="unknown", nuisances=asked)
         found = tb.identify(tree, plus(plain, wrench=wrench), settings=settings)
         assert found.names == tared.names
-        z = z_of(found, tared.values(tb.barycentric(tree)))
+        z = (found.values - tared.values(tb.barycentric(tree))) / found.sigma
         assert np.sqrt(np.mean(z**2)) < 1.6
         assert np.abs(z).max() < 4.5
-        own = {each.name: each for each in found.nuisances}
-        for axis, slope in zip(("Fx", "Fy", "Fz"), drift, strict=False):
-            if asked:
-                each = own[f"slope/{axis}"]
-                assert abs(each.value - slope) < 4.5 * each.sigma
+        told = {each.name: each for each in found.nuisances}
+        for axis, true in zip(("Fx", "Fy", "Fz") if asked else (), slope, strict=False):
+            each = told[f"slope/{axis}"]
+            assert abs(each.value - true) < 4.5 * each.sigma
