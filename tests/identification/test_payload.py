@@ -35,18 +35,15 @@ def ten() -> Array:
 def test_a_payload_is_what_was_added(name: str) -> None:
     """Exactly of exact data, within sigmas of noisy ones; what is not told has no sigma."""
     tree, heavy = robot(name), loaded(robot(name))
-    exact = payload(
-        tree,
-        tb.identify(tree, ideal(tree, seed=0), settings=EXACT),
-        tb.identify(heavy, ideal(heavy, seed=1), settings=EXACT),
-    )
+    both = enumerate((tree, heavy))
+    one, other = (tb.identify(each, ideal(each, seed=k), settings=EXACT) for k, each in both)
+    exact = payload(tree, one, other)
     told = np.array(exact.told)
     assert told[0]
     np.testing.assert_allclose(exact.values[told], ten()[told], atol=1e-8)
     assert np.isinf(exact.sigma[~told]).all()
-    noisy = payload(
-        tree, tb.identify(tree, measured(tree, 70)), tb.identify(tree, measured(heavy, 80))
-    )
+    one, other = (tb.identify(tree, measured(each, k)) for k, each in ((70, tree), (80, heavy)))
+    noisy = payload(tree, one, other)
     assert np.abs((noisy.values - ten())[told] / noisy.sigma[told]).max() < 4.5
     assert noisy.chance > 1e-4
     assert noisy.warnings == ()
@@ -94,16 +91,17 @@ def test_what_is_no_payload_is_noticed() -> None:
 def test_what_tells_no_payload_is_refused() -> None:
     """Estimates of two kinds or by torques, links that are none; motion, torques, no gravity."""
     tree, still = robot("puma"), resting(robot("puma"), 1)
-    plain, symmetries = EXACT, replace(EXACT, zeros=True)
-    one, symmetric = (tb.identify(tree, ideal(tree), settings=each) for each in (plain, symmetries))
-    inner = tb.identify(tree, ideal(tree), "internal", settings=plain)
+    one, symmetric = (
+        tb.identify(tree, ideal(tree), settings=replace(EXACT, zeros=zeros))
+        for zeros in (False, True)
+    )
+    inner = tb.identify(tree, ideal(tree), "internal", settings=EXACT)
     for pair in ((one, symmetric), (inner, inner)):
         with refuses(SettingsError):
             payload(tree, *pair)
     with refuses(UnknownName, "wrist"):
         payload(tree, one, one, "wrist")
-    torques = replace(still, wrench=None, torque=still.position)
-    for recording in (ideal(tree), torques):
+    for recording in (ideal(tree), replace(still, wrench=None, torque=still.position)):
         with refuses(RecordingError):
             poses_at_rest(tree, recording)
     with refuses(RecordingError, "mass"):
