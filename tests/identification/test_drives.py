@@ -85,21 +85,6 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_doubt_about_the_bodies_counts_and_another_recording_may_tell_them() -> None:
-    """Where a hundred times their sigma leads, so does sigma."""
-    tree = driven("ur5")
-    bodies = tb.identify(tree, without(measured(tree, 1), "torque"), settings=SETTINGS)
-    other = reported(tree, without(measured(tree, 2), "wrench"))
-    doubted = replace(bodies, covariance=1e4 * bodies.covariance, sigma=100 * bodies.sigma)
-    plain, more = (identify_drives(tree, other, b, settings=SETTINGS) for b in (bodies, doubted))
-    gaps, sigma = errors(tree, plain)
-    assert np.abs(gaps / sigma)[:, 0].max() < 4.5
-    for a, b in zip(plain.estimates, more.estimates, strict=True):
-        assert abs(a.constant - b.constant) < b.sigma  # more of it is taken for diluted
-        assert b.sigma > 5 * a.sigma
-
-
-@pytest.mark.slow
 def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     """A plate of thirty times the usual noise: errors of the bodies take part of a constant.
 

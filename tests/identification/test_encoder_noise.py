@@ -11,7 +11,6 @@ from numpy.lib.stride_tricks import sliding_window_view
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.noise.counts import Counts
-from testbed.identification.noise.noisy_columns import NoisyColumns, PositionNoise
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout
@@ -111,25 +110,3 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
         (line,) = [w for w in found.warnings if all(n in w for n in tree.names)] or [""]
         assert (f"{COUNT:g}" in line) == seen
     assert (coarse.sigma > fine.sigma).mean() > 0.8
-
-
-@pytest.mark.parametrize("rate", [130.0, 1000.0])
-def test_made_noise_has_the_spectrum_of_filtered_white_noise(rate: float) -> None:
-    """Variances at a row, and from row to row, at any rate; the same for any cut into blocks."""
-    tree = robot("puma")
-    plan = planned(tree, measured(tree, 4, duration=8.0, rate=rate, speed=0.3, noise=0.0))
-    white = PositionNoise(np.array([1.0, 1.0, 0.0]), np.zeros(3))
-    maker = NoisyColumns(plan, white, np.eye(len(plan.layout.basis)))
-    made = maker.coordinates(0, 20_000)
-    parts = [maker.coordinates(first, 70) for first in range(0, 700, 70)]
-    np.testing.assert_array_equal(made[:, :700], np.concatenate(parts, axis=1))
-    assert not made[..., 2].any()
-    made, kernels = made[..., :2], kernels_of(plan)
-    size = np.linalg.norm(kernels, axis=1)
-    scale = np.outer(size, size)
-    found = np.tensordot(made, made, ([1, 2], [1, 2])) / 40_000
-    np.testing.assert_allclose(found / scale, kernels @ kernels.T / scale, atol=0.05)
-    later = kernels[:, : -plan.step] @ kernels[:, plan.step :].T
-    next_row = np.tensordot(made[:, 1:], made[:, :-1], ([1, 2], [1, 2])) / 40_000
-    one, other = (np.diagonal(each) / size**2 for each in (next_row, later))
-    np.testing.assert_allclose(one, other, atol=0.05)

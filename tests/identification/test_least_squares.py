@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,11 @@ from testbed.arrays import AnyArray, Array
 from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.newton_euler import transmitted
-from testbed.errors import UnknownName, UnseenParameters
+from testbed.errors import UnknownName
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.identification.filters import row_weights
 from testbed.identification.predict import motion_in
-from testbed.identification.solvers.normal import by_normal_equations
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
@@ -122,28 +120,6 @@ def test_as_accurate_as_lstsq_up_to_a_condition_of_a_million(exponent: int) -> N
     )
     assert 10.0**exponent < estimate.condition < 200 * 10.0**exponent
     assert ours <= (3 * max(float(theirs), 4e-15) if estimate.condition <= 1e6 else 1e-6)
-
-
-def test_sums_as_near_to_singular_as_rounding_tells_are_refused_by_name() -> None:
-    """Never a fault of the linear algebra."""
-    rng, refused = np.random.default_rng(0), 0
-    for _ in range(100):
-        columns = rng.normal(size=(60, 30))
-        columns[:, -1] = columns[:, :-1] @ rng.normal(size=29)
-        columns[:, -1] += 10 ** rng.uniform(-8, -4) * rng.normal(size=60)
-        equations: Any = SimpleNamespace(
-            matrix=lambda weights, x=columns: x.T @ x,
-            vector=lambda weights, x=columns: x.T @ np.ones(60),
-            unknowns=tuple(f"p{k}" for k in range(30)),
-            used=np.array([60.0]),
-        )
-        try:
-            found = by_normal_equations(equations, np.eye(1), lambda combined: iter(()))
-        except UnseenParameters as error:
-            refused += error.rank < 30 and "p29" in error.names
-        else:
-            assert np.isfinite(found.values).all()
-    assert 0 < refused < 100
 
 
 @given(rngs, st.lists(st.integers(0, 100), max_size=4))

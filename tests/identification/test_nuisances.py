@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
@@ -16,7 +15,6 @@ from testbed.identification.filters import row_weights
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.clock import shifted
 from testbed.identification.nuisances.foretold import row_filter
-from testbed.identification.nuisances.structure import told_apart
 from testbed.identification.nuisances.unknowns import Columns, unknowns_of
 from testbed.identification.windows import make_plan
 from testbed.instruments.fault import Fault
@@ -26,11 +24,9 @@ from testbed.recordings.recording import Recording
 from tests.helpers.ideal import ideal
 from tests.helpers.measured import measured
 from tests.helpers.runs import robot
-from tests.helpers.strategies import few, motions, trees
 
 SMALL = 1e-6
 ALL = {each.kind: each for each in (*TESTED, *NUISANCES)}
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 TARE = np.array([3.0, -2.0, 200.0, 4.0, -5.0, 1.0])
 FULL = np.array([500.0, 500.0, 1000.0, 200.0, 200.0, 100.0])
 
@@ -199,23 +195,6 @@ def test_what_the_fault_does_is_undone() -> None:
     for samples in (0.0, 3.0, -2.0, 0.5, 7.25, -1.75):
         wanted = ((t + samples / 10) ** powers)[12:-12]
         np.testing.assert_allclose(shifted(t**powers, samples)[12:-12], wanted, rtol=1e-9)
-
-
-@given(trees((2, 5)).flatmap(lambda tree: motions(tree, 80).map(lambda motion: (tree, motion))))
-@few(6)
-def test_what_is_imitated_is_so_on_any_motion(pair: tuple[tb.Tree, tb.Motion]) -> None:
-    """A constant that parameters show, by least squares, is held; else the estimate is singular."""
-    tree, motion = pair
-    minimal = tb.minimal_set(tree, "reaction")
-    kept, imitated = told_apart(layout(tree, minimal), minimal.names, NUISANCES, TARE)
-    assert len(kept.kept) + len(imitated) == len(kept.parts)
-    held = {each.name for each in imitated}
-    flat = tb.regressor(tree, motion, minimal).reshape(-1, minimal.count)
-    for axis, name in zip(np.eye(6), AXES, strict=True):
-        constant = np.tile(axis, motion.samples)
-        left = constant - flat @ np.linalg.lstsq(flat, constant, rcond=None)[0]
-        imitable = bool(np.linalg.norm(left) < 1e-8 * np.linalg.norm(constant))
-        assert f"bias/{name}" in held or not imitable
 
 
 def test_a_long_recording_is_looked_at_evenly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,7 +16,6 @@ from testbed.identification.predict import (
     friction,
     motion_in,
     own_torque,
-    parameters_of,
     predictions,
 )
 from testbed.identification.validate import validate
@@ -82,21 +81,6 @@ def test_without_noise_both_methods_foretell_what_happened(rng: np.random.Genera
         assert np.abs(found - wanted).max() <= 1e-8 * np.abs(wanted).max()
     expected = 2.0 * np.sign(motion.qd) + motion.qd
     np.testing.assert_allclose(friction(motion.qd, estimates["internal"]), expected, atol=1e-7)
-
-
-@few(5)
-@given(rngs)
-def test_parameters_have_the_estimates_minimal_ones(rng: np.random.Generator) -> None:
-    """And those of the others that are nearest."""
-    tree = random_robot(rng, 3).tree()
-    others = rng.normal(size=(tree.n, 10))
-    for method in METHODS:
-        found = tb.identify(tree, noisy(ideal(tree)), method, settings=EXACT)
-        matrix, told = found.base.matrix, parameters_of(found, others)
-        gap = matrix @ told.ravel() - found.base.values
-        assert np.abs(gap).max() <= 1e-10 * np.abs(found.base.values).max()
-        null = np.eye(10 * tree.n) - np.linalg.pinv(matrix) @ matrix
-        assert np.abs(null @ (told - others).ravel()).max() <= 1e-9
 
 
 def test_an_instrument_that_lacks_a_signal_is_foretold_by_the_other(puma: tb.Tree) -> None:
