@@ -46,16 +46,13 @@ def test_criteria_are_what_they_say_and_what_is_no_information_has_no_inverse(
     """Infinite, about nothing, or contradicting itself; sizes may differ by many orders."""
     root = rng.normal(size=(6, 6)) * 10.0 ** rng.uniform(-2, 2, 6)
     here = root @ root.T + 1e-3 * np.eye(6)
-    found = {name: of(here)[0] for name, of in CRITERIA.items()}
-    axes = np.linalg.eigvalsh(here)
+    found, axes = {name: of(here)[0] for name, of in CRITERIA.items()}, np.linalg.eigvalsh(here)
     assert found["a"] == pytest.approx(np.log(axes.mean()))
     assert found["d"] == pytest.approx(np.log(axes).mean())
     assert np.log(axes[-1]) - np.log(6) / 8 - 1e-12 <= found["e"] <= np.log(axes[-1]) + 1e-12
     for wrong in ([[np.inf, 0], [0, 1]], [[np.nan, 0], [0, 1]], [[0, 0], [0, 1]], [[1, 2], [2, 1]]):
         assert _inverse(np.array(wrong)) is None
-    inverse = _inverse(here)
-    assert inverse is not None
-    np.testing.assert_allclose(inverse @ here, np.eye(6), atol=1e-6)
+    np.testing.assert_allclose(_inverse(here) @ here, np.eye(6), atol=1e-6)  # type: ignore[operator]
 
 
 class Ball:
@@ -225,20 +222,20 @@ def test_a_search_may_end_early_is_steered_by_what_is_known_and_names_what_forbi
 @pytest.mark.slow
 def test_what_is_not_proven_swings_less_or_is_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
     asked, place = replace(wish("puma"), seed=2), "testbed.excitation.design."
-    whole = design(asked).motion
+    whole, share = design(asked).motion, 0.9
     monkeypatch.setattr(place + "FINER", ())
 
-    def smaller(motion: Fourier, rules: Rules, share: float) -> Proof:
+    def smaller(motion: Fourier, rules: Rules) -> Proof:
         """A proof that fails but of motions that swing less."""
         found = prove(motion, rules)
         if np.abs(motion.sine).max() < share * np.abs(whole.sine).max():
             return found
         return replace(found, margins=tuple(replace(m, left=-0.5) for m in found.margins))
 
-    monkeypatch.setattr(place + "prove", lambda motion, rules: smaller(motion, rules, 0.9))
+    monkeypatch.setattr(place + "prove", smaller)
     found = design(asked).motion
     np.testing.assert_allclose(found.sine, 0.88 * whole.sine, rtol=1e-9)
     np.testing.assert_allclose(found.offset, whole.offset, rtol=1e-9)
-    monkeypatch.setattr(place + "prove", lambda motion, rules: smaller(motion, rules, 0.0))
+    share = 0.0
     with refuses(InfeasibleMotion):
         design(asked)
