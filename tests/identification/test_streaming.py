@@ -276,18 +276,6 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
     assert np.sqrt(np.mean(z**2)) < 1.6
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("method", METHODS)
-def test_sigma_is_honest_across_gaps(method: Method) -> None:
-    """With noise that remembers: errors over sigma of thirty pairs have the size of one."""
-    tree, z = robot("puma"), []
-    for seed in range(100, 160, 2):
-        both = Joined([measured(tree, seed + k, duration=12.0, memory=0.9) for k in (0, 1)])
-        found = tb.identify(tree, both, method)
-        z.append((found.values - true_values(tree, method)) / found.sigma)
-    assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.25
-
-
 def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     one, two = runs_of(puma, 1, 2, duration=2.0)
     lines = ["a gap", "both"], ["both", "late"]
