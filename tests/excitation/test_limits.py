@@ -85,8 +85,13 @@ def test_a_file_without_limits_gets_calm_ones_and_one_end_a_range_as_wide(
     assert own.acceleration[1] == 0.7
 
 
+@pytest.mark.slow
 def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
     weak, stuck = each(puma, max_effort=0.1), each(puma, position_range=np.array([0.3, 0.3]))
+    motion, effort = random_motion(puma, None, 0.2, 4, 3), 0.01 * limits_of(puma).effort
+    held = replace(limits_of(puma), effort=effort)  # less than the weight needs
+    smooth = each(puma, coulomb=0.0)
+    lying = rules(smooth, held, terms=(EffortTerm(smooth, held, 1.0),))
     dragging = each(puma, coulomb=0.9 * limits_of(puma).effort.min())
     for kind, culprit, asked in (
         (UnknownName, "wrist", lambda: limits_of(puma, {"wrist": 1.0})),
@@ -96,6 +101,7 @@ def test_limits_that_mean_nothing_name_their_joint(puma: tb.Tree) -> None:
         (InfeasibleMotion, "elbow", lambda: EffortTerm(dragging, limits_of(puma), 0.9)),
         (InfeasibleMotion, "", lambda: PlateRange(RANGE * [1, 1, 0, 1, 1, 1], HALF)),
         (InfeasibleMotion, "", lambda: PlateRange(RANGE, -HALF)),
+        (InfeasibleMotion, "effort", lambda: start_of(motion, lying)),
     ):
         with refuses(kind, culprit):
             asked()
@@ -307,18 +313,3 @@ def test_a_motion_goes_from_rest_to_rest_along_its_path(
     for j, name in enumerate(tree.names):
         instant = np.array([told[f"acceleration of '{name}'"].instant])
         assert np.abs(start.derivative(instant, 2))[0, j] > 0.99 * size[:, j].max()
-
-
-@pytest.mark.slow
-def test_a_start_keeps_all_limits_or_is_refused(puma: tb.Tree) -> None:
-    """Where motors do not hold the weight it cannot begin."""
-    limits = limits_of(puma)
-    motion = random_motion(puma, limits, 0.2, 4, 3)
-    start, margins = start_of(motion, rules(puma, limits, terms=(EffortTerm(puma, limits, 1.0),)))
-    assert all(margin.holds for margin in margins)
-    fine = start.at(np.linspace(0, start.duration, 20_001))
-    assert (np.abs(fine.qdd) <= limits.acceleration).all()
-    assert (np.abs(motor_efforts(puma, fine)) <= limits.effort).all()
-    smooth, weak = puma.without_friction(), replace(limits, effort=0.01 * limits.effort)
-    with refuses(InfeasibleMotion, "start", "effort"):
-        start_of(motion, rules(smooth, weak, terms=(EffortTerm(smooth, weak, 1.0),)))
