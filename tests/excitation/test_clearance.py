@@ -115,8 +115,7 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
         found = watched(collision, limits_of(puma), clearance, np.random.default_rng(0))
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
         (note,) = found.notes
-        assert "'link3'" in note
-        assert "'link1'" in note
+        assert [link for link in ("'link1'", "'link3'") if link not in note] == []
 
 
 def test_degenerate_shapes_touch_flatly_and_push_nowhere(puma: tb.Tree) -> None:
@@ -129,14 +128,9 @@ def test_degenerate_shapes_touch_flatly_and_push_nowhere(puma: tb.Tree) -> None:
         assert found.values[0] == pytest.approx(apart, abs=1e-9)
         assert found.slopes.any() != still
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
-    away = float(np.linalg.norm(place - np.clip(place, 0, 1)))
-    assert away > 0.1
-    inside, none = np.vstack([corners, [[0.5, 0.5, 0.5]]]), np.zeros((0, 3))
-    for points, said in (
-        (corners * [1, 1, 0], {}),
-        (corners[:3], {}),
-        (inside, {(STANDING, 2): pytest.approx(away - 0.1)}),
-    ):
+    away = float(np.linalg.norm(place - np.clip(place, 0, 1))) - 0.1
+    solid = {(STANDING, 2): pytest.approx(away)}
+    for points, said in ((corners * [1, 1, 0], {}), (corners[:3], {}), (corners, solid)):
         at = np.zeros(3), np.eye(3), GREY
-        mesh = Shape(-1, "mesh", np.zeros(0), *at, vertices=points, faces=none)
+        mesh = Shape(-1, "mesh", np.zeros(0), *at, vertices=points, faces=np.zeros((0, 3)))
         assert distances(puma, ball(2, 0.1, np.zeros(3)), mesh) == said

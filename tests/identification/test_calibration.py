@@ -1,4 +1,4 @@
-"""A plate calibrated by the robot on it: by a known mass and gain, a payload, a centre of mass."""
+"""A plate calibrated by the robot on it; payloads, weighed in motion and at rest; mass centres."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.errors import SettingsError, TestbedError
+from testbed.arrays import Array
+from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.experiment.plate_file import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
 from testbed.identification.calibration_by_payload import calibrate_by_payload
+from testbed.identification.payload import payload, seen_of_payload
+from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
+from testbed.identification.whole_robot import centre_of_mass, total_mass
+from testbed.parameters.barycentric import standard
+from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
-from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate
+from tests.helpers.plates import BIAS, LOAD, SCALE, loaded, mass_of, mixing, on_plate, resting
 from tests.helpers.refusals import refuses
-from tests.helpers.runs import robot
+from tests.helpers.runs import ROBOTS, robot
+from tests.helpers.strategies import few, rngs, trees
 from tests.scenarios.scenarios import result
 
 MATRIX = tb.Settings(nuisances=("matrix", "bias"))
@@ -32,23 +41,19 @@ def known_of(tree: tb.Tree, seed: int) -> dict[str, float]:
 def test_matrix_zero_and_robot_are_found_at_once() -> None:
     """Next to no noise, a plate far from first order; with the usual noise, to their sigmas."""
     tree, matrix = robot("puma"), mixing(3)
-    exact, usual = (
-        calibrate(
-            tree, on_plate(measured(tree, 3, noise=noise, duration=10.0), matrix), known_of(tree, 3)
-        )
-        for noise in (1e-3, 1.0)
-    )
-    assert (np.abs(exact.matrix - matrix) / SCALE[:, None] * SCALE).max() < 5e-4
-    assert exact.estimate is not None
-    assert usual.estimate is not None
-    truth = usual.estimate.minimal.values(tb.barycentric(tree))
-    np.testing.assert_allclose(exact.estimate.values, truth, atol=1e-3 * np.abs(truth).max())
     gaps: list[float] = []
-    for gap, sigma in (
-        (usual.matrix - matrix, usual.matrix_sigma),
-        (usual.estimate.values - truth, usual.estimate.sigma),
-    ):
-        gaps += (gap[sigma > 0] / sigma[sigma > 0]).tolist()
+    for noise in (1e-3, 1.0):
+        recording = on_plate(measured(tree, 3, noise=noise, duration=10.0), matrix)
+        found = calibrate(tree, recording, known_of(tree, 3))
+        assert found.estimate is not None
+        off = found.matrix - matrix
+        error = found.estimate.values - found.estimate.minimal.values(tb.barycentric(tree))
+        if noise < 1:
+            assert (np.abs(off) / SCALE[:, None] * SCALE).max() < 5e-4
+            assert np.abs(error).max() < 1e-3 * np.abs(found.estimate.values).max()
+            continue
+        for gap, sigma in ((off, found.matrix_sigma), (error, found.estimate.sigma)):
+            gaps += (gap[sigma > 0] / sigma[sigma > 0]).tolist()
     assert 0.6 < np.sqrt(np.mean(np.square(gaps))) < 1.5
 
 
@@ -80,26 +85,17 @@ def test_doubt_about_the_plate_counts_as_drawn_plates_say() -> None:
 @pytest.mark.slow
 def test_a_calibrated_plate_makes_other_recordings_right(tmp_path: Path) -> None:
     """As it is, and read again from its file to the last bit."""
-    tree, plate = robot("puma"), result("plate")
-    named = replace(plate, robot='a "robot"')
-    write_plate(named, tmp_path / "plate.toml")
-    again: Calibration = read_plate(tmp_path / "plate.toml", tree)
-    assert (again.robot, again.numbers) == (named.robot, named.numbers)
-    assert {key: np.ravel(value)[0] for key, value in again.known.items()} == {
-        key: np.ravel(value)[0] for key, value in named.known.items()
-    }
+    tree, path = robot("puma"), tmp_path / "plate.toml"
+    plate = replace(result("plate"), robot='a "robot"')
+    write_plate(plate, path)
+    again: Calibration = read_plate(path, tree)
+    assert (again.robot, again.numbers) == (plate.robot, plate.numbers)
     right = measured(tree, 5, duration=5.0)
-    matrix = tuple(each for each in again.numbers if each.kind == "matrix")
-    alone = replace(again, numbers=matrix)
+    alone = replace(again, numbers=tuple(each for each in again.numbers if each.kind == "matrix"))
     back = corrected(on_plate(right, plate.matrix), tree, alone)
     zero = BIAS @ np.linalg.inv(plate.matrix).T  # of this recording, and it stays
     whole = back.part(0, back.samples)
     np.testing.assert_allclose(whole.measured("wrench"), right.measured("wrench") + zero)
-
-
-def test_files_that_are_no_plates_are_refused(tmp_path: Path) -> None:
-    path, tree = tmp_path / "plate.toml", robot("puma")
-    recording = measured(tree, duration=2.0)
     for text, culprit in (
         ("numbers = 3", "numbers"),
         ("[numbers]\n'gain/Fx' = {value = inf}", "value"),
@@ -108,7 +104,7 @@ def test_files_that_are_no_plates_are_refused(tmp_path: Path) -> None:
     ):
         path.write_text(text)
         with pytest.raises(TestbedError, match=culprit):  # all names of numbers are told
-            corrected(recording, tree, read_plate(path, tree))
+            corrected(right, tree, read_plate(path, tree))
 
 
 @pytest.mark.slow
@@ -150,3 +146,102 @@ def test_what_does_not_suffice_is_refused_before_the_data_are_read() -> None:
     turning = measured(robot("random"), duration=2.0)
     with pytest.raises(SettingsError, match="crosstalk/Mz"):
         calibrate_by_payload(robot("random"), turning, turning, MASS)
+
+
+def ten() -> Array:
+    """Parameters of the load."""
+    tree = robot("puma")
+    return np.array(standard(replace(tree, inertias=(LOAD, *tree.inertias[1:])))[0])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["puma", "gantry"])
+def test_a_payload_is_what_was_added(name: str) -> None:
+    """Exactly of exact data, within sigmas of noisy ones; what is not told has no sigma."""
+    tree, heavy = robot(name), loaded(robot(name))
+    both = enumerate((tree, heavy))
+    one, other = (tb.identify(each, ideal(each, seed=k), settings=EXACT) for k, each in both)
+    exact = payload(tree, one, other)
+    told = np.array(exact.told)
+    assert told[0]
+    np.testing.assert_allclose(exact.values[told], ten()[told], atol=1e-8)
+    assert np.isinf(exact.sigma[~told]).all()
+    one, other = (tb.identify(tree, measured(each, k)) for k, each in ((70, tree), (80, heavy)))
+    noisy = payload(tree, one, other)
+    assert np.abs((noisy.values - ten())[told] / noisy.sigma[told]).max() < 4.5
+    assert noisy.chance > 1e-4
+    assert noisy.warnings == ()
+
+
+@given(trees((2, 5)), st.integers(0, 4), rngs)
+def test_what_a_load_adds_is_what_the_minimal_set_holds(
+    tree: tb.Tree, link: int, rng: np.random.Generator
+) -> None:
+    """On any link; and total mass and centres of mass, against the wrench at rest in any pose."""
+    link %= tree.n
+    minimal = tb.minimal_set(tree, "reaction")
+    values = minimal.values(tb.barycentric(tree))
+    more = minimal.values(tb.barycentric(loaded(tree, link)))
+    adds = seen_of_payload(tree, minimal, tree.names[link])
+    np.testing.assert_allclose(adds @ ten(), more - values, atol=1e-12)
+    if not tree.gravity.any():
+        return  # nothing has a weight
+    assert total_mass(tree, minimal) @ values == pytest.approx(mass_of(tree))
+    q, still = rng.uniform(-1, 1, (1, tree.n)), np.zeros((1, tree.n))
+    where = ",".join(f"{n}={x!r}" for n, x in zip(tree.names, q[0].tolist(), strict=True))
+    along_z = tb.base_wrench(tree.with_gravity([0, 0, -1]), tb.Motion(np.zeros(1), q, still, still))
+    along_x = tb.base_wrench(tree.with_gravity([-1, 0, 0]), tb.Motion(np.zeros(1), q, still, still))
+    mass = mass_of(tree)
+    centre = {"x": -along_z[0, 4] / mass, "y": along_z[0, 3] / mass, "z": along_x[0, 4] / mass}
+    for axis, place in centre.items():
+        try:
+            row = centre_of_mass(tree, minimal, f"centre/{axis}@{where}", float(place))
+        except SettingsError:  # one that the plate never sees
+            continue
+        assert row @ values == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_what_is_no_payload_is_noticed() -> None:
+    """Two loads on two links are no load on one; a load that was taken off is none either."""
+    tree = robot("ur5")
+    heavy = loaded(loaded(tree), 1)
+    one, other = (tb.identify(t, measured(t, k)) for k, t in enumerate((tree, heavy)))
+    found, swapped = payload(tree, one, other), payload(tree, other, one)
+    assert found.chance < 1e-6
+    assert len(swapped.warnings) > len(found.warnings) > 0
+
+
+def test_what_tells_no_payload_is_refused() -> None:
+    """Estimates of two kinds or by torques, links that are none; motion, torques, no gravity."""
+    tree, still = robot("puma"), resting(robot("puma"), 1)
+    one, symmetric = (
+        tb.identify(tree, ideal(tree), settings=replace(EXACT, zeros=zeros))
+        for zeros in (False, True)
+    )
+    inner = tb.identify(tree, ideal(tree), "internal", settings=EXACT)
+    for pair in ((one, symmetric), (inner, inner)):
+        with refuses(SettingsError):
+            payload(tree, *pair)
+    with refuses(UnknownName, "wrist"):
+        payload(tree, one, one, "wrist")
+    for recording in (ideal(tree), replace(still, wrench=None, torque=still.position)):
+        with refuses(RecordingError):
+            poses_at_rest(tree, recording)
+    with refuses(RecordingError, "mass"):
+        weigh(tree.with_gravity(np.zeros(3)), poses_at_rest(tree, still))
+
+
+@few(8)
+@given(st.sampled_from(ROBOTS), st.integers(0, 99))
+def test_poses_at_rest_weigh(name: str, seed: int) -> None:
+    """Robot and payload within sigmas of a tenth of a kilogram."""
+    tree = robot(name)
+    alone = poses_at_rest(tree, resting(tree, seed))
+    carrying = poses_at_rest(tree, resting(loaded(tree), seed + 100))
+    assert len(alone) == len(carrying) == 8
+    robots, found = weigh(tree, alone), weigh_payload(tree, alone, carrying)
+    assert abs(robots.mass - mass_of(tree)) < 4.5 * robots.sigma < 0.1
+    assert abs(found.mass - LOAD.mass) < 4.5 * found.sigma < 0.1
+    for place, sigma, true in zip(found.centre, found.centre_sigma, LOAD.com, strict=True):
+        assert np.isnan(place) or abs(place - true) < 5 * sigma

@@ -1,4 +1,4 @@
-"""Drives held against the plate: torque constants, rotors, friction over velocity."""
+"""Drives held against the plate, and terms of the torques, chosen by held-out data."""
 
 from __future__ import annotations
 
@@ -13,12 +13,17 @@ from testbed.errors import RecordingError, SettingsError
 from testbed.identification.combined import combined
 from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.drive_regression import regressions, torques_beside
-from testbed.identification.friction_curves import NODES, friction_curves
+from testbed.identification.estimate import METHODS
+from testbed.identification.friction_curves import friction_curves
+from testbed.identification.held_out import Parts, grown, stretches
+from testbed.identification.term_choice import choose_terms
 from testbed.recordings.recording import Recording
-from testbed.robot.friction import JointLaw, stribeck
-from tests.helpers.ideal import EXACT, ideal
+from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
+from testbed.robot.shafts import with_shafts
+from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
+from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
 
 TERMS = ("coulomb", "viscous", "rotor")
@@ -46,17 +51,15 @@ def reported(tree: tb.Tree, recording: Recording) -> Recording:
 
 def findings(tree: tb.Tree, recording: Recording, how: tb.Settings) -> DriveFindings:
     """Beside the plate's estimate from the same recording."""
-    return identify_drives(
-        tree, recording, tb.identify(tree, recording, settings=how), settings=how
-    )
+    bodies = tb.identify(tree, recording, settings=how)
+    return identify_drives(tree, recording, bodies, settings=how)
 
 
 def errors(tree: tb.Tree, found: DriveFindings) -> tuple[Array, Array]:
     """Of constants, friction and rotors, joint by joint; and their sigmas, (n, 4)."""
     told, sigma = [], []
     for drive, joint, constant in zip(found.estimates, tree.joints, constants(tree), strict=True):
-        assert drive.joint == joint.name
-        assert [term.law.kind for term in drive.terms] == list(TERMS)
+        assert (drive.joint, [term.law.kind for term in drive.terms]) == (joint.name, list(TERMS))
         true = [constant, joint.coulomb, joint.viscous, joint.rotor_inertia]
         told.append(np.array([drive.constant, *(term.value for term in drive.terms)]) - true)
         sigma.append([drive.sigma, *(term.sigma for term in drive.terms)])
@@ -86,21 +89,6 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_doubt_about_the_bodies_counts_and_another_recording_may_tell_them() -> None:
-    """Where a hundred times their sigma leads, so does sigma."""
-    tree = driven("ur5")
-    bodies = tb.identify(tree, without(measured(tree, 1), "torque"), settings=SETTINGS)
-    other = reported(tree, without(measured(tree, 2), "wrench"))
-    doubted = replace(bodies, covariance=1e4 * bodies.covariance, sigma=100 * bodies.sigma)
-    plain, more = (identify_drives(tree, other, b, settings=SETTINGS) for b in (bodies, doubted))
-    gaps, sigma = errors(tree, plain)
-    assert np.abs(gaps / sigma)[:, 0].max() < 4.5
-    for a, b in zip(plain.estimates, more.estimates, strict=True):
-        assert abs(a.constant - b.constant) < b.sigma  # more of it is taken for diluted
-        assert b.sigma > 5 * a.sigma
-
-
-@pytest.mark.slow
 def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     """A plate of thirty times the usual noise: errors of the bodies take part of a constant.
 
@@ -109,14 +97,12 @@ def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     tree, rng = driven("ur5"), np.random.default_rng(3)
     plain = reported(tree, measured(tree, 3))
     noise = rng.normal(size=(plain.samples, 6)) * np.repeat([15.0, 3.0], 3)
-    recording = replace(plain, wrench=plain.measured("wrench") + noise)
+    recording = plus(plain, wrench=noise)
     bodies = tb.identify(tree, recording)
     torques = torques_beside(tree, recording, bodies, tb.Settings().laws)
     found = regressions(torques, bodies)
-    both, sharp = combined(torques, bodies, found), identify_drives(tree, recording, bodies)
+    both = combined(torques, bodies, found)
     assert min(each.reliability for each in found) < 0.97
-    shared = [bodies.names.index(name) for name in sharp.combined.disagreement.names]
-    assert np.median(sharp.combined.sigma[shared] / bodies.sigma[shared]) < 0.8
     told = zip(found, constants(tree), both.constants, both.constant_sigma, strict=True)
     for each, true, constant, sigma in told:
         spread = float(np.sqrt(each.covariance[0, 0]))
@@ -124,6 +110,8 @@ def test_a_poorly_known_load_does_not_make_constants_small() -> None:
         assert abs(each.values[0] - constant) < 3 * np.hypot(spread, sigma)
         diluted = each.values[0] * each.reliability
         assert each.reliability > 0.8 or abs(diluted - true) > abs(each.values[0] - true)
+    shared = [bodies.names.index(name) for name in both.disagreement.names]
+    assert np.median(both.sigma[shared] / bodies.sigma[shared]) < 0.8
 
 
 @pytest.mark.slow
@@ -140,40 +128,31 @@ def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
     assert cured.chance > 1e-3
 
 
-def rubbed(recording: Recording, law: JointLaw, size: float) -> Recording:
-    """With more friction, of any law."""
-    assert recording.truth is not None
-    speed = recording.truth.velocity
-    return replace(
-        recording, torque=recording.measured("torque") + size * law.column(speed, 0 * speed)
-    )
-
-
 @pytest.mark.slow
 def test_friction_over_velocity_is_the_law_at_every_node() -> None:
     """Straight between nodes, the curve is exact at any scale; noisy ones hold to their sigmas."""
     tree = driven("puma", 0.0)
-    dry, wet = (np.array([getattr(j, k) for j in tree.joints]) for k in ("coulomb", "viscous"))
     exact = findings(tree, reported(tree, ideal(tree, 20.0)), EXACT).curves
     noisy = findings(tree, measured(tree, 1, duration=30.0), tb.Settings()).curves
     scores = []
-    for joint, (curve, rough) in enumerate(zip(exact, noisy, strict=True)):
-        assert curve.constant == pytest.approx(constants(tree)[joint], rel=1e-6)
+    for joint, constant, curve, rough in zip(
+        tree.joints, constants(tree), exact, noisy, strict=True
+    ):
+        assert curve.constant == pytest.approx(constant, rel=1e-6)
         assert len(curve.speed) > 6
-        assert set(np.abs(curve.speed)) <= set(NODES)
         assert (np.diff(curve.speed) >= 0).all()
-        for each, least in ((curve, 0.0), (rough, 0.02)):
-            moving = np.abs(each.speed) > least
+        for each, most in ((curve, 1e-5), (rough, 0.5)):
+            moving = np.abs(each.speed) > 0.02
             speed = each.speed[moving]
-            off = each.torque[moving] - dry[joint] * np.sign(speed) - wet[joint] * speed
-            assert np.abs(off).max() < (0.5 if least else 1e-5)
-            scores.append(off / each.sigma[moving] if least else 0 * off[:0])
+            off = each.torque[moving] - joint.coulomb * np.sign(speed) - joint.viscous * speed
+            assert np.abs(off).max() < most
+        scores.append(off / each.sigma[moving])
     every = np.concatenate(scores)
     assert np.abs(every).max() < 5
     assert 0.5 < np.sqrt(np.mean(every**2)) < 1.6
     bodies = tb.identify(tree, measured(tree))
     for curve in friction_curves(tree, measured(tree, 3, duration=2.0), bodies):
-        assert len(curve.speed) == len(curve.torque) == 0
+        assert len(curve.speed) == 0
         assert not curve.at(np.linspace(-1, 1, 5)).any()
 
 
@@ -181,7 +160,7 @@ def test_friction_over_velocity_is_the_law_at_every_node() -> None:
 def test_the_speed_at_which_friction_fades_is_found() -> None:
     """By an outer loop of the internal estimate, for all joints alike."""
     tree = driven("puma", 0.0)
-    recording = rubbed(ideal(tree, 20.0), stribeck(0.2), 2.0)
+    recording = ideal(tree, 20.0, own={stribeck(0.2): np.full(tree.n, 2.0)})
     how = replace(EXACT, terms=("coulomb", "viscous", "stribeck"))
     found = tb.identify(tree, recording, "internal", settings=how)
     named = [name for name in found.names if name.startswith("stribeck@")]
@@ -197,10 +176,84 @@ def test_what_tells_no_drives_is_refused() -> None:
     """Another method, no torques, too few rows."""
     tree = driven("puma")
     recording = measured(tree, duration=4.0)
-    bodies = tb.identify(tree, recording)
-    with refuses(SettingsError, "plate"):
-        identify_drives(tree, recording, tb.identify(tree, recording, "internal"))
-    with refuses(RecordingError, "torque"):
-        identify_drives(tree, without(recording, "torque"), bodies)
-    with refuses(RecordingError, f"'{tree.names[0]}'"):
-        identify_drives(tree, measured(tree, 3, duration=0.85), bodies)
+    bodies, others = (tb.identify(tree, recording, method) for method in METHODS)
+    for kind, culprit, given, by in (
+        (SettingsError, "plate", recording, others),
+        (RecordingError, "torque", without(recording, "torque"), bodies),
+        (RecordingError, f"'{tree.names[0]}'", measured(tree, 3, duration=0.85), bodies),
+    ):
+        with refuses(kind, culprit):
+            identify_drives(tree, given, by)
+
+
+def some_rows(seed: int = 0) -> tuple[Array, Array]:
+    """Seven columns, a measurement of the first, third and fourth, and noise."""
+    rng = np.random.default_rng(seed)
+    x = rng.normal(size=(600, 7)) * np.geomspace(0.1, 100, 7)
+    return x, x[:, [0, 2, 3]] @ np.array([10.0, 2.0, 0.1]) + rng.normal(size=600)
+
+
+def parts_of(x: Array, y: Array, reach: int = 0) -> Parts:
+    rows = np.column_stack([x, y])
+    spans = list(stretches(len(rows), 6, reach))
+    unseen = np.array([rows[own].T @ rows[own] for own, _ in spans])
+    near = np.array([rows[beside].T @ rows[beside] for _, beside in spans])
+    return Parts(unseen, rows.T @ rows - near)
+
+
+@pytest.mark.parametrize("reach", [0, 7])
+def test_what_is_left_is_what_plain_fits_leave(reach: int) -> None:
+    """Of every row once, by rows that share no sample with it."""
+    x, y = some_rows()
+    found = parts_of(x, y, reach)
+    for own in ([0], [0, 2], [0, 2, 3, 5]):
+        for k, (part, beside) in enumerate(stretches(len(y), 6, reach)):
+            seen = np.ones(len(y), bool)
+            seen[beside] = False
+            fit = np.linalg.lstsq(x[seen][:, own], y[seen], rcond=None)[0]
+            left = float(np.sum((y[part] - x[part][:, own] @ fit) ** 2))
+            assert found.left(own)[k] == pytest.approx(left, rel=1e-9)
+    one_more = np.column_stack([found.left([0, 2, k]) for k in (1, 3, 5)])
+    np.testing.assert_allclose(found.left_with([0, 2], [1, 3, 5]), one_more, rtol=1e-9)
+    spans = list(stretches(101, 6, reach))
+    assert np.concatenate([np.arange(101)[part] for part, _ in spans]).tolist() == list(range(101))
+    for part, beside in spans:
+        assert (beside.start, beside.stop) == (
+            max(part.start - reach, 0),
+            min(part.stop + reach, 101),
+        )
+
+
+def test_true_columns_are_added_and_no_others() -> None:
+    for seed in range(10):
+        x, y = some_rows(seed)
+        chosen, how = grown(parts_of(x, y), [0], {k: k for k in range(1, 7)}, str)
+        assert set(chosen[:2]) == {2, 3}
+        assert len(chosen) <= 3  # two standard errors: one in forty by chance
+        assert how.steps[2].residual < how.steps[0].residual
+    x[:, 5], x[:, 6] = x[:, 0] - 2 * x[:, 2], 3 * x[:, 0]  # sums of others, at first or in the end
+    for always, offered, count in (([0, 2], {5: 5, 6: 6}, 0), ([0], {2: 2, 5: 5, 6: 6}, 1)):
+        chosen, how = grown(parts_of(x, y), always, offered, str)
+        assert (len(chosen), len(how.steps), how.next_best) == (count, count + 1, None)
+
+
+@pytest.mark.slow
+def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
+    """A rotor here, quadratic friction there, and a shaft that rubs."""
+    rng = np.random.default_rng(4)
+    turning: list[int] = []
+    while len(turning) < 2:
+        tree = random_robot(rng, 4).tree()
+        turning = [k for k, joint in enumerate(tree.joints) if joint.revolute][:2]
+    tree = with_shafts(tree, {"shaft": {tree.names[k]: 1.0 for k in turning}})
+    heavy, rough = np.eye(tree.n)[[tree.n - 1, 1]]
+    recording = ideal(tree, 40.0, seed=4, own={ROTOR: 3.0 * heavy, QUADRATIC: 5.0 * rough})
+    assert recording.velocity is not None
+    speed = recording.velocity[:, turning].sum(axis=1)
+    turn = np.isin(np.arange(tree.n), turning)
+    rubs = (2.0 * np.sign(speed) + speed)[:, None] * turn
+    noisy = plus(recording, torque=rubs + 0.05 * rng.normal(size=(recording.samples, tree.n)))
+    found = choose_terms(tree, noisy, tb.Settings())
+    assert found.after.rms < 0.3 * found.before.rms
+    own = {f"quadratic/{tree.names[1]}", f"rotor/{tree.names[-1]}"}
+    assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)

@@ -70,17 +70,18 @@ def test_a_folder_that_others_may_write_to_or_that_cannot_be_made_is_not_used(
 @pytest.mark.slow
 def test_processes_keep_code_in_safe_or_named_places_only(tmp_path: Path) -> None:
     """A folder that is made for lack of a safe one goes with the process."""
+    cache = tmp_path / "cache"
 
     def place(**own: str) -> Path:
         code = "from testbed.kernel.compiler import settings; print(settings.CACHE_DIR)"
-        given = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | own
-        given["XDG_CACHE_HOME"] = str(tmp_path / "cache")
-        command = [sys.executable, "-c", code]
-        done = subprocess.run(command, env=given, capture_output=True, text=True, check=True)
-        return Path(done.stdout.strip())
+        given = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
+        given |= own | {"XDG_CACHE_HOME": str(cache)}
+        return Path(
+            subprocess.check_output([sys.executable, "-c", code], env=given, text=True)[:-1]
+        )
 
     assert place(NUMBA_CACHE_DIR=str(tmp_path / "named")) == tmp_path / "named"
-    assert not (tmp_path / "cache").exists()
+    assert not cache.exists()
     kept = place()
     assert kept.exists()
     kept.parent.chmod(0o777)

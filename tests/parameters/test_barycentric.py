@@ -99,12 +99,13 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
     point = Inertia.about_centre(2.0, [0.0, 0.3, 0.4], np.zeros((3, 3)))
     here = Inertia.about_centre(3.0, np.zeros(3), np.zeros((3, 3)))
     odd = Inertia(0.0, np.array([0.1, 0.0, 0.0]), np.diag([0.1, 0.2, 0.25]))
+    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in puma.joints))
     for bodies, masses, named in (
         (thick, [2.0, 4.0, 6.0], ()),
-        ((point, here, thick[2]), [2.0, 3.0, 6.0], (0, 1)),
         ((thick[0], NOTHING, thick[2]), [2.0, 0.0, 6.0], (1,)),
         ((thick[0], odd, thick[2]), [2.0, 4.0, 6.0], (1,)),
         ((NOTHING,) * 3, [1.0, 1.0, 1.0], ()),
+        ((point, here, thick[2]), [2.0, 3.0, 6.0], (0, 1)),
     ):
         tree = replace(puma, inertias=bodies)
         found = prior_of(tree)
@@ -116,8 +117,6 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
             assert sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0
             if bodies[k] in thick:
                 np.testing.assert_allclose(found.standard[k], tb.standard(tree)[k], atol=1e-12)
-    found = prior_of(replace(puma, inertias=(point, here, thick[2])))
-    reach = max(SMALL, *(float(np.linalg.norm(joint.offset)) for joint in puma.joints))
     for k, away in ((0, 0.5), (1, reach)):  # a tenth of its distance, or of the robot's lengths
         radius = np.sqrt(np.trace(central(found, k)) / found.standard[k, 0])
         assert radius == pytest.approx(SMALL * away, rel=1e-6)
