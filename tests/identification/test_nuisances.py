@@ -22,12 +22,7 @@ from testbed.instruments.faults import fault_of
 from testbed.kernel.layout import layout
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import ideal
-<<<<<<< HEAD
-from tests.helpers.measured import clean, measured
-from tests.helpers.refusals import refuses
-=======
 from tests.helpers.measured import measured
->>>>>>> cut_a
 from tests.helpers.runs import robot
 
 SMALL = 1e-6
