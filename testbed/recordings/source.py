@@ -169,5 +169,7 @@ def gathered(parts: Iterable[Recording]) -> Recording:
 def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
     file.flush()
     shape = (-1, *getattr(like, name).shape[1:])
+    if not file.tell():  # nothing can be mapped: not a sample in all parts
+        return np.zeros((0, *shape[1:]))
     found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
     return found

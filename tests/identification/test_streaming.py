@@ -188,8 +188,9 @@ def test_what_is_no_number_gaps_in_time_and_nothing_are_named(
         with refuses(RecordingError, "0.505 s", str(sample)):
             tb.identify(tree, replace(recording, time=time), settings=EXACT)
     write_parts([recording.part(0, 0)], path)
-    with refuses(RecordingError, "0 samples"):
-        tb.identify(tree, path)
+    for nothing in (path, [recording.part(0, 0)]):
+        with refuses(RecordingError, "0 samples"):
+            tb.identify(tree, nothing)
 
 
 @pytest.mark.slow
