@@ -56,6 +56,7 @@ def test_what_is_not_understood_is_named() -> None:
         ("expect={internal_rms_relative_error={}}", "at_most"),
         (f"motion.duration={'w' * 500}", "motion.duration", "w" * 50),
         ("motion.harmonics=2.5", "motion.harmonics"),
+        (f"motion.duration={'9' * 5000}", "motion.duration"),
         ("name=../up", "name"),
         ("motion.duration", "motion.duration"),
         ("name.first=1", "'name'"),
