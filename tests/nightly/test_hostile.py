@@ -1,6 +1,6 @@
 """Bombs and killed writers and workers, each once.
 
-`python -m benchmarks hostile` draws thousands of inputs; `campaign` kills the command and scheduler.
+`python -m benchmarks hostile` draws thousands of inputs, `campaign` kills command and scheduler.
 """
 
 from __future__ import annotations
