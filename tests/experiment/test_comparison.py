@@ -10,13 +10,10 @@ import pytest
 
 import testbed as tb
 from testbed.errors import TestbedError
-from testbed.experiment import simulate as module
 from testbed.experiment.comparison import PLAIN, Comparison, compare, comparison_as_json
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.score import shared_errors
-from testbed.experiment.simulate import simulate_together
-from testbed.simulation.rollout import simulate_motions
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
@@ -89,47 +86,6 @@ def test_what_a_comparison_cannot_mean_is_named(tmp_path: Path) -> None:
             Comparison.load(written(tmp_path, variants), SHORT)
     ours = Comparison.load(ROOT / "experiments/faults.toml")
     assert all(variant.says is not None for variant in ours.variants[1:])
-
-
-QUICK = (
-    *("motion.duration=0.3", "motion.candidates=1", "simulation.warm_up=0.1"),
-    *("excitation.clearance=off", "measurement.torque_constant_error={}", "simulation.step=1e-3"),
-)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["puma", "gantry"])
-def test_a_run_does_not_depend_on_those_beside_it_and_fails_alone(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Other motions, friction, drives, noise; what happens twice is simulated once."""
-    words = [f"model={MODELS[name]}", "identification.zeros=false", *QUICK]
-    first = tb.load_tree(MODELS[name]).names[0]
-    every = [
-        tb.Experiment.load(ROOT / "experiments/table6.toml", [*words, *each])
-        for each in (
-            ["seed=1"],
-            ["seed=1", "measurement.force_noise=3.0"],
-            ["seed=3", f'robot.joint."{first}".coulomb=0.7'],
-            ["robot.lock.nobody=0.0"],
-            ["seed=3", "simulation.drive_model_error=0.2"],
-            ["seed=4", 'simulation.effect=[{kind="stribeck_friction",coefficient=0.1}]'],
-        )
-    ]
-    seen = []
-
-    def counted(tasks, *rest, **more):  # type: ignore[no-untyped-def]
-        seen.append(len(tasks))
-        return simulate_motions(tasks, *rest, **more)
-
-    alone = {k: tb.simulate(each) for k, each in enumerate(every) if k != 3}
-    monkeypatch.setattr(module, "simulate_motions", counted)
-    for order in ([0, 1, 2, 3, 4, 5], [4, 3, 2]):
-        for k, found in zip(order, simulate_together([every[k] for k in order]), strict=True):
-            assert isinstance(found, TestbedError if k == 3 else tb.Recording)
-            for signal in ("time", "position", "torque", "wrench", "tare", "facts") * (k != 3):
-                np.testing.assert_equal(getattr(found, signal), getattr(alone[k], signal))
-    assert sum(seen) == 4 + 2
 
 
 @pytest.mark.slow
