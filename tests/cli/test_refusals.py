@@ -46,12 +46,7 @@ MODELS = {
 """Content of each, and what its refusal names besides the file."""
 
 KEYS = """
-motion.length=3 | length duration
-seed=-1 | seed -1
-duration=20 | motion.duration
-motion.duration=0 | motion.duration 0
 motion.duration=1e9 | motion.duration samples
-simulation.step=1e-9 | simulation.step 1e-09
 measurement.fault=[{kind='plate'}] | 'plate'
 measurement.fault=[{kind='plate_delay',late=1}] | plate_delay 'late'
 simulation.effect=[{kind='payload',joint='hip'}] | payload 'hip' elbow
@@ -61,7 +56,6 @@ identification.zeros=['mb9x'] | 'mb9x' 'mb3x'
 identification.span=[3,1] | span 3 1
 robot.lock.hip=0 | 'hip' waist
 robot.joint.hip.coulomb=1 | 'hip' elbow
-gravity=[0,0] | gravity 3
 expect.speed.at_most=1 | 'speed'
 consistent.metric=3 | consistent.metric 'log-det'
 """
