@@ -240,17 +240,17 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (first, second, *_), _ = carry_out_bundle(replace(bundle, runs=wrong))
     assert (first.run, first.status, first.metrics) == ("0" * len(run), "failed", None)
     assert (second.status, "seed" in second.error) == ("failed", True)
-    for error, status in ((ExperimentError("so"), "failed"), (MemoryError("so"), "killed")):
-
-        def fail(*_: object, error: Exception = error, **__: object) -> None:
-            raise error
-
+    for error, status in ((ZeroDivisionError("so"), "failed"), (MemoryError("so"), "killed")):
+        said = f"{type(error).__name__}: so"
         for module, name in ((evaluate, "evaluate"), (simulation, "simulate_motions")):
             with monkeypatch.context() as patch:
-                patch.setattr(module, name, fail)
+                patch.setattr(module, name, Mock(side_effect=error))
                 outcomes, _ = carry_out_bundle(bundle)
-            assert {each.status for each in outcomes} == {status}
-            assert all("so" in each.error for each in outcomes)
+            assert {(each.status, each.error) for each in outcomes} == {(status, said)}
+    simulated = Mock(side_effect=simulation.simulate_motions)
+    monkeypatch.setattr(simulation, "simulate_motions", simulated)
+    carry_out_bundle(bundle)
+    assert len(simulated.call_args.args[0]) == 1  # both runs move alike, and differ in noise
 
 
 def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_apart() -> None:
@@ -261,9 +261,7 @@ def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_
 
     def answer(came: Any, bundle: Bundle, apart: list[Bundle], status: str = "finished") -> Any:
         future = Mock(status=status)
-        future.result.configure_mock(
-            **{"side_effect" if isinstance(came, Exception) else "return_value": came}
-        )
+        future.result.side_effect = [came]
         return engine._answer(future, bundle, apart)
 
     apart: list[Bundle] = []
