@@ -27,6 +27,7 @@ from testbed.campaign.summary_files import changes, write_summary
 from testbed.errors import ExperimentError, TestbedError
 from testbed.experiment import evaluate
 from testbed.experiment import simulate as simulation
+from testbed.simulation.rollout import simulate_motions
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 from tests.helpers.refusals import refuses
 
@@ -247,7 +248,7 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 patch.setattr(module, name, Mock(side_effect=error))
                 outcomes, _ = carry_out_bundle(bundle)
             assert {(each.status, each.error) for each in outcomes} == {(status, said)}
-    simulated = Mock(side_effect=simulation.simulate_motions)
+    simulated = Mock(side_effect=simulate_motions)
     monkeypatch.setattr(simulation, "simulate_motions", simulated)
     carry_out_bundle(bundle)
     assert len(simulated.call_args.args[0]) == 1  # both runs move alike, and differ in noise

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import testbed as tb
 from testbed.arrays import Array
@@ -115,7 +116,7 @@ def test_accuracy_is_what_another_robot_would_do(name: str) -> None:
         values[: own.count] = own.values(tb.barycentric(other))
         said[method] = replace(estimate, values=values)
 
-    def share(signals: list[Array], first: Array) -> float:
+    def share(signals: list[Array], first: NDArray[np.bool_]) -> float:
         """Of forces and moments, or joints of two kinds, the larger."""
         true, wrong = signals
         parts = [part for part in (first, ~first) if part.any()]
@@ -204,7 +205,8 @@ def test_errors_that_sigma_does_not_tell_are_named() -> None:
         off = replace(estimate, values=errors.truth + z * estimate.sigma)
         wrong = replace(errors, z=z, relative=np.where(z == 0, 0.0, 0.1))
         (found,) = systematic_errors(off, wrong)
-        assert (found.method, found.number) == (method, pytest.approx(40))
+        assert found.method == method
+        assert found.number == pytest.approx(40)
         assert estimate.names[3] in found.subject
     tree = robot("puma")  # without noise sigmas are rounding, and errors may be many of them
     exact = assemble_run(tree, ideal(tree), name="made", settings=EXACT, experiment=experiment())
@@ -251,8 +253,8 @@ def test_growth_passes_through_the_estimates_of_parts_and_ends_at_the_whole() ->
             np.testing.assert_array_equal(found, wanted.values)
         np.testing.assert_array_equal(grown.sigma[0], part.sigma)
         errors = growing_errors(run, method, grown)
-        wanted = run.score.errors[method].relative[: len(errors.T)]
-        np.testing.assert_allclose(errors[-1], wanted)
+        relative = run.score.errors[method].relative
+        np.testing.assert_allclose(errors[-1], relative[: len(errors.T)])
         untold = growing_errors(replace(run, score=None), method, grown)
         assert np.abs(untold[0]).max() > 0
         assert not untold[-1].any()
