@@ -15,8 +15,10 @@ from docs.marks import written
 from tests.helpers.paths import ROOT
 from tests.helpers.site import built, navigation
 
-LOADS = r"""<(?:script|img|iframe|source)\b[^>]* src(?:set)?="?(?:https?:)?//|\
-<link\b(?![^>]*rel="?(?:canonical|prev|next))[^>]* href="?(?:https?:)?//"""
+LOADS = (
+    r"<(?:script|img|iframe|source)\b[^>]* src(?:set)?=[\"']?(?:https?:)?//"
+    r"|<link\b(?![^>]*rel=[\"']?(?:canonical|prev|next))[^>]* href=[\"']?(?:https?:)?//"
+)
 """Addresses elsewhere that a browser follows by itself."""
 
 
