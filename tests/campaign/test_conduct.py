@@ -251,7 +251,8 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     simulated = Mock(side_effect=simulate_motions)
     monkeypatch.setattr(simulation, "simulate_motions", simulated)
     carry_out_bundle(bundle)
-    assert len(simulated.call_args.args[0]) == 1  # both runs move alike, and differ in noise
+    (call,) = simulated.call_args_list
+    assert len(call.args[0]) == 1  # both runs move alike, and differ in noise
 
 
 def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_apart() -> None:
