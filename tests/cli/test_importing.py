@@ -20,21 +20,19 @@ MODEL = ("--model", str(TX40 / "tx40.urdf"))
 TERMS = 'identification.terms=["coulomb","viscous","offset"]'
 
 
-def altered(folder: Path, old: str, new: str) -> str:
+def altered(folder: Path, old: str, new: str, name: str = "map.toml") -> None:
     """The TX40's mapping with other words."""
     text = (TX40 / "tx40.toml").read_text()
     assert old in text
-    for name in ("pos_read_data.csv.gz", "curr_data.csv.gz"):
-        text = text.replace(f'"{name}"', json.dumps(str(TX40 / name)))
-    (folder / "map.toml").write_text(text.replace(old, new))
-    return "map.toml"
+    for data in ("pos_read_data.csv.gz", "curr_data.csv.gz"):
+        text = text.replace(f'"{data}"', json.dumps(str(TX40 / data)))
+    (folder / name).write_text(text.replace(old, new))
 
 
 def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -> None:
     """Two halves of it: one gives the estimate, the other judges it; no truth anywhere."""
     for name, cut in (("first", "stop = 4.6"), ("second", "start = 4.6")):
-        altered(tmp_path, "rate = 500\n", f"rate = 500\n{cut}\n")
-        (tmp_path / "map.toml").rename(tmp_path / f"{name}.toml")
+        altered(tmp_path, "rate = 500\n", f"rate = 500\n{cut}\n", f"{name}.toml")
     done = command_line("import", "first.toml", "--out", "r.parquet", *MODEL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = command_line("identify", "r.parquet", *MODEL, "--set", TERMS, "--json", cwd=tmp_path)
@@ -53,24 +51,25 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
 
 def test_a_mistake_in_a_mapping_is_refused_with_its_cure(tmp_path: Path) -> None:
     """By every command that takes it; imported unchecked, by the next."""
-    mapping = altered(tmp_path, "[0, -1.5707963267948966", "[0, 0")
-    words = ("import", mapping, "--out", "x.parquet", *MODEL)
-    for refusing in (words, ("report", mapping, *MODEL)):
-        done = command_line(*refusing, cwd=tmp_path)
-        assert done.returncode == 2
-        assert "offset = [0, -1.5708, 1.5708" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["map.toml"]
-    assert command_line(*words, "--unchecked", cwd=tmp_path).returncode == 0
-    refused = command_line("identify", "x.parquet", *MODEL, cwd=tmp_path)
-    assert refused.returncode == 2
-    assert "offset = [0, -1.5708, 1.5708" in refused.stderr
+    altered(tmp_path, "[0, -1.5707963267948966", "[0, 0")
+    unchecked = ("import", "map.toml", "--out", "x.parquet", "--unchecked")
+    for words, code, files in (
+        (("import", "map.toml", "--out", "x.parquet"), 2, {"map.toml"}),
+        (("report", "map.toml"), 2, {"map.toml"}),
+        (unchecked, 0, {"map.toml", "x.parquet"}),
+        (("identify", "x.parquet"), 2, {"map.toml", "x.parquet"}),
+    ):
+        done = command_line(*words, *MODEL, cwd=tmp_path)
+        assert done.returncode == code, words
+        assert ("offset = [0, -1.5708, 1.5708" in done.stderr) == (code == 2)
+        assert {path.name for path in tmp_path.iterdir()} == files
 
 
 def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: Path) -> None:
-    log = str(place / "log.csv")
-    assert command_line("import", "--guess", log, "--out", "map.toml", cwd=tmp_path).returncode == 0
+    words = ("import", "--guess", str(place / "log.csv"), "--out", "map.toml")
+    assert command_line(*words, cwd=tmp_path).returncode == 0
     before = (tmp_path / "map.toml").read_text()
-    assert command_line("import", "--guess", log, "--out", "map.toml", cwd=tmp_path).returncode == 2
+    assert command_line(*words, cwd=tmp_path).returncode == 2
     assert (tmp_path / "map.toml").read_text() == before
     rows = "".join(f"{4 * k},0,{k}\n" for k in range(9))
     (tmp_path / "log.csv").write_text(f"timestamp_ms,q_hip_deg,tau_hip\n{rows}")

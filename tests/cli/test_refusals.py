@@ -1,10 +1,11 @@
 """What is wrong with a command line is said in one line that names it, and nothing is left behind.
 
-One table of wrong words; another of model files that are none.
+Tables of wrong words, of model files that are none, and of words and files of any other kind.
 """
 
 from __future__ import annotations
 
+import os
 import shlex
 from pathlib import Path
 
@@ -45,12 +46,7 @@ MODELS = {
 """Content of each, and what its refusal names besides the file."""
 
 KEYS = """
-motion.length=3 | length duration
-seed=-1 | seed -1
-duration=20 | motion.duration
-motion.duration=0 | motion.duration 0
 motion.duration=1e9 | motion.duration samples
-simulation.step=1e-9 | simulation.step 1e-09
 measurement.fault=[{kind='plate'}] | 'plate'
 measurement.fault=[{kind='plate_delay',late=1}] | plate_delay 'late'
 simulation.effect=[{kind='payload',joint='hip'}] | payload 'hip' elbow
@@ -60,7 +56,6 @@ identification.zeros=['mb9x'] | 'mb9x' 'mb3x'
 identification.span=[3,1] | span 3 1
 robot.lock.hip=0 | 'hip' waist
 robot.joint.hip.coulomb=1 | 'hip' elbow
-gravity=[0,0] | gravity 3
 expect.speed.at_most=1 | 'speed'
 consistent.metric=3 | consistent.metric 'log-det'
 """
@@ -124,6 +119,22 @@ minimal puma562.xml --speed | --speed
 """
 """Words of a command, and what its refusal names."""
 
+ANYTHING = f"""
+IT
+--IT
+minimal IT
+minimal puma562.xml --gravity IT
+run IT
+run table.toml --set IT=1
+simulate IT --out r.parquet
+view IT --save x.rrd
+identify IT {ROBOT}
+identify one.parquet --model IT
+report IT {ROBOT} --out x.html
+equations puma562.xml --against IT
+"""
+"""Commands that are given what they cannot take."""
+
 
 def check(place: Path, words: list[str], culprits: list[str]) -> list[str]:
     """What is wrong with how a command refuses; nothing, if it does it well."""
@@ -135,7 +146,7 @@ def check(place: Path, words: list[str], culprits: list[str]) -> list[str]:
     wrong += [f"exit code {done.returncode}"] * (done.returncode != 2)
     wrong += ["says something on standard output"] * bool(done.stdout)
     wrong += ["more than a line"] * any(not each.startswith("note: ") for each in lines[:-1])
-    wrong += ["no message"] * (not is_message(said))
+    wrong += ["no message"] * (not is_message(said) or not said.isprintable())
     wrong += ["leaves something"] * (sorted(place.rglob("*")) != before and "kept in" not in said)
     return [f"{' '.join(words)}: {each}: {said}" for each in wrong]
 
@@ -157,4 +168,21 @@ def test_what_is_wrong_is_named(place: Path, tmp_path: Path) -> None:
         (tmp_path / name).write_text(text)
         rows.append((tmp_path, ["minimal", name], [name, *said.split()]))
     found = [wrong for row in rows for wrong in check(*row)]
+    assert not found, "\n".join(found)
+
+
+def test_words_and_files_of_any_kind_are_refused(place: Path, tmp_path: Path) -> None:
+    """A folder, a pipe that nobody writes to, a link to itself, nothing: no command waits.
+
+    Escape sequences, reversed text and bytes that are no text are shown harmlessly.
+    """
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    (tmp_path / "empty").touch()
+    odd = ["a\x1b[31m\u202eb\x9bc\u2066\n d", os.fsdecode(b"a\xff\xfe.xml")]
+    found = []
+    for words, _ in table(ANYTHING):
+        for it in (*map(str, tmp_path.iterdir()), *odd):
+            found += check(place, [word.replace("IT", it) for word in words.split()], [])
     assert not found, "\n".join(found)

@@ -66,9 +66,6 @@ def test_the_doctor_finds_this_installation_well(tmp_path: Path) -> None:
     checks = {each["name"]: each for each in json.loads(done.stdout)["checks"]}
     assert {"testbed", "Python", "mujoco", "pin", "viewer", "compiled kernel"} <= set(checks)
     assert all(each["fine"] for each in checks.values() if each["needed"])
-    told = command_line("doctor", cwd=tmp_path).stdout.splitlines()
-    assert len(told) == len(checks)
-    assert {"ok"} <= {line.split()[0] for line in told} <= {"ok", "-"}
 
 
 def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 import testbed as tb
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import robot_of
-from testbed.experiment.experiment import ExperimentTables, RecordingTables
+from testbed.experiment.experiment import ExperimentTables
 from testbed.experiment.experiment_tables import Bound, JointTable
 from testbed.experiment.run_folder import default_folder
-from testbed.toml_text import LARGEST_FILE, checked, override
+from testbed.toml_text import LARGEST_FILE, override
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 
@@ -43,9 +43,6 @@ def test_settings_override_keys_and_the_resolved_file_says_the_same(tmp_path: Pa
     assert again == experiment
     assert default_folder(again) == default_folder(experiment)
     assert default_folder(experiment.model_copy(update={"seed": 5})) != default_folder(experiment)
-    for table, name in ((again, "seed"), (again.motion, "duration"), (again.simulation, "step")):
-        with pytest.raises((ValidationError, AttributeError)):
-            setattr(table, name, 1)
     content: dict[str, Any] = {}
     override(content, ['robot.lock."arm.elbow"=0.5', "robot.'a.b'.c='x'", "motion.duration=3"])
     quoted = {"lock": {"arm.elbow": 0.5}, "a.b": {"c": "x"}}
@@ -59,6 +56,7 @@ def test_what_is_not_understood_is_named() -> None:
         ("expect={internal_rms_relative_error={}}", "at_most"),
         (f"motion.duration={'w' * 500}", "motion.duration", "w" * 50),
         ("motion.harmonics=2.5", "motion.harmonics"),
+        (f"motion.duration={'9' * 5000}", "motion.duration"),
         ("name=../up", "name"),
         ("motion.duration", "motion.duration"),
         ("name.first=1", "'name'"),
@@ -110,13 +108,6 @@ def test_files_that_would_cost_memory_or_the_stack_are_refused(tmp_path: Path) -
         path.write_text(text)
         with refuses(ExperimentError, "e.toml"):
             tb.Experiment.load(path)
-    deep: list[Any] = []
-    for _ in range(100_000):
-        deep = [deep]
-    with refuses(ExperimentError, "file"):
-        checked(RecordingTables, {"name": deep}, "file")
-    while deep:  # taken apart by hand: Python's own way goes as deep
-        deep = deep.pop()
 
 
 def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
@@ -127,14 +118,11 @@ def test_what_does_not_fit_the_robot_or_the_clock_is_refused() -> None:
     ):
         with refuses(ExperimentError, culprit):
             robot_of(tb.Experiment.load(TABLE6, [word]))
-    for word, culprit in (
-        ("simulation.bandwidth=1e6", "bandwidth"),
-        ("motion.fundamental=1e-12", "fundamental"),
-        ("simulation.step=1e-320", "step"),
-        ("simulation.step=3e-4", "step"),
-    ):
-        with refuses(ExperimentError, culprit):
-            tb.simulate(tb.Experiment.load(TABLE6, [word]))
+    for word in ("bandwidth=1e6", "step=1e-320", "step=3e-4"):
+        with refuses(ExperimentError, word.partition("=")[0]):
+            tb.simulate(tb.Experiment.load(TABLE6, [f"simulation.{word}"]))
+    with refuses(ExperimentError, "fundamental"):
+        tb.simulate(tb.Experiment.load(TABLE6, ["motion.fundamental=1e-12"]))
 
 
 def test_a_claim_holds_or_fails() -> None:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-import struct
 import xml.etree.ElementTree as ET
-import zlib
 from dataclasses import replace
-from importlib.resources import files
+from io import BytesIO
 from typing import Any
 
 import numpy as np
@@ -17,11 +15,11 @@ from hypothesis import strategies as st
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.font_manager import FontProperties
+from matplotlib.image import imread
 from matplotlib.textpath import TextPath
 
 import testbed as tb
-from testbed.reporting.drive_sections import curve_lines
-from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run, dots_section
+from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run
 from testbed.reporting.figures import COLOURS, Panel, power_of_ten, tick_label
 from testbed.reporting.heat_table import DARKEST, heat_table
 from testbed.reporting.named_panels import named_panels
@@ -87,28 +85,28 @@ def test_curves_that_agree_are_all_seen() -> None:
     count = [np.sum((pixels == np.array(to_rgb(COLOURS[n])) * 255).all(axis=1)) for n in names]
     assert min(count) > 0.08 * sum(count)
     assert all(f"var(--{name})" in panel.svg for name in ("ink", "faint", *names))
-    assert panel.svg == panel.svg
-    ids = [
-        set(re.findall(r' id="([^"]+)"', each.svg)) for each in (panel, replace(panel, title="b"))
-    ]
-    assert not ids[0] & ids[1]
+    one, other = (
+        re.findall(r' id="(.+?)"', each.svg) for each in (panel, replace(panel, title="b"))
+    )
+    assert not set(one) & set(other)  # of one page
 
 
 @given(st.integers(1, 80), rngs)
 @few(5)
 def test_values_by_name_are_all_drawn_on_one_scale(count: int, rng: np.random.Generator) -> None:
     names = tuple(f"K{k}yy" for k in range(count))
-    values = {kind: 10 ** rng.uniform(-9, 2, count) for kind in ("external", "internal")}
+    external, internal = 10 ** rng.uniform(-9, 2, (2, count))
+    values = {"external": external, "internal": internal}
     panels = named_panels("sigma", names, values, "part [%]", log=True)
     assert [name for panel in panels for name in panel.names] == list(names)
-    assert len({panel.limits for panel in panels}) == 1
+    (limits,) = {panel.limits for panel in panels}
+    assert limits is not None
     for kind, wanted in values.items():
         drawn = np.concatenate([panel.curves[kind][0] for panel in panels])
         np.testing.assert_array_equal(drawn, wanted)
-        low, high = panels[0].limits or (1.0, 0.0)
-        assert low <= drawn.min() <= drawn.max() <= high
-    dots = ErrorDots(names, {"external": values["external"]}, {"external": values["internal"]})
-    assert dots.range == (low, high)
+        assert limits[0] <= drawn.min() <= drawn.max() <= limits[1]
+    dots = ErrorDots(names, {"external": external}, {"external": internal})
+    assert dots.range == limits
     drawings = "".join(panel["svg"] for panel in dot_panels(dots))
     assert [name for name in names if f">{name}<" not in drawings] == []
 
@@ -126,46 +124,21 @@ def test_dots_are_errors_and_bars_are_sigmas() -> None:
             ratio = dots.errors[method][at] / dots.sigmas[method][at]
             assert ratio == pytest.approx(error / estimate.sigma[k])
             if abs(run.truths[name]) > 0.1 * np.abs(estimate.values).max():
-                share = 100 * error / abs(run.truths[name])
-                assert dots.errors[method][at] == pytest.approx(share)
+                assert dots.errors[method][at] == pytest.approx(100 * error / abs(run.truths[name]))
             known = blind.errors[method][blind.names.index(name)]
             assert known == pytest.approx(100 * estimate.sigma[k] / abs(estimate.values[k]))
-    assert dots_section(replace(run, estimates={}, score=None)) is None
     labels = [text.get_text() for text in tb.plot(run).axes[0].get_yticklabels()]
     assert labels == list(dots.names)
     assert tb.plot(run.estimates["external"])._repr_png_().startswith(b"\x89PNG")
 
 
 def test_cells_are_as_dark_as_the_logarithm_of_what_they_hold() -> None:
-    """Empty where there is nothing; what stands in the darkest can be read [WCAG 2.1, 1.4.3]."""
+    """Empty where there is nothing; axe sees to it that the darkest can be read."""
     values = [0.01, 0.1, 1.0, 10.0, 100.0, 1e6, 1e-9, float("nan")]
     ((_, cells),) = heat_table("", ["a"], list("bcdefghi"), [values], 0.01, 100.0)["rows"]
     wanted = [0, DARKEST / 4, DARKEST / 2, 3 * DARKEST / 4, DARKEST, DARKEST, 0, 0]
     assert [cell["share"] for cell in cells] == [round(part) for part in wanted]
     assert [cells[k]["text"] for k in (0, 2, 7)] == ["1", "100", ""]
-    style = (files("testbed.reporting") / "page/style.css").read_text()
-    for part in style.split("@media (prefers-color-scheme: dark)")[:2]:
-        found = (re.findall(rf"--{name}: #(\w+)", part)[0] for name in ("ink", "paper", "external"))
-        ink, paper, colour = (
-            np.array([int((2 * c)[:2] if len(t) == 3 else c, 16) / 255
-                      for c in (t if len(t) == 3 else re.findall("..", t))]) for t in found
-        )  # fmt: skip
-        ground = DARKEST / 100 * colour + (1 - DARKEST / 100) * paper
-        bright = [np.where(c <= 0.03928, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-                  @ (0.2126, 0.7152, 0.0722) for c in (ink, ground)]  # fmt: skip
-        assert (max(bright) + 0.05) / (min(bright) + 0.05) >= 4.5
-
-
-@pytest.mark.slow
-def test_a_friction_curve_is_open_where_the_direction_changes() -> None:
-    run = run_named("plate")
-    for curve in run.drives.curves if run.drives else ():
-        speed, torque, sigma = curve_lines(curve)
-        gap = np.isnan(speed)
-        assert gap.sum() == 1
-        assert (speed[: gap.argmax()] <= 0).all() & (speed[gap.argmax() + 1 :] > 0).all()
-        np.testing.assert_array_equal(torque[~gap], curve.torque)
-        np.testing.assert_array_equal(np.isnan(sigma), gap)
 
 
 @given(rngs, st.sampled_from([300, SEGMENT, 40 * SEGMENT]), st.floats(50, 1000))
@@ -216,17 +189,8 @@ def test_what_is_painted_is_the_nearest_triangle(rng: np.random.Generator) -> No
 @few(5)
 def test_a_png_holds_its_picture(rng: np.random.Generator) -> None:
     picture = rng.integers(0, 256, (7, 5, 4)).astype(np.uint8)
-    data, chunks, place = png(picture), {}, 8
-    while place < len(data):
-        (size,) = struct.unpack(">I", data[place : place + 4])
-        kind, held = data[place + 4 : place + 8], data[place + 8 : place + 8 + size]
-        (check,) = struct.unpack(">I", data[place + 8 + size : place + 12 + size])
-        assert check == zlib.crc32(kind + held)
-        chunks[kind], place = held, place + 12 + size
-    assert data[:8] == b"\x89PNG\r\n\x1a\n"
-    assert struct.unpack(">2I5B", chunks[b"IHDR"]) == (5, 7, 8, 6, 0, 0, 0)
-    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), dtype=np.uint8).reshape(7, 21)
-    np.testing.assert_array_equal(rows[:, 1:].reshape(7, 5, 4), picture)
+    read = imread(BytesIO(png(picture)), format="png")  # Pillow checks the sums of all chunks
+    np.testing.assert_array_equal(np.round(255 * read), picture)
 
 
 @pytest.mark.slow
@@ -257,7 +221,6 @@ def test_a_portrait_has_everything_within_its_frame(tree: tb.Tree, seed: int, po
             assert beside or abs(y - other[1]) >= HEIGHT - 0.2
     said = [float(text.split()[0]) for text in texts(svg)[-2:]]
     assert said == pytest.approx([np.linalg.norm(wrench[:3]), np.linalg.norm(wrench[3:])], rel=6e-3)
-    assert texts(portrait(load_appearance(tree), motion, None, "x")) == ["x", "y", "z"]
 
 
 def test_the_portrait_shows_the_robot_where_it_stands(puma: tb.Tree) -> None:

@@ -10,7 +10,6 @@ from tempfile import mkdtemp
 import numpy as np
 import pinocchio as pin
 import pytest
-import rerun as rr
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,21 +18,19 @@ from testbed.arrays import Array
 from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
-from testbed.experiment.matrix_errors import MatrixErrors
 from testbed.identification.estimate import METHODS
 from testbed.identification.influence import by_influence
-from testbed.identification.torque_constants import DriveEstimate
 from testbed.robot.visuals.appearance import bounds, load_appearance
 from testbed.robot.visuals.extents import extents
 from testbed.viewer.campaign_log import write_campaign_rrd
-from testbed.viewer.constant_bars import TALL, largest, log_constants
+from testbed.viewer.constant_bars import TALL, largest
 from testbed.viewer.curves import tick
-from testbed.viewer.heat_map import CELL, log_matrix, picture
+from testbed.viewer.heat_map import CELL, picture
 from testbed.viewer.log import write_rrd
 from testbed.viewer.motion_log import write_motion_rrd
 from testbed.viewer.overview import MOST, Learned, learned, scale_of
 from testbed.viewer.robot_drawing import ARROW, quaternions
-from testbed.viewer.scene import Scene, means, plain, pressure, rounded_up, scene_of
+from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
 from tests.helpers.approved import hold
 from tests.helpers.pages import checked, run_named
 from tests.helpers.paths import GOLDEN, ROOT
@@ -115,10 +112,7 @@ def test_estimates_are_shown_by_their_errors_a_body_a_plot() -> None:
         assert each.errors["external"][-1] == pytest.approx(off)
         assert abs(off) <= scale_of(first)
     blind = replace(run, score=None, estimates={"external": run.estimates["external"]})
-    assert [x.errors["external"][-1] for x in learned(scene_of(blind, growth(blind)))] == [
-        0.0
-    ] * MOST
-    assert learned(scene_of(run)) == ()
+    assert {x.errors["external"][-1] for x in learned(scene_of(blind, growth(blind)))} == {0.0}
 
 
 def test_the_scale_does_not_depend_on_when_the_clock_was_set() -> None:
@@ -162,11 +156,6 @@ def test_the_robot_stands_as_it_stood_and_the_arrows_are_the_measured_reaction()
         origins = columns(path, f"/world/bedplate/{name}", "Arrows3D:origins").reshape(-1, 3)
         for low, high in (bounds(shape) for shape in look.shapes if shape.body < 0):
             assert ((origins[:, 0] > high[0]) & (origins[:, 1] < low[1])).all()
-    for k, shape in enumerate(look.shapes):
-        home = f"robot/{shape.body + 1}" if shape.body >= 0 else "bedplate"
-        assert f"/world/{home}/shape{k}" in tree(path)
-    for j, joint in enumerate(run.tree.joints):
-        assert words(path, f"/world/robot/{j + 1}/axis", "Arrows3D:labels") == [joint.name]
 
 
 @slow
@@ -207,52 +196,42 @@ def test_friction_is_drawn_to_scale_and_its_axes_say_which() -> None:
 
 
 @slow
-def test_constants_and_the_matrix_are_drawn_as_wrong_as_they_are(tmp_path: Path) -> None:
+def test_constants_and_the_matrix_are_drawn_as_wrong_as_they_are() -> None:
     """Bars as long as two sigma to either side, cells as dark as they are wrong, by one scale."""
-    constants = (("waist", 1.08, 2e-3), ("elbow", 0.96, 5e-3))
-    drives = [DriveEstimate(name, off, sd, (), 0.1, "N m", 100) for name, off, sd in constants]
-    rng = np.random.default_rng(0)
-    matrix = MatrixErrors(rng.normal(size=(6, 6)), 0.1 * rng.uniform(size=(6, 6)))
-    path = tmp_path / "drives.rrd"
-    stream = rr.RecordingStream("testbed", recording_id="drives")
-    stream.save(path)
-    log_constants(stream, drives, "/constants")
-    log_matrix(stream, matrix, "/plate")
-    stream.disconnect()
+    shown, path = scene("plate"), rrd("plate")
+    assert shown.run.drives is not None
+    assert shown.matrix is not None
+    drives, matrix = shown.run.drives.estimates, shown.matrix
     strips = columns(path, "/constants/bars", "LineStrips2D:strips", static=True).reshape(-1, 2, 2)
     for bar, drive in zip(strips[::3], drives, strict=True):
         ends = sorted(-bar[:, 1] * largest(drives) / TALL + 1)
         wanted = drive.constant + np.array([-2, 2]) * drive.sigma
         np.testing.assert_allclose(ends, wanted, atol=1e-6)
-    said = words(path, "/plate/before/numbers", "Points2D:labels")
-    np.testing.assert_allclose(np.array(said, dtype=float), matrix.error.ravel(), rtol=0.06)
+    for name, values in (("before", matrix.error), ("after", matrix.sigma)):
+        said = words(path, f"/plate/{name}/numbers", "Points2D:labels")
+        np.testing.assert_allclose(np.array(said, dtype=float), values.ravel(), rtol=0.06)
     light = picture(matrix.error, matrix.most)[::CELL, ::CELL].sum(axis=2).ravel().astype(int)
     assert (np.diff(light[np.argsort(np.abs(matrix.error).ravel())]) <= 0).all()
     assert picture(matrix.sigma, matrix.most).sum() > picture(matrix.error, matrix.most).sum()
-    assert "/plate/before/numbers" in tree(rrd("plate"))
 
 
 @slow
 def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
     tmp_path: Path,
 ) -> None:
-    half, silent = scene("half"), scene("silent")
-    write_rrd([half, silent], tmp_path / "two.rrd")
-    there = {
-        entity.split("/")[2] for entity in tree(tmp_path / "two.rrd") if entity.startswith("/run1/")
-    }
-    assert "torque" in there
-    assert not {"wrench", "friction"} & there
-    assert not [entity for entity in tree(tmp_path / "two.rrd") if "/force" in entity]
-    assert "/run2/world/robot/3" in tree(tmp_path / "two.rrd")
+    write_rrd([scene("half"), scene("silent")], tmp_path / "two.rrd")
+    entities = tree(tmp_path / "two.rrd")
+    first = {entity.split("/")[2] for entity in entities if entity.startswith("/run1/")}
+    assert "torque" in first
+    assert not {"wrench", "friction"} & first
+    assert not [entity for entity in entities if "/force" in entity]
+    assert "/run2/world/robot/3" in entities
 
 
 @slow
 def test_notes_say_every_warning_and_names_are_no_markup() -> None:
     hostile = scene("hostile")
     assert "<script" not in hostile.notes.replace("\\<script", "")
-    look = replace(hostile.appearance, warnings=("mesh 'arm.stl'",))
-    assert plain("mesh 'arm.stl'") in replace(hostile, appearance=look).notes
     assert scene("ur5").notes.count("\n- ") == len(run_named("ur5").warnings)
     for name in run_named("plate").tree.names:
         assert f"| {name} |" in scene("plate").notes
@@ -277,20 +256,15 @@ def test_a_motion_is_shown_with_no_less_left_than_is_proven(tmp_path: Path) -> N
 def test_a_campaign_is_bars_of_scores_and_points_of_both_sigmas(tmp_path: Path) -> None:
     """Scores far out count in the outermost bars; points by powers of ten, larger ones higher."""
     scores = np.array([-9.0, -3.9, 0.1, 0.1, 0.12, 3.99, 5.0, 4.0])
-    kept = (
-        ("m1", 0, 1e-3, 1e-2),
-        ("K3d", 1, 10.0, 0.1),
-        ("exact", 1, 0.0, 0.1),
-        ("alone", 1, 1.0, np.nan),
+    kept = [("m1", 0, 1e-3, 1e-2), ("K3d", 1, 10.0, 0.1), ("exact", 1, 0.0, 0.1)]
+    parts = tuple(
+        ParameterErrors(cell, "external", name, 8, 1.0, 0, 0, spread, 0, sigma, 7, 0.1)
+        for name, cell, sigma, spread in (*kept, ("alone", 1, 1.0, np.nan))
     )
-    parts = tuple(ParameterErrors(cell, "external", name, 8, 1.0, 0, 0, spread, 0, sigma, 7, 0.1)
-                  for name, cell, sigma, spread in kept)  # fmt: skip
     figures = (Figure(1, "external_rms_relative_error", 8, 0.0123, 0.001),)
     about, z = {"name": "noise", "claim": ""}, {"external": {"m1/a": scores}}
-    path = tmp_path / "campaign.rrd"
-    write_campaign_rrd(
-        Summary(about, ("noise",), {0: (0.5,), 1: (2.0,)}, 16, (), parts, figures, z), path
-    )
+    summary = Summary(about, ("noise",), {0: (0.5,), 1: (2.0,)}, 16, (), parts, figures, z)
+    write_campaign_rrd(summary, path := tmp_path / "campaign.rrd")
     (place,) = (each for each in tree(path) if each.startswith("/scores"))
     middles, wanted = tensor(path, place, "BarChart:abscissa"), np.zeros(32)
     for score in scores:

@@ -15,7 +15,7 @@ import pytest
 import testbed as tb
 from testbed.errors import ViewerError
 from testbed.viewer import show
-from testbed.viewer.blueprint import blueprint, live_blueprint
+from testbed.viewer.blueprint import blueprint
 from testbed.viewer.live import Live
 from testbed.viewer.show import open_viewer, serve
 from tests.helpers.pages import run_named
@@ -60,13 +60,6 @@ def test_every_view_looks_at_something_and_has_its_unit(name: str) -> None:
             (seen,) = view.properties["TimeAxis"].view_range.pa_array.to_pylist()
             ends = [float(x["value"] if isinstance(x, dict) else x) for x in map(seen.get, SIDES)]
             np.testing.assert_allclose(ends, [1e9 * start, 1e9 * end], atol=1e3)
-
-
-def test_while_it_is_simulated_there_are_robot_wrench_and_torques(puma: tb.Tree) -> None:
-    origins = [view.origin for view in views(live_blueprint("table6", puma, 1.5).root_container)]
-    assert origins[0] == "/world"
-    assert origins[1:7] == [f"/wrench/{axis}" for axis in ("Fx", "Fy", "Fz", "Mx", "My", "Mz")]
-    assert origins[7:] == ["/position", *(f"/torque/{name}" for name in puma.names)]
 
 
 @pytest.mark.parametrize("screen", ["DISPLAY", "WAYLAND_DISPLAY", ""])
