@@ -59,6 +59,8 @@ def carrying_constants(given: LaggedProducts, directions: Array) -> LaggedProduc
         directions: Combinations of the channels, (C, k).
     """
     m, k = given.products.shape[2] - 2, directions.shape[1]
+    if not k:
+        return given
     maps = np.zeros((len(directions), m + 1, m + k))
     maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
     return given.carrying(maps)

@@ -85,13 +85,12 @@ class Replicas:
         Args:
             maps: How columns and ones make up other columns, (C, m + 1, r); default as they are.
         """
-        made, columns = self._noise.finish(), self._across.shape[2] - 1
-        maps = np.eye(columns + 1, columns) if maps is None else maps
-        whole = np.zeros((self._across.shape[1], columns + 1, maps.shape[-1] + 1))
-        whole[..., :-1], whole[:, -1, -1] = maps, 1.0  # ones stay the last
-        known = self._known.combined(whole)
-        across = whole.swapaxes(1, 2) @ self._across
-        size = whole.shape[2] + 1
+        made, known, across = self._noise.finish(), self._known, self._across
+        if maps is not None:
+            whole = np.zeros((*maps.shape[:2], maps.shape[2] + 1))
+            whole[..., :-1], whole[:, -1, -1] = maps, 1.0  # ones stay the last
+            known, across = known.combined(whole), whole.swapaxes(1, 2) @ across
+        size = across.shape[2] + 1
         others, own = np.array([*range(size - 2), size - 1]), size - 2
         first, last = (np.insert(each, own, 0.0, axis=3) for each in (known.first, known.last))
         lags, channels = across.shape[:2]
