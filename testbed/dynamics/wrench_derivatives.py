@@ -9,7 +9,7 @@ that the joint carries,
     phi = a x s        dW/dq'  = B s + 2 I psi
         + v x psi      dW/dq'' = I s
 
-W is the wrench, I the inertia, and B what velocities make of a screw, the sum over bodies of
+W is the wrench, I the inertia, and B the Coriolis matrix, the sum over bodies of
 
     (2 w x p,  -2 v_w x J w + 2 (h . v_u) w - 2 v_u (h . w))
 
@@ -31,7 +31,8 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, skew
 from testbed.dynamics.inverse_dynamics import blocks
 from testbed.dynamics.motion import Motion
-from testbed.parameters.barycentric import STANDARD, TENSOR, to_standard
+from testbed.parameters.barycentric import to_standard, with_standard
+from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint, Tree
 
 BLOCK = 512
@@ -56,24 +57,20 @@ def base_wrench_derivatives(
         (M, 6) [N, N m], force first, about O^0; and (n, 3, M, 6) [N or N m per rad or m, and with
         s and s^2].
     """
-    own = to_standard(tree, theta)
-    six = own[:, [STANDARD.index(f"I{pair}") for pair in ("xx", "xy", "xz", "yy", "yz", "zz")]]
-    tensor = np.einsum("abk,nk->nab", TENSOR, six)
-    second = np.trace(tensor, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - tensor
-    bodies = list(zip(own[:, 0], own[:, 1:4], second, strict=True))
+    bodies = with_standard(tree, to_standard(tree, theta)).inertias
     g = tree.gravity_or(gravity)
     wrench = np.empty((motion.samples, 6))
     slopes = np.empty((tree.n, 3, motion.samples, 6))
     for part in blocks(motion.samples, BLOCK):
-        moving = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
-        matter = [_Matter.of(*body, at) for body, at in zip(bodies, moving, strict=True)]
-        whole = _inward(tree, moving, matter, slopes[:, :, part])
+        states = _outward(tree, motion.q[part].T, motion.qd[part].T, motion.qdd[part].T, g)
+        composite = [_Composite.of(body, at) for body, at in zip(bodies, states, strict=True)]
+        whole = _inward(tree, states, composite, slopes[:, :, part])
         wrench[part, :3], wrench[part, 3:] = whole[0].T, whole[1].T
     return wrench, slopes
 
 
 @dataclass(frozen=True, eq=False)
-class _Moving:
+class _BodyState:
     """A body at m instants.
 
     Attributes:
@@ -91,26 +88,26 @@ class _Moving:
     acceleration: Pair
 
 
-def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_Moving]:
+def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> list[_BodyState]:
     """The motion of every body; coordinates (n, m)."""
     still = np.zeros((3, q.shape[1]))
     flat = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, q.shape[1]))
-    bedplate = _Moving(
+    bedplate = _BodyState(
         flat, still, (still, still), (still, still), (still, still - gravity[:, None])
     )
-    found: list[_Moving] = []
+    found: list[_BodyState] = []
     for j, joint in enumerate(tree.joints):
         carrier = bedplate if joint.parent < 0 else found[joint.parent]
         turn, place, axis = _pose(joint, carrier, q[j])
         screw = (axis, _cross(place, axis)) if joint.revolute else (still, axis)
         velocity = _sum(carrier.velocity, _times(screw, qd[j]))
         acceleration = _sum(carrier.acceleration, _times(screw, qdd[j]),
-                            _times(_moved(velocity, screw), qd[j]))  # fmt: skip
-        found.append(_Moving(turn, place, screw, velocity, acceleration))
+                            _times(_cross_motion(velocity, screw), qd[j]))  # fmt: skip
+        found.append(_BodyState(turn, place, screw, velocity, acceleration))
     return found
 
 
-def _pose(joint: Joint, carrier: _Moving, q: Array) -> tuple[Array, Array, Array]:
+def _pose(joint: Joint, carrier: _BodyState, q: Array) -> tuple[Array, Array, Array]:
     """A body's axes and origin, and its joint's axis, in the bedplate's."""
     turn = np.einsum("abm,bc->acm", carrier.turn, joint.rotation)
     place = carrier.place + np.einsum("abm,b->am", carrier.turn, joint.offset)
@@ -123,43 +120,41 @@ def _pose(joint: Joint, carrier: _Moving, q: Array) -> tuple[Array, Array, Array
 
 
 @dataclass(eq=False)
-class _Matter:
-    """Bodies about the bedplate's origin at m instants; what is carried is added to its carrier.
+class _Composite:
+    """A body and all that it carries, about the bedplate's origin, at m instants.
 
     Attributes:
         mass: [kg].
         first: Moment, h, (3, m) [kg m].
         second: Integral of r r', J, (3, 3, m) [kg m^2].
-        twice: The momentum, 2 p, (3, m) [kg m/s].
-        mixed: What velocities make of a turning's moment, (3, 3, m) [kg m^2/s].
+        momentum: p, (3, m) [kg m/s].
+        coupling: From a screw's turning to B's moment, (3, 3, m) [kg m^2/s].
         wrench: That moves them.
     """
 
     mass: float
     first: Array
     second: Array
-    twice: Array
-    mixed: Array
+    momentum: Array
+    coupling: Array
     wrench: Pair
 
     @classmethod
-    def of(cls, mass: float, first: Array, second: Array, at: _Moving) -> _Matter:
-        """One body, its moments about and along its own frame."""
-        arm = np.einsum("abm,b->am", at.turn, first)
-        turned = np.einsum("abm,bc->acm", at.turn, second)
+    def of(cls, body: Inertia, at: _BodyState) -> _Composite:
+        """One body."""
+        mass = body.mass
+        arm = np.einsum("abm,b->am", at.turn, body.first_moment)
+        turned = np.einsum("abm,bc->acm", at.turn, body.pseudo[:3, :3])
         about = np.einsum("abm,cbm->acm", turned, at.turn)
         across = arm[:, None] * at.place
         about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
         found = cls(mass, arm + mass * at.place, about, arm, about, (arm, arm))
-        (turning, sliding), momentum = at.velocity, found.inertia(at.velocity)
-        moving = found.inertia(at.acceleration)
-        found.wrench = (
-            moving[0] + _cross(turning, momentum[0]),
-            moving[1] + _cross(turning, momentum[1]) + _cross(sliding, momentum[0]),
-        )
-        found.twice = 2 * momentum[0]
-        found.mixed = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
-        found.mixed[range(3), range(3)] += 2 * _dot(found.first, sliding)
+        turning, sliding = at.velocity
+        momentum = found.inertia(at.velocity)
+        found.wrench = _sum(found.inertia(at.acceleration), _cross_force(at.velocity, momentum))
+        found.momentum = momentum[0]
+        found.coupling = -2 * _cross(turning[:, None], about) - 2 * sliding[:, None] * found.first
+        found.coupling[range(3), range(3)] += 2 * _dot(found.first, sliding)
         return found
 
     def inertia(self, screw: Pair) -> Pair:
@@ -170,34 +165,35 @@ class _Matter:
         moment = trace * turning - _apply(self.second, turning) + _cross(self.first, sliding)
         return force, moment
 
-    def velocities(self, screw: Pair) -> Pair:
+    def coriolis(self, screw: Pair) -> Pair:
         """B times a screw."""
-        return _cross(screw[0], self.twice), _apply(self.mixed, screw[0])
+        return 2 * _cross(screw[0], self.momentum), _apply(self.coupling, screw[0])
 
-    def carry(self, other: _Matter) -> None:
+    def add(self, other: _Composite) -> None:
         """Add what another body carries."""
         self.mass += other.mass
         self.wrench = _sum(self.wrench, other.wrench)
-        for mine, its in ((self.first, other.first), (self.second, other.second),
-                          (self.twice, other.twice), (self.mixed, other.mixed)):  # fmt: skip
-            mine += its
+        self.first += other.first
+        self.second += other.second
+        self.momentum += other.momentum
+        self.coupling += other.coupling
 
 
-def _inward(tree: Tree, moving: list[_Moving], matter: list[_Matter], slopes: Array) -> Pair:
+def _inward(
+    tree: Tree, states: list[_BodyState], composite: list[_Composite], slopes: Array
+) -> Pair:
     """The base wrench; derivatives of it into `slopes`, (n, 3, m, 6)."""
-    still = np.zeros_like(moving[0].place)
+    still = np.zeros_like(states[0].place)
     whole = still, still
     for j in reversed(range(tree.n)):
-        at, carried = moving[j], matter[j]
-        psi = _moved(at.velocity, at.screw)
-        phi = _sum(_moved(at.acceleration, at.screw), _moved(at.velocity, psi))
-        turning, sliding = at.screw
-        force, moment = carried.wrench
-        turned = _cross(turning, force), _cross(turning, moment) + _cross(sliding, force)
+        at, carried = states[j], composite[j]
+        psi = _cross_motion(at.velocity, at.screw)
+        phi = _sum(_cross_motion(at.acceleration, at.screw), _cross_motion(at.velocity, psi))
+        turned = _cross_force(at.screw, carried.wrench)
         for kind, pair in enumerate(
             (
-                _sum(turned, carried.inertia(phi), carried.velocities(psi)),
-                _sum(carried.velocities(at.screw), _times(carried.inertia(psi), 2.0)),
+                _sum(turned, carried.inertia(phi), carried.coriolis(psi)),
+                _sum(carried.coriolis(at.screw), _times(carried.inertia(psi), 2.0)),
                 carried.inertia(at.screw),
             )
         ):
@@ -205,14 +201,20 @@ def _inward(tree: Tree, moving: list[_Moving], matter: list[_Matter], slopes: Ar
         if tree.parents[j] < 0:
             whole = _sum(whole, carried.wrench)
         else:
-            matter[tree.parents[j]].carry(carried)
+            composite[tree.parents[j]].add(carried)
     return whole
 
 
-def _moved(velocity: Pair, screw: Pair) -> Pair:
-    """The rate of a screw that a body carries: velocity x screw."""
+def _cross_motion(velocity: Pair, screw: Pair) -> Pair:
+    """The cross product velocity x screw: the rate of a screw that a body carries."""
     (w, u), (turning, sliding) = velocity, screw
     return _cross(w, turning), _cross(u, turning) + _cross(w, sliding)
+
+
+def _cross_force(velocity: Pair, wrench: Pair) -> Pair:
+    """The cross product velocity x* wrench: the rate of a wrench that a body carries."""
+    (w, u), (force, moment) = velocity, wrench
+    return _cross(w, force), _cross(w, moment) + _cross(u, force)
 
 
 def _sum(*pairs: Pair) -> Pair:

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.kernel.layout import Layout, layout
-from testbed.kernel.records import Work
+from testbed.kernel.records import Work, sensed
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
@@ -38,9 +38,11 @@ class SampledRows:
         """All slots, (slots, M), of a motion of M samples, (M, n) each."""
         from testbed.kernel import numba_engine  # a second to import: random motions do not need it
 
+        signals = sensed(q, qd, qdd, self._width)
         if self._room is None:
-            self._room = numba_engine.motion_workspace(self.layout)
-        return numba_engine.motion_rows(self.layout, q, qd, qdd, self._room)
+            self._room = numba_engine.workspace(self.layout, signals)
+        made = numba_engine.rows(self.layout, signals, self._room)
+        return np.concatenate([block.rows for block in made], axis=1)
 
     _room: Work | None = None
 

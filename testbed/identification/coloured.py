@@ -81,12 +81,13 @@ def under_coloured_noise(
     units, p = units_of(start, beside), len(names)
     m, encoders = units.lead.shape[1], _encoder_noise(passes)
     given = units.products(passes, start.values, HIGHEST, encoders)
-    answer = _answer(units, given, passes.plan.layout.model == "reaction")
+    every = units.as_free(given.every)
+    made = None if given.noise is None else units.as_free(given.noise)
+    answer = averaged_fit(every, made, passes.plan.layout.model == "reaction")
     found, directions = answer.found, answer.directions
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
     clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    every = units.as_free(given.every)
     replicas = Replicas(found.noise, carrying_constants(every, directions))
     back = _in_channels(units, directions)
     bias, left = back @ found.values[m:], _Left(back)
@@ -146,12 +147,6 @@ def further_values(
     share = 1 / np.sqrt(np.maximum(squares * variance, 1.0))
     share[~lead.any(axis=1)] = 1.0  # known
     return (units.fixed + units.lead @ found.values)[own], np.sqrt(variance), share
-
-
-def _answer(units: Units, given: Products, whole: bool) -> Answer:
-    """The fit that suits the rows, of what is free."""
-    noise = None if given.noise is None else units.as_free(given.noise)
-    return averaged_fit(units.as_free(given.every), noise, whole)
 
 
 def _lateness(

@@ -20,8 +20,7 @@ from testbed.arrays import Array
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import Plan, Window
 from testbed.kernel import numpy_engine
-from testbed.kernel.layout import Layout
-from testbed.kernel.records import Block, Question, Signals, Sums
+from testbed.kernel.records import Block, Question, Signals, Sums, sensed
 from testbed.recordings.checks import LARGEST, check_times, check_values
 from testbed.recordings.recording import Recording
 
@@ -55,18 +54,24 @@ def is_compiled(plan: Plan) -> bool:
     return wanted and plan.layout.compiles
 
 
-def compiled_rows(layout: Layout, q: Array, qd: Array, qdd: Array) -> Array:
-    """Rows of a motion without measurements, by the compiled kernel, (slots, M).
+def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
+    """Rows of a motion by what makes a plan's, unfiltered, zero where measurements are, (slots, M).
 
     Args:
-        layout: The rows.
-        q: Positions, (M, n).
+        plan: The rows.
+        q: Positions, (M, n) [rad or m].
         qd: Velocities, (M, n).
         qdd: Accelerations, (M, n).
     """
-    from testbed.kernel import numba_engine
+    signals = sensed(q, qd, qdd, plan.layout.width)
+    if is_compiled(plan):
+        from testbed.kernel import numba_engine
 
-    return numba_engine.motion_rows(layout, q, qd, qdd)
+        work = numba_engine.workspace(plan.layout, signals)
+        made = numba_engine.rows(plan.layout, signals, work)
+    else:
+        made = numpy_engine.rows(plan.layout, signals)
+    return np.concatenate([block.rows for block in made], axis=1)
 
 
 class Passes:

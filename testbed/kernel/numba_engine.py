@@ -19,15 +19,13 @@ from testbed.kernel.records import (
     Work,
     blocks,
     products_wanted,
+    sensed,
     sums_for,
 )
 from testbed.kernel.screws import BODY, SCREW, A
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import NOTHING
 from testbed.robot.tree import Joint, Tree
-
-SENSED = (np.array([[1.0], [0.0], [0.0]]), np.ones(1), 0.0, 0, 0, 1)
-"""Taps and filter of signals that are sensed with their derivatives and taken one by one."""
 
 
 def workspace(layout: Layout, signals: Signals) -> Work:
@@ -103,31 +101,6 @@ def rows(layout: Layout, signals: Signals, work: Work) -> list[Block]:
     return found
 
 
-def motion_rows(layout: Layout, q: Array, qd: Array, qdd: Array, work: Work | None = None) -> Array:
-    """Rows of a motion without measurements, unfiltered, (slots, M).
-
-    Args:
-        layout: The rows.
-        q: Positions, (M, n) [rad or m].
-        qd: Velocities, (M, n).
-        qdd: Accelerations, (M, n).
-        work: Room to work in, of an earlier `motion_workspace`; default its own.
-    """
-    signals = Signals(q, qd, qdd, np.zeros((len(q), layout.width)), *SENSED, len(q))
-    made = rows(layout, signals, work or motion_workspace(layout))
-    return np.concatenate([block.rows for block in made], axis=1)
-
-
-def motion_workspace(layout: Layout) -> Work:
-    """Room for one thread's `motion_rows`.
-
-    Args:
-        layout: The rows.
-    """
-    none = np.zeros((1, 0))
-    return workspace(layout, Signals(none, none, none, none, *SENSED, 1))
-
-
 def _aligned(size: int) -> Array:
     """Zeros that begin where a cache line does: vectors then never straddle two."""
     room = np.zeros(size + 7)
@@ -173,6 +146,6 @@ def warm_up() -> str:
     tree = Tree("one joint", (joint,), (NOTHING,))
     rows_of_it = layout(tree, minimal_set(tree, "dynamic"))
     still = np.zeros((1, 1))
-    signals = Signals(still, still, still, still, *SENSED, 1)
+    signals = sensed(still, still, still, 1)
     sweep(rows_of_it, signals, products_wanted(1), workspace(rows_of_it, signals))
     return str(settings.CACHE_DIR)

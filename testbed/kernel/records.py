@@ -72,6 +72,19 @@ class Signals(NamedTuple):
     number: int  # of rows
 
 
+def sensed(q: Array, qd: Array, qdd: Array, channels: int) -> Signals:
+    """A motion with its derivatives, every sample a row, without measurements.
+
+    Args:
+        q: Positions, (M, n) [rad or m].
+        qd: Velocities, (M, n).
+        qdd: Accelerations, (M, n).
+        channels: How many are measured otherwise.
+    """
+    none, taps = np.zeros((len(q), channels)), np.array([[1.0], [0.0], [0.0]])
+    return Signals(q, qd, qdd, none, taps, np.ones(1), 0.0, 0, 0, 1, len(q))
+
+
 def blocks(signals: Signals, size: int) -> Iterator[tuple[int, Signals]]:
     """A window cut into blocks of at most `size` rows, and the number of each one's first."""
     for first in range(0, signals.number, size):

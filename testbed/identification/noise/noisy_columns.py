@@ -14,13 +14,10 @@ from typing import NamedTuple
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import linear
-from testbed.dynamics.motion import Motion
 from testbed.identification.noise.counts import Counts
-from testbed.identification.passes import Columns, compiled_rows, is_compiled
+from testbed.identification.passes import Columns, motion_rows
 from testbed.identification.windows import Plan
 from testbed.kernel.records import Signals
-from testbed.robot.friction import term_torque
 
 PER_ROW = 5
 """Samples of made noise from row to row, at least: slow noise, behind the filter on rows."""
@@ -183,16 +180,6 @@ def changed(plan: Plan, motion: Array, noise: Array, lead: Array) -> Array:
         noise: Of these, (3, rows, n).
         lead: How the columns are combined, (P, q).
     """
-    moved, layout = np.concatenate([motion + noise, motion - noise], axis=1), plan.layout
-    if is_compiled(plan):
-        more, less = np.split(compiled_rows(layout, *moved), 2, axis=1)
-        return layout.combined((more - less) / 2, lead)
-    time, bodies = np.arange(moved.shape[1], dtype=np.float64), layout.theta.shape[2]
-    joints, base = linear(
-        layout.tree, Motion(time, *moved), layout.theta @ lead[:bodies], layout.gravity
-    )
-    rows = base if layout.model == "reaction" else joints
-    for term, own in zip(layout.terms, lead[bodies:], strict=True):
-        rows = rows + term_torque(layout.tree, term, *moved[1:])[..., None] * own
-    more, less = np.split(rows, 2)
-    return np.asarray((more - less).transpose(1, 0, 2) / 2)
+    moved = np.concatenate([motion + noise, motion - noise], axis=1)
+    more, less = np.split(motion_rows(plan, *moved), 2, axis=1)
+    return plan.layout.combined((more - less) / 2, lead)
