@@ -15,10 +15,9 @@ from scipy import linalg, special
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.average import Answer, averaged_fit
-from testbed.identification.noise.biases import carrying_constants
 from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
-from testbed.identification.noise.fits import whitened_fit
+from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.late import Lateness, lateness
@@ -88,7 +87,7 @@ def under_coloured_noise(
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
     clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    replicas = Replicas(found.noise, carrying_constants(every, directions))
+    replicas = Replicas(found.noise, every.with_constants(directions))
     back = _in_channels(units, directions)
     bias, left = back @ found.values[m:], _Left(back)
     repeated = _repetition_sums(passes, found.noise)
@@ -104,7 +103,7 @@ def under_coloured_noise(
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
-    factor = replicas.factor(answer.fit, told)
+    factor = replicas.factor(answer.fits, told)
     by_counts, share = doubt.found()
     spread = factor**2 * found.covariance[:m, :m] + by_counts
     covariance = units.lead @ spread @ units.lead.T
@@ -138,7 +137,7 @@ def further_values(
     """
     units, p = units_of(start, beside), len(start.values)
     given = units.products(passes, start.values, 0).every
-    found = whitened_fit(units.as_free(given), 0)
+    (found,) = whitened_fits(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
     lead = units.lead[own]
