@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from testbed.errors import RecordingError
+from testbed.stages import stage
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
@@ -86,6 +87,7 @@ class Reading:
         with output.Progress("reading"):
             return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
 
+    @stage("reading and plausibility")
     def joined(
         self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
     ) -> tuple[Source, list[str]]:

@@ -31,6 +31,7 @@ from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
 from testbed.identification.windows import Plan
+from testbed.stages import stage
 
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
@@ -66,6 +67,7 @@ class Refined:
     traces: tuple[tuple[Trace, float], ...] = ()
 
 
+@stage("residuals and replicas of noise")
 def under_coloured_noise(
     start: least_squares.Fit, passes: Passes, names: tuple[str, ...], beside: Beside = NOTHING
 ) -> Refined:

@@ -26,7 +26,7 @@ DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
     name: set(needs.split())
     for name, needs in {
-        **dict.fromkeys([*BASE.split(), "installation"], ""),
+        **dict.fromkeys([*BASE.split(), "installation", "stages"], ""),
         "blas": "arrays",
         "keys": "errors",
         "kind_table": "errors arrays keys",
@@ -41,12 +41,12 @@ PLAN = {
         "recordings": f"{BASE} toml_text robot",
         "instruments": f"{BASE} {KINDS} robot recordings",
         "simulation": f"{BASE} {KINDS} robot dynamics excitation recordings",
-        "identification": f"{ROBOT} kernel recordings",
+        "identification": f"{ROBOT} kernel recordings stages",
         "sanity": f"{ROBOT} toml_text recordings identification",
         "experiment": f"{ROBOT} {KINDS} installation toml_text excitation recordings instruments "
         "simulation identification",
         "campaign": f"{BASE} toml_text robot recordings identification experiment",
-        "reporting": f"{DATA} sanity",
+        "reporting": f"{DATA} sanity stages",
         "viewer": DATA,
     }.items()
 }

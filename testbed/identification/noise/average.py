@@ -20,6 +20,7 @@ from testbed.identification.noise.biases import constants, square_of_last
 from testbed.identification.noise.dilution import Undiluted, undiluted
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.stages import stage
 
 FEW = 50
 """Rows below which constants are not looked for."""
@@ -48,6 +49,7 @@ class Answer:
     square: float = 0.0
 
 
+@stage("fit under coloured noise")
 def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool) -> Answer:
     """Unknowns by the fit that suits the rows, constants averaged where there are rows enough.
 

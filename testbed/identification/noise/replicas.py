@@ -16,6 +16,7 @@ from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
 from testbed.identification.noise.fits import Fits, NoiseFit
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.stages import stage
 
 REPLICAS = 12
 """Replicas of the noise: with all parameters pooled, sigma is found to a few percent."""
@@ -89,6 +90,7 @@ class Replicas:
         )
         return LaggedProducts(made.rows, products, first, last, REPLICAS)
 
+    @stage("sigma from replicas of noise")
     def factor(self, fits: Fits, lead: Array) -> float:
         """By how much sigma has to be multiplied: at least one.
 

@@ -25,6 +25,7 @@ from testbed.identification.noise.autoregression import Autoregression
 from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.noise.replicas import Replicas
+from testbed.stages import stage
 
 IMITATED = 1e-9
 """Share of a column's square that others leave of it if they imitate it."""
@@ -240,6 +241,7 @@ class Clues:
         else:
             self._replicas.pause()
 
+    @stage("tests for faults")
     def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:
         """Traces of each kind, shifts as those of the parameters, and their chances in noise.
 
