@@ -19,9 +19,9 @@ from testbed.symbolic.expression import (
     Factors,
     Nature,
     Number,
+    auxiliaries,
     collect,
 )
-from testbed.symbolic.traversal import in_order
 
 Line = dict[Factors, Number]
 Place = TypeVar("Place", bound=Hashable)
@@ -44,7 +44,7 @@ class Sheet:
         self.results = dict.fromkeys(results)
         self._fixed: dict[Factor, bool] = {}
         self._made = 0
-        for factor in in_order(results.values()):
+        for factor in auxiliaries(results.values()):
             self.lines[factor] = dict(factor.content.terms if factor.content else ())
         for name, value in results.items():
             self.lines[name] = dict(value.terms)

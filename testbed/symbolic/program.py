@@ -17,12 +17,12 @@ from testbed.symbolic.expression import (
     Nature,
     Number,
     collect,
+    depth_first,
     number,
     of,
     replaced,
 )
 from testbed.symbolic.optimise import Sheet, operations
-from testbed.symbolic.traversal import depth_first
 
 Step: TypeAlias = tuple[Factor, Expression]
 Values: TypeAlias = Mapping[Factor, float]

@@ -11,10 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from testbed.symbolic.expression import Expression, Factor, Number, Term, collect
-from testbed.symbolic.polynomial import Polynomial, Ring
-from testbed.symbolic.symbol_algebra import cosine, sine
-from testbed.symbolic.trigonometry import COSINE, SINE, Index, combined
+from testbed.symbolic.expression import Expression, Factor, Number, Term, collect, cosine, sine
+from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combined
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
 Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group

@@ -15,21 +15,21 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import ExpressionError, UnknownName
-from testbed.symbolic.compare import compare_equations
+from testbed.symbolic.compare import compare_equations, read_listing
 from testbed.symbolic.equations import FORMS, Form, equations
 from testbed.symbolic.expression import (
     LARGEST_NUMBER,
     Expression,
     Nature,
+    cosine,
     expression,
     number,
+    sine,
     symbol,
 )
 from testbed.symbolic.languages import write_equations
 from testbed.symbolic.languages.paper import line
-from testbed.symbolic.parse import read_listing
 from testbed.symbolic.polynomial import LARGEST, Ring, same
-from testbed.symbolic.symbol_algebra import cosine, sine
 from testbed.symbolic.tidy import natural_angles, present
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses

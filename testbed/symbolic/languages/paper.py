@@ -14,15 +14,6 @@ from testbed.symbolic.languages.text import (
     wrapped,
 )
 
-_TITLES = {
-    "joint-forces": "Equations",
-    "base-wrench": "Reaction",
-    "dynamic-regressor": "Regressor of the joint forces",
-    "reaction-regressor": "Regressor of the reaction",
-    "mass-matrix": "Mass matrix",
-    "gravity-forces": "Gravity",
-}
-
 
 def paper(listing: Listing, source: str) -> str:
     """Equations in the paper's notation.
@@ -38,7 +29,7 @@ def paper(listing: Listing, source: str) -> str:
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
     lines += _definitions(listing)
     for each in listing.equations:
-        lines += ["", f"* {_TITLES[each.kind.name]}", *_equations(each)]
+        lines += ["", f"* {each.kind.title}", *_equations(each)]
     return "\n".join(lines) + "\n"
 
 

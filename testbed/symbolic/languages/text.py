@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
-from testbed.symbolic.angles import almost_right
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor, Nature, Number, Term
+from testbed.symbolic.robot import almost_right
 
 WIDTH = 96
 
