@@ -27,8 +27,8 @@ from testbed.symbolic.expression import (
     expression,
     number,
     of,
-    replaced,
     sine,
+    substitute,
 )
 from testbed.symbolic.polynomial import LARGEST as HIGHEST_DEGREE
 from testbed.symbolic.robot import Robot, draw
@@ -300,7 +300,7 @@ def compare_equations(
     meanings = dict(steps)
     ours = {}
     for name, value in steps:
-        meanings[name] = ours[name.name] = replaced(value, meanings.get)
+        meanings[name] = ours[name.name] = substitute(value, meanings.get)
     for label, value in listing.definitions:
         ours[label] = ours[label.replace("mbar", "mm")] = value
     names = _names(listing, robot)

@@ -48,13 +48,12 @@ from testbed.symbolic.robot import (
     all_parameters,
     barycentric_definitions,
     columns,
-    described,
     distinct,
     draw,
-    lifted,
+    lift,
     minimal_parameters,
 )
-from testbed.symbolic.tidy import natural_angles, present
+from testbed.symbolic.simplify import natural_angles, simplify
 
 Form = Literal["full", "reduced", "recursive"]
 FORMS: tuple[Form, ...] = ("full", "reduced", "recursive")
@@ -419,17 +418,21 @@ class _Builder:
         if self.form == "full":
             theta = all_parameters(self.tree, self.known_zero)
             labels = [Label((Term(symbol),)) for symbol in parameter_symbols(self.tree)]
-            entries = described(labels, UNITS * self.tree.n, theta.ravel())
-            return "theta", entries, columns(self.known_zero) if kind.is_regressor else theta
+            parameters = map(Parameter.of, labels, UNITS * self.tree.n, theta.ravel())
+            return (
+                "theta",
+                tuple(parameters),
+                columns(self.known_zero) if kind.is_regressor else theta,
+            )
         minimal = self.minimal.get(kind.model)
         if minimal is None:
             minimal = minimal_set(self.tree, kind.model, self.gravity, self.zeros)
             self.minimal[kind.model] = minimal
         delta = minimal_parameters(minimal)
-        entries = described(minimal.labels, minimal.units, delta)
+        parameters = map(Parameter.of, minimal.labels, minimal.units, delta)
         units = np.eye(len(delta), dtype=int).astype(object)
-        theta = lifted(minimal, units if kind.is_regressor else delta[:, None], self.tree.n)
-        return f"delta_{kind.model[0]}", entries, theta
+        theta = lift(minimal, units if kind.is_regressor else delta[:, None], self.tree.n)
+        return f"delta_{kind.model[0]}", tuple(parameters), theta
 
     def _by_reference(self, results: dict[Factor, Expression]) -> dict[Factor, Expression]:
         """Joint forces, tips first; Q2 = Q3 + ... where that is shorter."""
@@ -458,7 +461,7 @@ def expander(robot: Robot, budget: Budget) -> Callable[[Any], Expression]:
     def expand(value: Any) -> Expression:
         polynomial = ring.expand(value)
         budget.write(polynomial.size)
-        return present(ring, polynomial, natural)
+        return simplify(ring, polynomial, natural)
 
     return expand
 

@@ -137,7 +137,7 @@ class Expression:
         return bool(self.terms)
 
     def __repr__(self) -> str:
-        return written(self)
+        return as_text(self)
 
     def __neg__(self) -> Expression:
         return Expression(tuple((factors, -number) for factors, number in self.terms))
@@ -242,7 +242,7 @@ def collect(terms: Iterable[Term]) -> Expression:
     return Expression(tuple(kept))
 
 
-def replaced(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
+def substitute(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
     """The expression with other expressions in the place of some factors.
 
     Args:
@@ -271,13 +271,13 @@ def bracket(inside: Expression) -> tuple[Factor, Number]:
     sizes = {abs(value) for _, value in inside.terms}
     out = (first if len(sizes) == 1 else 1 if first > 0 else -1) if inside.terms else 1
     plain = inside if out == 1 else Expression(tuple((f, exact(c / out)) for f, c in inside.terms))
-    name = f"({written(plain)})"
+    name = f"({as_text(plain)})"
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
     return Factor(Nature.BRACKET, name, plain), out
 
 
-def written(value: Expression) -> str:
+def as_text(value: Expression) -> str:
     """Plain text: a*b - 2*c."""
     text = ""
     for factors, size in value.terms:

@@ -30,7 +30,7 @@ MOST_PAIRS = 1_000_000
 """Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
 
 
-class Sheet:
+class Assignments:
     """Sums under names, and among them the results.
 
     Attributes:
@@ -274,14 +274,6 @@ class Pairs(Generic[Place, Pair]):
             if len(places) == -count and count < -1:
                 return pair, list(places)
         return None
-
-
-def operations(line: Line) -> tuple[int, int]:
-    """Multiplications and additions of a sum; signs are free."""
-    products = sum(
-        len(factors) - 1 + (abs(number) != 1) for factors, number in line.items() if factors
-    )
-    return products, max(0, len(line) - 1)
 
 
 def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:

@@ -35,12 +35,14 @@ from testbed.symbolic.expression import (
     symbol,
 )
 from testbed.symbolic.polynomial import Ring
-from testbed.symbolic.tidy import present
+from testbed.symbolic.simplify import simplify
 
 MEANT = 1e-4
 """A turn this close to quarter turns [rad] is meant to be one."""
 EXACT = 1e-14
 """Below this it is one, but for rounding."""
+TINY = 1e-12
+"""Of a length [m], or as part of the largest inertia: zero in the file but for rounding."""
 
 
 def right_angles(tree: Tree) -> Tree:
@@ -225,6 +227,12 @@ class Parameter:
     unit: str
     symbol: Factor | None
 
+    @classmethod
+    def of(cls, label: Label, unit: str, value: Expression | int) -> Parameter:
+        """Whose symbol `value` is a multiple of."""
+        ((factor,), _) = value.terms[0] if isinstance(value, Expression) else ((None,), 0)
+        return cls(label, unit, factor)
+
     @property
     def name(self) -> str:
         """As in the minimal set; or the barycentric parameter's."""
@@ -234,23 +242,6 @@ class Parameter:
     def times(self) -> int:
         """How many times the symbol it is."""
         return self.label.times
-
-
-def described(
-    labels: Sequence[Label], units: Sequence[str], symbols: AnyArray
-) -> tuple[Parameter, ...]:
-    """The entries of a vector of parameters.
-
-    Args:
-        labels: Their names.
-        units: kg, kg m or kg m^2.
-        symbols: Numbers times symbols, or 0.
-    """
-    entries = []
-    for label, unit, value in zip(labels, units, symbols, strict=True):
-        ((factor,), _) = value.terms[0] if isinstance(value, Expression) else ((None,), 0)
-        entries.append(Parameter(label, unit, factor))
-    return tuple(entries)
 
 
 def columns(known_zero: AnyArray) -> AnyArray:
@@ -297,7 +288,7 @@ def identifier(name: str) -> str:
     return re.sub(r"\W", "_", text, flags=re.ASCII)
 
 
-def lifted(minimal: MinimalSet, columns: AnyArray, n: int) -> AnyArray:
+def lift(minimal: MinimalSet, columns: AnyArray, n: int) -> AnyArray:
     """Lift times columns, (n, 10, p): barycentric parameters that stand for minimal ones.
 
     Args:
@@ -306,9 +297,8 @@ def lifted(minimal: MinimalSet, columns: AnyArray, n: int) -> AnyArray:
         n: Number of joints.
     """
     theta = np.zeros((10 * n, columns.shape[1]), dtype=object)
-    lift = minimal.lift
-    for row, column in zip(*np.nonzero(lift), strict=True):
-        theta[row] += float(lift[row, column]) * columns[column]
+    for row, column in zip(*np.nonzero(minimal.lift), strict=True):
+        theta[row] += float(minimal.lift[row, column]) * columns[column]
     return theta.reshape(n, 10, columns.shape[1])
 
 
@@ -319,8 +309,12 @@ def parameter_symbol(name: str, body: int) -> Expression:
         name: As it stands in equations.
         body: Index of its body.
     """
-    kind = 2 if name.startswith("mbar") else 1 if name.startswith("mb") else 0
-    return symbol(Nature.PARAMETER, name, 100_000 * kind + body)
+    return symbol(Nature.PARAMETER, name, 100_000 * _degree(name) + body)
+
+
+def _degree(name: str) -> int:
+    """Tensors 0, moments 1, masses 2."""
+    return 2 if name.startswith("mbar") else 1 if name.startswith("mb") else 0
 
 
 def barycentric_definitions(
@@ -346,10 +340,10 @@ def barycentric_definitions(
         values[0] = masses[j]
         for component, (value, zero) in enumerate(zip(values, known_zero[j], strict=True)):
             if not zero:
-                shown = present(ring, ring.expand(expression(value)), frozenset())
+                shown = simplify(ring, ring.expand(expression(value)), frozenset())
                 budget.write(len(shown.terms))
                 found.append((component_symbol(j, component).text, shown))
-    return sorted(found, key=lambda pair: _order(pair[0]))
+    return sorted(found, key=lambda pair: -_degree(pair[0]))  # as in the paper's listing
 
 
 def _total_masses(tree: Tree) -> list[Expression]:
@@ -376,12 +370,3 @@ def _own(tree: Tree, j: int, by_file: bool) -> AnyArray:
     own: AnyArray = point_mass(centre) * mass
     own[4:] = own[4:] + central
     return own
-
-
-TINY = 1e-12
-"""Of a length [m], or as part of the largest inertia: zero in the file but for rounding."""
-
-
-def _order(name: str) -> int:
-    """Masses, moments, tensors, as in the paper's listing."""
-    return 0 if name.startswith("mbar") else 1 if name.startswith("mb") else 2

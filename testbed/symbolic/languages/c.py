@@ -6,10 +6,12 @@ from dataclasses import replace
 
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Nature, Number
-from testbed.symbolic.languages.code import COORDINATES, function_name, given
 from testbed.symbolic.languages.text import (
+    COORDINATES,
     Style,
     decimal,
+    function_name,
+    given,
     own_name,
     preface,
     terms,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.languages.code import done_with, function_name, given, referred
 from testbed.symbolic.languages.text import (
     Style,
     decimal,
+    done_with,
+    function_name,
+    given,
     own_name,
     preface,
+    referred,
     terms,
     used_constants,
     wrapped,

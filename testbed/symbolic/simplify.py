@@ -21,7 +21,7 @@ Key: TypeAlias = tuple[int, Shapes]  # monomial, shapes
 Terms: TypeAlias = dict[Key, Number]
 
 
-def present(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Expression:
+def simplify(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Expression:
     """The polynomial as an expression.
 
     Args:
