@@ -13,8 +13,7 @@ import testbed
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
-from testbed.robot.load import model_format
-from testbed.robot.model_files import held_files
+from testbed.robot.model_file import held_files, model_format
 
 LENGTH = 32
 """Hexadecimal digits of a hash."""

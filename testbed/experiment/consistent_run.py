@@ -25,8 +25,8 @@ from testbed.parameters.prior import Prior, prior_of
 from testbed.recordings.source import Source
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.extents import extents
-from testbed.robot.visuals.load_shapes import load_shapes
+from testbed.robot.visuals.appearance import load_shapes
+from testbed.robot.visuals.shapes import extents
 
 
 def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:

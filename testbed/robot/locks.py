@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from testbed.errors import MimicError, ModelError, UnknownName
-from testbed.robot.decimals import decimals
+from testbed.robot.parsing import decimals
 
 Lock: TypeAlias = Mapping[str, float | None]
 """Positions of held joints by name [rad or m]; None: where a joint rests of itself."""

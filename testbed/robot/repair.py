@@ -1,4 +1,4 @@
-"""Bodies of a model file that no matter can make, and the nearest ones that it can.
+"""Links of a model file, those that no matter can make, and the nearest bodies that can be.
 
 Links that are fixed to each other are one body before anything is judged: a frame without inertia,
 or with moments of -2e-22, does no harm then. What is still wrong is repaired: rounding always, and
@@ -13,9 +13,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from testbed.arrays import Array, readonly
 from testbed.errors import InertiaError, ModelError, UnknownName
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
-from testbed.robot.links import Link, total
 
 Bodies: TypeAlias = Mapping[str, Inertia]
 """By the link that carries all that is fixed to it: its inertia about and along its frame."""
@@ -34,6 +34,49 @@ NEGLIGIBLE = 1e-9
 
 NAMED = 3
 """Links in one line."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link of a model file.
+
+    Attributes:
+        name: In the file.
+        body: Index of the tree's body that it is part of, -1 for the pedestal.
+        carrier: The link to which fixed joints of the file hold it; itself where none does.
+        rotation: From the link's frame to the body's, (3, 3).
+        position: Of the link's origin in the body's frame, (3,) [m].
+        inertia: As the file has it, about and along the link's frame.
+    """
+
+    name: str
+    body: int
+    carrier: str
+    rotation: Array
+    position: Array
+    inertia: Inertia
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
+        object.__setattr__(self, "position", readonly(self.position, (3,), "position"))
+
+    @property
+    def in_body(self) -> Inertia:
+        """Its inertia about and along the body's frame."""
+        return self.inertia.moved(self.rotation, self.position)
+
+    def seen_from(self, inertia: Inertia) -> Inertia:
+        """An inertia about the body's frame, about and along the link's.
+
+        Args:
+            inertia: Of anything.
+        """
+        return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
+
+
+def total(parts: Iterable[Inertia]) -> Inertia:
+    """Bodies welded together, all about the same frame."""
+    return sum(parts, NOTHING)
 
 
 @dataclass(frozen=True, eq=False)

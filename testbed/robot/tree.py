@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
-from testbed.robot.shafts import Shaft
 
 Kind = Literal["revolute", "prismatic"]
 
@@ -152,6 +151,19 @@ class Joint:
         if flaw:
             raise ModelError(f"joint '{self.name}' is given {flaw}")
         return joint
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """One shaft.
+
+    Attributes:
+        name: Its name; its friction is called coulomb/NAME.
+        turns: Indices of its joints, and how much it turns with each.
+    """
+
+    name: str
+    turns: tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)

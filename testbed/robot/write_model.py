@@ -1,26 +1,34 @@
 """A tree's bodies, friction and rotors written into a copy of its model file.
 
 Nothing but those numbers changes. What was written is read again before it takes its place.
+
+A tree's body is all that moves together: a link, what is fixed to it, and what hangs on joints
+that are held. Its matter goes to the link that carries the others, or to all in proportion; links
+on held joints keep their proportion, because in the file they move.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
-from testbed.robot.inertia import Inertia
-from testbed.robot.links import Fixed, Link, shared_out
-from testbed.robot.load import model_format, nearest_bodies
-from testbed.robot.model_file import ModelFile
-from testbed.robot.model_files import copy_model, held_files
-from testbed.robot.model_xml import read_xml
+from testbed.robot.inertia import NOTHING, Inertia, upper_root
+from testbed.robot.model_file import ModelFile, copy_model, held_files, model_format, nearest_bodies
+from testbed.robot.parsing import read_xml
+from testbed.robot.repair import Link, total
 from testbed.robot.tree import Joint, Tree
+
+Fixed = Literal["lump", "share"]
+
+THIN = 1e-9
+"""Least part of a body's matter in any direction that can be shared out."""
 
 EXACT = 1e-9
 """Part of a body by which what is read again may differ from what was written."""
@@ -128,6 +136,72 @@ def _edited(
     from testbed.robot.formats.write_urdf import edited_urdf
 
     return edited_urdf(path.read_bytes(), str(path), links, joints, note)
+
+
+def shared_out(
+    links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
+) -> tuple[dict[str, Inertia], tuple[str, ...]]:
+    """What each link gets.
+
+    Args:
+        links: All, carriers before what they carry.
+        bodies: New inertias of some of the tree's bodies, by index.
+        fixed: "lump" gives all of what is fixed together to the link that carries the rest;
+            "share" gives to every link in proportion to what it had.
+
+    Returns:
+        Inertias by link, about and along its frame; and a line for what could not be shared.
+    """
+    found: dict[str, Inertia] = {}
+    notes: list[str] = []
+    for body, whole in bodies.items():
+        own = [link for link in links if link.body == body]
+        groups = [own] if fixed == "share" else _rigid(own)
+        if len(own) > 1 and (fixed == "share" or len(groups) > 1):
+            parts = _in_proportion(own, whole)
+            if parts is None:
+                notes.append(
+                    f"all of '{own[0].name}' and what is held with it is given to that link: the "
+                    "file's bodies are no measure"
+                )
+                groups = [own]
+        else:
+            parts = None
+        for group in groups:
+            if parts is not None and fixed == "share":
+                found |= {link.name: link.seen_from(parts[link.name]) for link in group}
+                continue
+            lump = whole if parts is None else total(parts[link.name] for link in group)
+            found |= {link.name: NOTHING for link in group}
+            found[group[0].name] = group[0].seen_from(lump)
+    bare = {link.name for link in links if not link.inertia.pseudo.any()}
+    kept = {name: own for name, own in found.items() if own.mass or name not in bare}
+    return kept, tuple(notes)
+
+
+def _rigid(own: Sequence[Link]) -> list[list[Link]]:
+    """Links that are fixed to each other in the file, the carrying one first."""
+    groups: dict[str, list[Link]] = {}
+    for link in own:
+        groups.setdefault(link.carrier, []).append(link)
+    return list(groups.values())
+
+
+def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
+    """Parts that make up a body, by link, about the body's frame; None where there is no measure.
+
+    One affine map and one factor take the file's matter to the new one: all parts go along, and
+    each stays such as a body can have.
+    """
+    before = total(link.in_body for link in own).pseudo
+    scale = np.sqrt(np.abs(np.diagonal(before)))
+    if not (scale > 0).all():
+        return None
+    if np.linalg.eigvalsh(before / np.outer(scale, scale))[0] < THIN:
+        return None
+    change = upper_root(whole.pseudo) @ np.linalg.inv(upper_root(before))
+    parts = {link.name: change @ link.in_body.pseudo @ change.T for link in own}
+    return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
 def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:

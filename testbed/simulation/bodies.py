@@ -18,7 +18,7 @@ from testbed.keys import key
 from testbed.kind_table import PerJoint, each_joint
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.robot.inertia import Inertia
-from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.plant import Plant

@@ -22,7 +22,7 @@ from testbed.errors import FreeRootError, ModelError, UnknownName
 from testbed.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.parsing import captured_stderr
 from testbed.robot.tree import FARTHEST, SETTABLE
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT

@@ -20,12 +20,10 @@ from testbed.robot.formats.mjcf_compile import (
     set_inertia,
     stated_inertias,
 )
-from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
-from testbed.robot.formats.mjcf_spec import open_spec, parsed
+from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parsed
 from testbed.robot.inertia import NOTHING, Inertia
-from testbed.robot.links import Link
 from testbed.robot.locks import Lock
-from testbed.robot.repair import Bodies, Repair, repaired
+from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {

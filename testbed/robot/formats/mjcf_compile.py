@@ -14,7 +14,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import ModelError
 from testbed.robot.inertia import Inertia, inertia_flaw
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.parsing import captured_stderr
 
 LONGEST_MESSAGE = 400
 """Of MuJoCo's: it repeats what it found in a file."""

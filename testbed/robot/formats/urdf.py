@@ -16,15 +16,12 @@ import pinocchio as pin
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf_numbers import TENSOR, numbers_of, plain
-from testbed.robot.formats.urdf_xml import link_at, supported_xml
+from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, plain, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
-from testbed.robot.links import Link
 from testbed.robot.locks import Lock
-from testbed.robot.model_xml import read_xml
-from testbed.robot.repair import Bodies, Repair, repaired
+from testbed.robot.parsing import captured_stderr, read_xml
+from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.rotations import from_rpy
-from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Joint, Kind, Tree
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf_numbers import TENSOR
+from testbed.robot.formats.urdf_xml import TENSOR
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint

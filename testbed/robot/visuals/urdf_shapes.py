@@ -14,12 +14,11 @@ import pinocchio as pin
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf_numbers import rewrite_numbers
-from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.robot.formats.urdf_xml import rewrite_numbers, supported_xml
 from testbed.robot.locks import Lock
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.model_file import find_mesh
+from testbed.robot.parsing import captured_stderr
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.mesh_files import find_mesh
 from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])

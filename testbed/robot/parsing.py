@@ -1,13 +1,20 @@
-"""A model file's XML, read within limits: nothing larger, deeper or worse named goes further.
+"""Between model files and the parsers that read them.
 
 Parsers in C recurse over elements and print names; what would make them crash or would
-disturb a terminal is refused here, before they see it.
+disturb a terminal is refused here, before they see it: nothing larger, deeper or worse named
+goes further. What they write to standard error is kept.
 """
 
 from __future__ import annotations
 
+import os
+import re
+import sys
+import tempfile
 import unicodedata
 import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from testbed.errors import ModelError
@@ -20,6 +27,9 @@ DEEPEST = 450
 MOST_ATTRIBUTES = 500
 """Of one element; parsers compare each with all others."""
 LONGEST_NAME = 200
+LONGEST_NUMBER = 400
+"""Characters: Python takes quadratic time over digits."""
+_DECIMAL = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NAMES = {
     "name", "model", "link", "joint", "joint1", "joint2", "body", "body1", "body2", "class",
     "childclass", "type", "prefix", "file", "filename", "mesh", "material",
@@ -103,3 +113,49 @@ class _Limited(ET.TreeBuilder):
         """An element ends."""
         self._depth -= 1
         return super().end(tag)
+
+
+def decimals(text: str, count: int) -> list[float] | None:
+    """So many finite decimal numbers with blanks between and around; None if it is not that.
+
+    One grammar for model files and options alike. Parsers differ in what they let pass: Python
+    takes "1_0" and "nan", urdfdom drops a mass of "3 " without a word.
+
+    Args:
+        text: As in a file, or as typed.
+        count: How many.
+    """
+    words = text.split()
+    if len(words) != count or any(len(word) > LONGEST_NUMBER for word in words):
+        return None
+    if not all(_DECIMAL.fullmatch(word) for word in words):
+        return None
+    values = [float(word) for word in words]
+    return values if all(abs(value) < float("inf") for value in values) else None
+
+
+@contextmanager
+def captured_stderr() -> Iterator[Callable[[], str]]:
+    """Collect what C++ code writes to standard error; yields a reader of it.
+
+    What Python writes meanwhile, such as another thread's progress, goes where it did before.
+    """
+    ours = sys.stderr
+    ours.flush()
+    saved = os.dup(2)
+    with tempfile.TemporaryFile() as sink, os.fdopen(saved, "w", encoding="utf-8") as before:
+        with suppress(AttributeError, OSError, ValueError):
+            if ours.fileno() == 2:  # a test's or a notebook's is another, or has none
+                sys.stderr = before
+        os.dup2(sink.fileno(), 2)
+
+        def said() -> str:
+            sink.seek(0)
+            return sink.read().decode(errors="replace")
+
+        try:
+            yield said
+        finally:
+            before.flush()
+            os.dup2(saved, 2)
+            sys.stderr = ours
