@@ -141,13 +141,21 @@ def repaired(
     grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
     if grave and given is not None:
         raise InertiaError(source, list(grave.values()))
+    notes = []
+    if slight := [name for name in flaws if name not in grave]:
+        notes.append(f"the inertia of {listed(slight)} is corrected within rounding")
+    if grave:
+        notes.append(
+            f"no body has the inertia that the model file gives {listed(list(grave))}; the nearest "
+            "that can be is taken"
+        )
     changed = {name: bodies[name] for name in touched} | nearest
     emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
     return Repair(
         links=dict.fromkeys(emptied, NOTHING) | changed,
         bodies={name: nearest[name] for name in grave},
         flaws=tuple(grave.values()),
-        notes=tuple(_notes([name for name in flaws if name not in grave], list(grave))),
+        notes=tuple(notes),
     )
 
 
@@ -212,16 +220,6 @@ def _bare_ends(
     for body, name in sorted(first.items()):
         if 0 <= body < len(parents) and any(full) and not full[body]:
             yield name, f"link '{name}' moves, and neither it nor what it carries has a mass"
-
-
-def _notes(slight: Sequence[str], grave: Sequence[str]) -> Iterator[str]:
-    if slight:
-        yield f"the inertia of {listed(slight)} is corrected within rounding"
-    if grave:
-        yield (
-            f"no body has the inertia that the model file gives {listed(grave)}; the nearest that "
-            "can be is taken"
-        )
 
 
 def listed(names: Sequence[str]) -> str:

@@ -23,7 +23,7 @@ from testbed.robot.inertia import NOTHING, Inertia, upper_root
 from testbed.robot.model_file import ModelFile, copy_model, held_files, model_format, nearest_bodies
 from testbed.robot.parsing import read_xml
 from testbed.robot.repair import Link, total
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.tree import Tree
 
 Fixed = Literal["lump", "share"]
 
@@ -65,13 +65,25 @@ def write_model(
     """
     kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
-    bodies, joints = _changes(file, tree)
-    mended = nearest_bodies(
+    if kind == "mjcf":
+        from testbed.robot.formats.mjcf import read_links
+        from testbed.robot.formats.write_mjcf import edited_mjcf as edited
+    else:
+        from testbed.robot.formats.urdf import read_links
+        from testbed.robot.formats.write_urdf import edited_urdf as edited
+    repair = nearest_bodies(
         model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
     ).links
-    known = [replace(x, inertia=mended.get(x.name, x.inertia)) for x in _links(model, kind)]
-    links, notes = shared_out(known, bodies, fixed)
-    data, warnings = _edited(model.path, kind, {**mended, **links}, joints, [*note])
+    links = read_links(model.path, weld_root=model.weld_root, lock=model.lock)
+    links = tuple(replace(x, inertia=repair.get(x.name, x.inertia)) for x in links)
+    bodies = {}
+    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
+        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
+        if not (same and np.array_equal(old.tensor, new.tensor)):
+            bodies[k] = new
+    inertias, notes = shared_out(links, bodies, fixed)
+    joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
+    data, warnings = edited(model.path, {**repair, **inertias}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
@@ -103,41 +115,6 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
     check_writable(path)
 
 
-def _changes(file: Tree, tree: Tree) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:
-    """Bodies and joints that are not as in the file."""
-    bodies = {}
-    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
-        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
-        if not (same and np.array_equal(old.tensor, new.tensor)):
-            bodies[k] = new
-    joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
-    return bodies, joints
-
-
-def _links(model: ModelFile, kind: str) -> tuple[Link, ...]:
-    if kind == "mjcf":
-        from testbed.robot.formats.mjcf import read_links
-    else:
-        from testbed.robot.formats.urdf import read_links
-    return read_links(model.path, weld_root=model.weld_root, lock=model.lock)
-
-
-def _edited(
-    path: Path,
-    kind: str,
-    links: dict[str, Inertia],
-    joints: dict[str, tuple[Joint, Joint]],
-    note: list[str],
-) -> tuple[bytes, tuple[str, ...]]:
-    if kind == "mjcf":
-        from testbed.robot.formats.write_mjcf import edited_mjcf
-
-        return edited_mjcf(path, links, joints, note)
-    from testbed.robot.formats.write_urdf import edited_urdf
-
-    return edited_urdf(path.read_bytes(), str(path), links, joints, note)
-
-
 def shared_out(
     links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
 ) -> tuple[dict[str, Inertia], tuple[str, ...]]:
@@ -156,35 +133,23 @@ def shared_out(
     notes: list[str] = []
     for body, whole in bodies.items():
         own = [link for link in links if link.body == body]
-        groups = [own] if fixed == "share" else _rigid(own)
-        if len(own) > 1 and (fixed == "share" or len(groups) > 1):
-            parts = _in_proportion(own, whole)
-            if parts is None:
-                notes.append(
-                    f"all of '{own[0].name}' and what is held with it is given to that link: the "
-                    "file's bodies are no measure"
-                )
-                groups = [own]
-        else:
-            parts = None
-        for group in groups:
-            if parts is not None and fixed == "share":
-                found |= {link.name: link.seen_from(parts[link.name]) for link in group}
-                continue
+        groups: dict[str, list[Link]] = {}  # by the link that gets what is theirs
+        for link in own:
+            groups.setdefault(link.name if fixed == "share" else link.carrier, []).append(link)
+        parts = _in_proportion(own, whole) if len(groups) > 1 else None
+        if len(groups) > 1 and parts is None:
+            notes.append(
+                f"all of '{own[0].name}' and what is held with it is given to that link: the "
+                "file's bodies are no measure"
+            )
+            groups = {own[0].name: own}
+        for group in groups.values():
             lump = whole if parts is None else total(parts[link.name] for link in group)
             found |= {link.name: NOTHING for link in group}
             found[group[0].name] = group[0].seen_from(lump)
     bare = {link.name for link in links if not link.inertia.pseudo.any()}
     kept = {name: own for name, own in found.items() if own.mass or name not in bare}
     return kept, tuple(notes)
-
-
-def _rigid(own: Sequence[Link]) -> list[list[Link]]:
-    """Links that are fixed to each other in the file, the carrying one first."""
-    groups: dict[str, list[Link]] = {}
-    for link in own:
-        groups.setdefault(link.carrier, []).append(link)
-    return list(groups.values())
 
 
 def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:

@@ -152,7 +152,7 @@ def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Sh
     """Half a sine of a double angle as a sine times a cosine."""
     kind, index = _tone(shape)
     half = _half(index)
-    if len(shape) == 1 and kind == SINE and half in natural and _is_half(number):
+    if len(shape) == 1 and kind == SINE and half in natural and number % 1 == 0.5:
         return ((COSINE, half), (SINE, half)), 2 * number
     return shape, number
 
@@ -167,10 +167,6 @@ def _half(index: Index) -> Index | None:
     if any(times % 2 for _, times in index):
         return None
     return tuple((atom, int(times) // 2) for atom, times in index)
-
-
-def _is_half(number: Number) -> bool:
-    return number != int(number) and 2 * number == int(2 * number)
 
 
 def _positive(index: Index) -> tuple[int, Index]:

@@ -57,7 +57,8 @@ def read_mjcf(
     _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
-        if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
+        joint = name.removeprefix(VELOCITY_LIMIT)
+        if joint != name and not _has(model, mujoco.mjtObj.mjOBJ_JOINT, joint):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
     notes = (*found.repair.notes, *found.notes)
     return _tree_of(model, found.stated, notes)
@@ -217,6 +218,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     dof = model.jnt_dofadr[j]
     bounded, capped = model.jnt_limited[j], model.jnt_actfrclimited[j]
     limit = VELOCITY_LIMIT + name
+    stated = _has(model, mujoco.mjtObj.mjOBJ_NUMERIC, limit)
     dry, wet = (not _disabled(model, flag) for flag in ("FRICTIONLOSS", "DAMPER"))
     return Joint(
         name=name,
@@ -227,7 +229,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
         offset=attachment,
         rotation=rotation,
         position_range=model.jnt_range[j] if bounded else np.array([-np.inf, np.inf]),
-        max_velocity=float(model.numeric(limit).data[0]) if _has(model, limit) else np.inf,
+        max_velocity=float(model.numeric(limit).data[0]) if stated else np.inf,
         max_effort=float(np.abs(model.jnt_actfrcrange[j]).min()) if capped else np.inf,
         coulomb=float(model.dof_frictionloss[dof]) if dry else 0.0,
         viscous=float(np.ravel(model.dof_damping[dof])[0]) if wet else 0.0,
@@ -235,17 +237,12 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     )
 
 
-def _is_joint(model: mujoco.MjModel, numeric: str) -> bool:
-    joint = numeric.removeprefix(VELOCITY_LIMIT)
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)) >= 0
+def _has(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
+    return int(mujoco.mj_name2id(model, kind, name)) >= 0
 
 
 def _disabled(model: mujoco.MjModel, flag: str) -> bool:
     return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
-
-
-def _has(model: mujoco.MjModel, name: str) -> bool:
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)) >= 0
 
 
 def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:

@@ -136,9 +136,13 @@ def _set_losses(document: XmlBytes, element: Element, before: Joint, after: Join
 def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:
     """Settings of the file's compiler that make other bodies of those that are written."""
     compiler = spec.compiler
-    bounds = {"boundmass": compiler.boundmass, "boundinertia": compiler.boundinertia}
-    for setting, least in bounds.items():
-        light = [name for name, own in links.items() if _least(setting, own) < least]
+    masses = {name: own.mass for name, own in links.items()}
+    moments = {name: np.linalg.eigvalsh(own.central)[0] for name, own in links.items()}
+    for setting, least, values in (
+        ("boundmass", compiler.boundmass, masses),
+        ("boundinertia", compiler.boundinertia, moments),
+    ):
+        light = [name for name, value in values.items() if value < least]
         if light:
             more = f" and {len(light) - _LEAST_NAMED} more" if len(light) > _LEAST_NAMED else ""
             yield (
@@ -150,9 +154,3 @@ def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> I
             'compiler balanceinertia="true" is of no use any more: all bodies that were written '
             "can exist; it may be taken out of the file"
         )
-
-
-def _least(setting: str, inertia: Inertia) -> float:
-    if setting == "boundmass":
-        return inertia.mass
-    return float(np.linalg.eigvalsh(inertia.central)[0])

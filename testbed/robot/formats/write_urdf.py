@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 
 from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR
@@ -15,8 +16,7 @@ _LOSSES = {"friction": "coulomb", "damping": "viscous"}
 
 
 def edited_urdf(
-    data: bytes,
-    name: str,
+    path: Path,
     links: Mapping[str, Inertia],
     joints: Mapping[str, tuple[Joint, Joint]],
     note: list[str],
@@ -24,8 +24,7 @@ def edited_urdf(
     """The file's bytes with other inertials and friction.
 
     Args:
-        data: The file's bytes.
-        name: Its name, for messages.
+        path: The file.
         links: New inertias about and along the links' frames, by link.
         joints: By name, as the file has them and as they are to be.
         note: Lines of a comment that says where the numbers come from.
@@ -36,19 +35,19 @@ def edited_urdf(
     Raises:
         ModelError: The file cannot be edited; or a link has more than one inertial.
     """
-    document = XmlBytes(data, name)
+    document = XmlBytes(path.read_bytes(), str(path))
     root = document.root
     document.insert(root, comment(note))
     elements = {each.attributes.get("name", ""): each for each in root.named("link")}
     for link, inertia in links.items():
-        _set_inertial(document, elements[link], inertia, name)
+        _set_inertial(document, elements[link], inertia, path)
     elements = {each.attributes.get("name", ""): each for each in root.named("joint")}
     for joint, (before, after) in joints.items():
         _set_losses(document, elements[joint], before, after)
     return document.edited(), tuple(_lost(joints.values()))
 
 
-def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, name: str) -> None:
+def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:
     """The mass centre, the mass, and the inertia about it, along the link's axes."""
     said: dict[str, dict[str, str]] = {
         "origin": {"xyz": " ".join(repr(float(x)) for x in inertia.com), "rpy": "0 0 0"},
@@ -57,7 +56,7 @@ def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, name: str
     }
     there = link.named("inertial")
     if len(there) > 1:
-        raise ModelError(f"{name}: link '{link.attributes.get('name')}' has two inertials")
+        raise ModelError(f"{path}: link '{link.attributes.get('name')}' has two inertials")
     parts = {part: there[0].named(part) for part in said} if there else {}
     missing = []
     for part, values in said.items():

@@ -7,7 +7,7 @@ Source    XML 1.0, fifth edition: a start tag's attributes stand between quotes,
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.parsers import expat
 
@@ -95,7 +95,12 @@ class XmlBytes:
             element: Whose.
             values: By name; letters, digits and blanks only.
         """
-        there = dict(self._places(element))
+        tag = _TAG.match(self.data, element.start)
+        assert tag is not None
+        there = {  # where it starts, with the blank before; its value, with quotes; its end
+            each[1].decode(errors="replace"): (each.start(), each.start(2), each.end(2))
+            for each in _ATTRIBUTE.finditer(self.data, tag.start(1), tag.end(1))
+        }
         missing = b""
         for name, value in values.items():
             place = there.get(name)
@@ -118,7 +123,8 @@ class XmlBytes:
             element: Into which.
             text: Of lines, the first of which gets a line of its own, indented as is usual here.
         """
-        indent = self._indent(element)
+        before = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
+        indent = before if before.isspace() else b""
         inner = self._line + indent + b"  " + text.encode("ascii")
         if element.alone:
             close = b">" + inner + self._line + indent + f"</{element.tag}>".encode()
@@ -136,18 +142,6 @@ class XmlBytes:
             pieces += [self.data[last:start], text]
             last = end
         return b"".join([*pieces, self.data[last:]])
-
-    def _places(self, element: Element) -> Iterator[tuple[str, tuple[int, int, int]]]:
-        """By attribute: where it starts, with the blank before; its value, with quotes; its end."""
-        found = _TAG.match(self.data, element.start)
-        assert found is not None
-        for each in _ATTRIBUTE.finditer(self.data, found.start(1), found.end(1)):
-            yield each[1].decode(errors="replace"), (each.start(), each.start(2), each.end(2))
-
-    def _indent(self, element: Element) -> bytes:
-        """Blanks before an element, if nothing else is on its line before it."""
-        before = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
-        return before if before.isspace() else b""
 
 
 def comment(lines: list[str]) -> str:

@@ -62,11 +62,15 @@ def _function(each: Equations, joints: int) -> list[str]:
     separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
     lines = [f"void {function_name(each)}(", *wrapped("   ", separated, "    "), "{"]
     lines += [f"    const double {name} = {source};" for name, source in given(each, STYLE)]
-    targets = {name: _element(place) for name, place in each.places.items()}
+    targets = {
+        name: "result" + "".join(f"[{index}]" for index in place)
+        for name, place in each.places.items()
+    }
     style = replace(STYLE, name=lambda factor: targets.get(factor, factor.name))
     for label, value in program.lines:
         target = targets.get(label, f"const double {label.name}")
-        lines += _assigned(target, terms(value, style))
+        lines += wrapped(f"    {target} =", terms(value, style), "        ")
+        lines[-1] += ";"
     return [*lines, *_unused(each), "}"]
 
 
@@ -81,13 +85,3 @@ def _unused(each: Equations) -> list[str]:
     if not each.kind.is_regressor and Nature.PARAMETER not in natures:
         names.append(each.vector)
     return [f"    (void){name};" for name in names]
-
-
-def _element(place: tuple[int, ...]) -> str:
-    return "result" + "".join(f"[{index}]" for index in place)
-
-
-def _assigned(target: str, pieces: list[str]) -> list[str]:
-    lines = wrapped(f"    {target} =", pieces, "        ")
-    lines[-1] += ";"
-    return lines

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.expression import Expression, Factor
+from testbed.symbolic.equations import Listing
+from testbed.symbolic.expression import Expression
 from testbed.symbolic.languages.text import (
     Style,
     definitions,
@@ -13,6 +13,8 @@ from testbed.symbolic.languages.text import (
     used_constants,
     wrapped,
 )
+
+STYLE = Style(lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True)
 
 
 def paper(listing: Listing, source: str) -> str:
@@ -29,7 +31,10 @@ def paper(listing: Listing, source: str) -> str:
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
     lines += _definitions(listing)
     for each in listing.equations:
-        lines += ["", f"* {each.kind.title}", *_equations(each)]
+        lines += ["", f"* {each.kind.title}"]
+        for name, value in each.program.lines:
+            if value or len(each.shape) == 1:
+                lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
     return "\n".join(lines) + "\n"
 
 
@@ -45,22 +50,6 @@ def _definitions(listing: Listing) -> list[str]:
                     lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
     made = [f"* {line}" for line in definitions(listing)]
     return [*lines, "", *made] if made else lines
-
-
-def _equations(each: Equations) -> list[str]:
-    program = each.program
-    lines: list[str] = []
-    for name, value in program.lines:
-        if value.terms or len(each.shape) == 1:
-            lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
-    return lines
-
-
-def _name(factor: Factor) -> str:
-    return factor.name.replace("mbar", "mm")
-
-
-STYLE = Style(_name, fraction, parameter_first=True)
 
 
 def line(value: Expression) -> str:
