@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.campaign import run_identity
-from testbed.campaign.campaign import Campaign
+from testbed.campaign import bundle
+from testbed.campaign.bundle import run_hash
+from testbed.campaign.campaign import Campaign, Choice, cells_of, sampled
 from testbed.campaign.conduct import Supply, places_of
-from testbed.campaign.points import Choice, cells_of, sampled
-from testbed.campaign.run_identity import run_hash
 from testbed.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.paths import ROOT
@@ -88,7 +87,7 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     model.write_text(model.read_text().replace('"6.3"', '"6.4"'))
     others.add(known())
     assert len(others | {here}) == 5
-    monkeypatch.setattr(run_identity, "code_version", lambda: "another")
+    monkeypatch.setattr(bundle, "code_version", lambda: "another")
     assert before.isdisjoint(places_of(campaign))
 
 

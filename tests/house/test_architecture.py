@@ -69,7 +69,7 @@ GUESTS = {
     "h5py": "recordings/importing/readers/hdf5.py",
     "rosbags": "recordings/importing/readers/ros_bag.py",
     "pydantic": "experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
-    "tomli_w": "experiment/ campaign/campaign_folder.py",
+    "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
     "matplotlib": "reporting/figures.py reporting/error_dots.py reporting/plot.py",

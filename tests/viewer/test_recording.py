@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
+from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
 from testbed.identification.estimate import METHODS
