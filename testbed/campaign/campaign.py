@@ -122,6 +122,34 @@ class CampaignTables(VariedTables):
     """When a cell has enough replicates; without it all are made."""
 
 
+@dataclass(frozen=True)
+class Choice:
+    """One level of one factor.
+
+    Attributes:
+        factor: Its number.
+        level: A number, or a name.
+        words: What it changes, as `--set` takes it.
+    """
+
+    factor: int
+    level: float | str
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of levels.
+
+    Attributes:
+        levels: Of every factor, in the order of the file.
+        words: What they change, as `--set` takes it.
+    """
+
+    levels: tuple[float | str, ...]
+    words: tuple[str, ...]
+
+
 class Place(NamedTuple):
     """Where a run stands in its campaign: numbers of its cell and of its replicate there."""
 
@@ -297,34 +325,6 @@ def _filled(word: str, level: float | str, name: str) -> str:
         return repr(level * float(found[1]))
 
     return re.sub(r"\$(?:\*([-+]?\d[\d.]*(?:e[-+]?\d+)?))?", put, word)
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One level of one factor.
-
-    Attributes:
-        factor: Its number.
-        level: A number, or a name.
-        words: What it changes, as `--set` takes it.
-    """
-
-    factor: int
-    level: float | str
-    words: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Cell:
-    """One combination of levels.
-
-    Attributes:
-        levels: Of every factor, in the order of the file.
-        words: What they change, as `--set` takes it.
-    """
-
-    levels: tuple[float | str, ...]
-    words: tuple[str, ...]
 
 
 def cells_of(

@@ -299,7 +299,18 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
     Returns:
         The files: parameters and figures, each twice.
     """
-    parts = {"parameters": _parameter_rows(summary), "figures": _figure_rows(summary)}
+
+    def levels(cell: int) -> dict[str, Any]:
+        columns = (f"factor/{name}" for name in summary.factors)
+        return dict(zip(columns, summary.cells[cell], strict=True))
+
+    parameters = []
+    for each in summary.parameters:
+        low, high = each.bounds
+        more = {"coverage": each.coverage, "coverage_low": low, "coverage_high": high}
+        parameters.append(levels(each.cell) | asdict(each) | more)
+    figures = [levels(each.cell) | asdict(each) for each in summary.figures]
+    parts = {"parameters": parameters, "figures": figures}
     written = []
     for name, rows in parts.items():
         table = pa.Table.from_pylist(rows) if rows else pa.table({})
@@ -312,26 +323,6 @@ def write_summary(summary: Summary, folder: Path) -> list[Path]:
                     pq.write_table(table, fresh)
             written.append(path)
     return written
-
-
-def _levels(summary: Summary, cell: int) -> dict[str, Any]:
-    return {
-        f"factor/{name}": level
-        for name, level in zip(summary.factors, summary.cells[cell], strict=True)
-    }
-
-
-def _parameter_rows(summary: Summary) -> list[dict[str, Any]]:
-    rows = []
-    for each in summary.parameters:
-        low, high = each.bounds
-        more = {"coverage": each.coverage, "coverage_low": low, "coverage_high": high}
-        rows.append(_levels(summary, each.cell) | asdict(each) | more)
-    return rows
-
-
-def _figure_rows(summary: Summary) -> list[dict[str, Any]]:
-    return [_levels(summary, each.cell) | asdict(each) for each in summary.figures]
 
 
 @dataclass(frozen=True)
