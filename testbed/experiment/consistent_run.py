@@ -18,7 +18,7 @@ from testbed.identification.identify import identify
 from testbed.identification.open_counted import open_counted
 from testbed.identification.prior_choice import consistent_by_held_out
 from testbed.identification.wishes import Wishes
-from testbed.instruments.stage import stream
+from testbed.instruments.fault import stream
 from testbed.parameters.barycentric import standard
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.prior import Prior, prior_of

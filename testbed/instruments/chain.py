@@ -12,11 +12,10 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
 from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
-from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal
+from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal, applied, numbered, stream
 from testbed.instruments.faults import fault_of
+from testbed.instruments.plate import MeasuredTare
 from testbed.instruments.plate_noise import PlateNoise
-from testbed.instruments.stage import applied, numbered, stream
-from testbed.instruments.tare import MeasuredTare
 from testbed.kind_table import AsTable
 from testbed.recordings.recording import Recording, Truth
 
