@@ -182,9 +182,6 @@ class KindTable(ABC):
     def of_joints(self, names: tuple[str, ...]) -> dict[str, Any]:
         """The keys that have one number a joint, in the joints' order: a number for all, or each.
 
-        Args:
-            names: Joint names.
-
         Raises:
             SettingsError: It speaks of a joint that is not there, or not of all.
         """
@@ -304,11 +301,7 @@ def in_words(kind: type[KindTable]) -> Entry:
 
 
 def rows(entries: list[Entry]) -> list[str]:
-    """A table of a document: kind, what it is, its keys, the source of the size.
-
-    Args:
-        entries: The kinds.
-    """
+    """A table of a document: kind, what it is, its keys, the source of the size."""
     lines = ["| kind | what it is | keys: default, meaning | source of the size |"]
     lines += ["| --- | --- | --- | --- |"]
     for entry in entries:

@@ -27,7 +27,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
 from testbed.identification.estimate import Method
-from testbed.robot.model_file import held_files, model_format
+from testbed.robot.model_file import model_format, references
 
 LENGTH = 32
 """Hexadecimal digits of a hash."""
@@ -85,7 +85,7 @@ def _model_digest(path: str, stamp: tuple[int, int]) -> str:
     del stamp
     model = Path(path)
     parts = [model_format(model), fingerprint(model)]
-    held = sorted(file for file in held_files(model) if file.suffix.lower() in _MODELS)
+    held = sorted(file for file in references(model) if file.suffix.lower() in _MODELS)
     parts += [fingerprint(file) for file in held if file != model.resolve()]
     return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
@@ -147,9 +147,6 @@ class Outcome:
 
 def carry_out_bundle(bundle: Bundle) -> tuple[list[Outcome], float]:
     """Carry out the runs of a bundle.
-
-    Args:
-        bundle: The runs.
 
     Returns:
         An outcome each, in their order, and the seconds that all took.

@@ -263,11 +263,7 @@ def _quiet() -> Iterator[None]:
 
 
 def dask_setup(worker: object) -> None:
-    """Leave Ctrl-C to the command, and load what every run needs.
-
-    Args:
-        worker: Dask's.
-    """
+    """Leave Ctrl-C to the command, and load what every run needs."""
     del worker
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     warnings.simplefilter("ignore")

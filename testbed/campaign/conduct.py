@@ -121,9 +121,6 @@ class InThisProcess:
 def places_of(campaign: Campaign) -> dict[str, Place]:
     """Every run of a campaign by its hash, in the order of replicates and cells.
 
-    Args:
-        campaign: The campaign.
-
     Raises:
         TestbedError: The experiment of a run cannot be read.
     """

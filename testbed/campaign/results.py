@@ -55,11 +55,7 @@ NUMBERS = ("truth", "values", "sigma", "relative_error")
 
 
 def schema_of(campaign: Campaign) -> pa.Schema:
-    """The columns of a campaign's table, and what is said of it there.
-
-    Args:
-        campaign: The campaign.
-    """
+    """The columns of a campaign's table, and what is said of it there."""
     fields = [
         pa.field("run", pa.string()),
         pa.field("status", pa.string()),
@@ -125,11 +121,7 @@ def read_rows(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def about(schema: pa.Schema) -> dict[str, Any]:
-    """What a table says of its campaign.
-
-    Args:
-        schema: Of the table.
-    """
+    """What a table says of its campaign."""
     found = json.loads((schema.metadata or {}).get(KEY, b"{}"))
     return found if isinstance(found, dict) else {}
 
@@ -174,11 +166,7 @@ class StoredRows:
         return range(int(self._starts[k]), int(self._starts[k + 1]))
 
     def parts(self, rows: Sequence[int]) -> Iterator[pa.Table]:
-        """Some rows in their order, not too many at once.
-
-        Args:
-            rows: Their numbers.
-        """
+        """The rows of these numbers, in this order; not too many at once."""
         for first in range(0, len(rows), AT_ONCE):
             yield self._taken(np.array(rows[first : first + AT_ONCE]))
 
@@ -258,11 +246,7 @@ class CampaignFolder:
         return [self.path / RESULTS, self.path / EARLIER, *new]
 
     def add(self, outcomes: Sequence[Outcome]) -> None:
-        """Keep what came of a bundle: safe on disk when this returns.
-
-        Args:
-            outcomes: Of its runs.
-        """
+        """Keep what came of a bundle: safe on disk when this returns."""
         for outcome in outcomes:
             if outcome.recording is not None:
                 with replacing(self.path / RECORDINGS / f"{outcome.run}.parquet") as fresh:

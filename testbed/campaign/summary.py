@@ -142,11 +142,7 @@ def read_campaign(folder: Path) -> pa.Table:
 
 
 def summarise(rows: pa.Table) -> Summary:
-    """Errors, coverage and figures of a campaign.
-
-    Args:
-        rows: Of its table.
-    """
+    """Errors, coverage and figures of a campaign."""
     names = [name for name in rows.column_names if name.startswith("factor/")]
     every = rows.to_pylist()
     done = [row for row in every if row["status"] == "done"]
@@ -253,11 +249,7 @@ def binomial_bounds(inside: int, runs: int) -> tuple[float, float]:
 
 
 def pooled(parts: Sequence[ParameterErrors]) -> list[ParameterErrors]:
-    """Errors by method and parameter, all cells together.
-
-    Args:
-        parts: By cell.
-    """
+    """Errors by method and parameter, all cells together."""
     groups: dict[tuple[str, str], list[ParameterErrors]] = {}
     for part in parts:
         groups.setdefault((part.method, part.parameter), []).append(part)

@@ -90,9 +90,6 @@ class Instrument:
     def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Fault, ...]]:
         """What happens to each signal, in order: by place, then as asked for.
 
-        Args:
-            names: Joint names.
-
         Raises:
             SettingsError: A fault speaks of a joint that is not there, or not of all.
         """

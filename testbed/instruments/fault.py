@@ -96,9 +96,6 @@ class Fault(KindTable):
     def on(self, rig: Rig) -> Self:
         """The same fault on a robot and a plate: a value a joint, in their order.
 
-        Args:
-            rig: What it is installed on.
-
         Raises:
             SettingsError: It speaks of a joint that is not there, or not of all.
         """

@@ -37,9 +37,6 @@ def fault_of(table: object) -> Fault:
 def fault_named(kind: str) -> type[Fault]:
     """The faults of a kind.
 
-    Args:
-        kind: Its name.
-
     Raises:
         SettingsError: There is none.
     """

@@ -81,7 +81,7 @@ def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
     return lock
 
 
-def held_positions(
+def lock_positions(
     joints: Mapping[str, Travel], lock: Lock, source: str
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Where which joints are held, followers of held joints included.

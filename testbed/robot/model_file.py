@@ -148,9 +148,6 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
     `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` holds them where the zeros of
     the joints that they follow take them.
 
-    Args:
-        path: The model file.
-
     Raises:
         ModelError: The file cannot be read.
     """
@@ -216,7 +213,7 @@ def copy_model(path: Path, folder: Path) -> Path:
         ModelError: The model file cannot be read.
     """
     path = path.resolve()
-    held = held_files(path)
+    held = references(path)
     root = Path(os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)]))
     for file in (path, *held):
         place = folder / file.relative_to(root)
@@ -225,11 +222,8 @@ def copy_model(path: Path, folder: Path) -> Path:
     return folder / path.relative_to(root)
 
 
-def held_files(path: Path) -> dict[Path, Path]:
+def references(path: Path) -> dict[Path, Path]:
     """Files that a model refers to, and the folder from which their names lead there.
-
-    Args:
-        path: The model file.
 
     Raises:
         ModelError: The model file cannot be read.

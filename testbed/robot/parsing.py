@@ -135,7 +135,7 @@ def decimals(text: str, count: int) -> list[float] | None:
 
 
 @contextmanager
-def captured_stderr() -> Iterator[Callable[[], str]]:
+def capture_stderr() -> Iterator[Callable[[], str]]:
     """Collect what C++ code writes to standard error; yields a reader of it.
 
     What Python writes meanwhile, such as another thread's progress, goes where it did before.

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.errors import InertiaError, ModelError, UnknownName
+from testbed.errors import WIDTH, InertiaError, ModelError, UnknownName, few
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
 
 Bodies: TypeAlias = Mapping[str, Inertia]
@@ -33,7 +33,7 @@ NEGLIGIBLE = 1e-9
 """The same in parts of the robot's: its mass times the square of its largest radius of gyration."""
 
 NAMED = 3
-"""Links in one line."""
+"""Flaws that are listed one by one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +66,7 @@ class Link:
         return self.inertia.moved(self.rotation, self.position)
 
     def seen_from(self, inertia: Inertia) -> Inertia:
-        """An inertia about the body's frame, about and along the link's.
-
-        Args:
-            inertia: Of anything.
-        """
+        """An inertia about the body's frame, about and along the link's."""
         return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
 
 
@@ -143,11 +139,11 @@ def repaired(
         raise InertiaError(source, list(grave.values()))
     notes = []
     if slight := [name for name in flaws if name not in grave]:
-        notes.append(f"the inertia of {listed(slight)} is corrected within rounding")
+        notes.append(f"the inertia of {few(slight, WIDTH)} is corrected within rounding")
     if grave:
         notes.append(
-            f"no body has the inertia that the model file gives {listed(list(grave))}; the nearest "
-            "that can be is taken"
+            f"no body has the inertia that the model file gives {few(list(grave), WIDTH)}; the "
+            "nearest that can be is taken"
         )
     changed = {name: bodies[name] for name in touched} | nearest
     emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
@@ -220,9 +216,3 @@ def _bare_ends(
     for body, name in sorted(first.items()):
         if 0 <= body < len(parents) and any(full) and not full[body]:
             yield name, f"link '{name}' moves, and neither it nor what it carries has a mass"
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first few of many names, and how many more."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

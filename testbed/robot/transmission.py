@@ -63,20 +63,12 @@ def with_shafts(tree: Tree, given: Shafts) -> Tree:
 
 
 def places(tree: Tree) -> tuple[str, ...]:
-    """Where a term of the torques may be: the joints' names, then the shafts'.
-
-    Args:
-        tree: The robot.
-    """
+    """Where a term of the torques may be: the joints' names, then the shafts'."""
     return (*tree.names, *(shaft.name for shaft in tree.shafts))
 
 
 def shares(tree: Tree) -> Array:
-    """How much each place turns with each joint, (places, n): ones for the joints themselves.
-
-    Args:
-        tree: The robot.
-    """
+    """How much each place turns with each joint, (places, n): ones for the joints themselves."""
     found = np.eye(tree.n + len(tree.shafts), tree.n)
     for row, shaft in zip(found[tree.n :], tree.shafts, strict=True):
         row[:] = 0.0

@@ -20,7 +20,7 @@ import numpy as np
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
 from testbed.robot.inertia import NOTHING, Inertia, upper_root
-from testbed.robot.model_file import ModelFile, copy_model, held_files, model_format, nearest_bodies
+from testbed.robot.model_file import ModelFile, copy_model, model_format, nearest_bodies, references
 from testbed.robot.parsing import read_xml
 from testbed.robot.repair import Link, total
 from testbed.robot.tree import Tree
@@ -67,10 +67,10 @@ def write_model(
     check_place(model.path, path, over_source=over_source)
     if kind == "mjcf":
         from testbed.robot.formats.mjcf import read_links
-        from testbed.robot.formats.write_mjcf import edited_mjcf as edited
+        from testbed.robot.formats.write_mjcf import edit_mjcf as edit
     else:
         from testbed.robot.formats.urdf import read_links
-        from testbed.robot.formats.write_urdf import edited_urdf as edited
+        from testbed.robot.formats.write_urdf import edit_urdf as edit
     repair = nearest_bodies(
         model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
     ).links
@@ -81,9 +81,9 @@ def write_model(
         same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
         if not (same and np.array_equal(old.tensor, new.tensor)):
             bodies[k] = new
-    inertias, notes = shared_out(links, bodies, fixed)
+    inertias, notes = share_out(links, bodies, fixed)
     joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
-    data, warnings = edited(model.path, {**repair, **inertias}, joints, [*note])
+    data, warnings = edit(model.path, {**repair, **inertias}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
@@ -115,7 +115,7 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
     check_writable(path)
 
 
-def shared_out(
+def share_out(
     links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
 ) -> tuple[dict[str, Inertia], tuple[str, ...]]:
     """What each link gets.
@@ -202,7 +202,7 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
 
 def _lost_files(source: Path, path: Path) -> tuple[str, ...]:
     """A warning where what the file refers to is not found from its new place."""
-    if path.resolve().parent == source.resolve().parent or not held_files(source):
+    if path.resolve().parent == source.resolve().parent or not references(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
     if names and all("://" in name for name in names):  # addresses of packages, whatever the place

@@ -46,11 +46,7 @@ TINY = 1e-12
 
 
 def right_angles(tree: Tree) -> Tree:
-    """The tree with rotations and axes made of quarter turns where they almost are.
-
-    Args:
-        tree: Any robot.
-    """
+    """The tree with rotations and axes made of quarter turns where they almost are."""
     joints = tuple(
         replace(joint, rotation=_squared(joint.rotation), axis=_squared(joint.axis))
         for joint in tree.joints

@@ -20,7 +20,7 @@ from testbed.robot.formats.mjcf_compile import (
     set_inertia,
     stated_inertias,
 )
-from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parsed
+from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
 from testbed.robot.inertia import NOTHING, Inertia
 from testbed.robot.locks import Lock
 from testbed.robot.repair import Bodies, Link, Repair, repaired
@@ -128,7 +128,7 @@ def read_links(
 
 def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) -> tuple[Link, ...]:
     """The bodies with their inertias as the file has them."""
-    jointed = {body.name for body in parsed(path).bodies if body.joints}
+    jointed = {body.name for body in parse(path).bodies if body.joints}
     found: dict[int, Link] = {}
     for b, (owner, rotation, position) in _places(model).items():
         name, below = model.body(b).name, found.get(model.body_parentid[b])

@@ -14,7 +14,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import ModelError
 from testbed.robot.inertia import Inertia, inertia_flaw
-from testbed.robot.parsing import captured_stderr
+from testbed.robot.parsing import capture_stderr
 
 LONGEST_MESSAGE = 400
 """Of MuJoCo's: it repeats what it found in a file."""
@@ -89,7 +89,7 @@ def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
 @contextmanager
 def no_mujoco_warnings() -> Iterator[None]:
     """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
-    with unwarned_steps(), captured_stderr(), warnings.catch_warnings():
+    with unwarned_steps(), capture_stderr(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
@@ -151,7 +151,7 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
     return StatedInertia(inertia.mass, central)
 
 
-def resolved(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
+def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
     """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
     copy = spec.copy()
     _, stated = stated_inertias(copy)

@@ -15,11 +15,10 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import FreeRootError, LoopError, MimicError, ModelError
-from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line, resolved
+from testbed.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
+from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line, resolve
 from testbed.robot.formats.mjcf_xml import check_files
-from testbed.robot.locks import Coupling, Lock, Travel, held_positions
-from testbed.robot.repair import listed
+from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 
 VELOCITY_LIMIT = "velocity_limit/"
 """MJCF has no element for a velocity limit: <numeric name="velocity_limit/JOINT" data=.../>."""
@@ -50,7 +49,7 @@ def open_spec(
             floating root, MimicError for a joint that follows another that moves.
         UnknownName: A joint to be held is not there.
     """
-    spec = parsed(path)
+    spec = parse(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
     _set_total_mass(spec, path)
     _strip(spec)
@@ -71,11 +70,11 @@ def open_spec(
 
 def follower_names(path: Path) -> tuple[str, ...]:
     """The joints of an MJCF file that follow others that move."""
-    couplings, _ = _couplings(parsed(path))
+    couplings, _ = _couplings(parse(path))
     return tuple(name for name, (master, _) in couplings.items() if master)
 
 
-def parsed(path: Path) -> mujoco.MjSpec:
+def parse(path: Path) -> mujoco.MjSpec:
     """The file as MuJoCo's parser takes it, everything named.
 
     Raises:
@@ -100,7 +99,7 @@ def _set_total_mass(spec: mujoco.MjSpec, path: Path) -> None:
     if not wanted > 0:
         return
     spec.compiler.settotalmass = -1.0
-    model, stated = resolved(spec, path)
+    model, stated = resolve(spec, path)
     masses = {name: float(model.body(name).mass[0]) for name in (b.name for b in spec.bodies)}
     factor = wanted / sum((masses | {n: body.mass for n, body in stated.items()}).values())
     for body in spec.bodies:
@@ -177,10 +176,10 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
     tendons = drop_tendons(spec)
     if not lock and not couplings and not loops:
         return tendons
-    model, _ = resolved(spec, path)
+    model, _ = resolve(spec, path)
     travels = _travels(model, couplings)
     try:
-        held, warnings = held_positions(travels, lock, path.name)
+        held, warnings = lock_positions(travels, lock, path.name)
     except MimicError:
         _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
         raise
@@ -398,9 +397,9 @@ def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
     names = [joint.name for joint in spec.joints if np.all(joint.springdamper)]
     if not names:
         return {}
-    model, _ = resolved(spec, path)
+    model, _ = resolve(spec, path)
     return {n: float(np.ravel(model.dof_damping[model.joint(n).dofadr[0]])[0]) for n in names}
 
 
 def _left_out(found: dict[str, list[str]]) -> tuple[str, ...]:
-    return tuple(f"left out: {what} {listed(names)}" for what, names in found.items() if names)
+    return tuple(f"left out: {what} {few(names, WIDTH)}" for what, names in found.items() if names)

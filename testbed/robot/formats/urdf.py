@@ -19,7 +19,7 @@ from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, plain, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
 from testbed.robot.locks import Lock
-from testbed.robot.parsing import captured_stderr, read_xml
+from testbed.robot.parsing import capture_stderr, read_xml
 from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Joint, Kind, Tree
@@ -134,7 +134,7 @@ def _link_inertia(link: ET.Element) -> Inertia:
 
 def _built(root: ET.Element, path: Path) -> pin.Model:
     """The file's mechanism as Pinocchio has it."""
-    with captured_stderr() as said:
+    with capture_stderr() as said:
         try:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         except Exception as error:  # Pinocchio raises whatever its parser meets

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.errors import FreeRootError, ModelError
+from testbed.errors import WIDTH, FreeRootError, ModelError, few
 from testbed.robot.inertia import HEAVIEST
-from testbed.robot.locks import Coupling, Lock, Travel, held_positions
+from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.robot.parsing import decimals, read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
 from testbed.robot.tree import FARTHEST, UNIT
@@ -239,7 +239,7 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
 
 def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
     """Make locked joints fixed ones, in the place where they are held."""
-    held, warnings = held_positions(_travels(joints), lock, path.name)
+    held, warnings = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
         name = joint.get("name", "")
         if name in held:
@@ -343,9 +343,9 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) ->
             f"{path}: link '{lost}' hangs on no root; its chain of joints is a closed loop"
         )
     if len(roots) > 1:
-        listed = ", ".join(f"'{name}'" for name in sorted(roots)[:5])
         raise ModelError(
-            f"{path}: {len(roots)} links are carried by no joint ({listed}); a robot has one such"
+            f"{path}: {len(roots)} links are carried by no joint ({few(sorted(roots), WIDTH)}); a "
+            "robot has one such"
         )
 
 

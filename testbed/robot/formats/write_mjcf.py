@@ -13,9 +13,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.errors import ModelError
+from testbed.errors import ModelError, few
 from testbed.robot.formats.mjcf_compile import FULL
-from testbed.robot.formats.mjcf_spec import parsed
+from testbed.robot.formats.mjcf_spec import parse
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
 from testbed.robot.tree import Joint
@@ -23,10 +23,9 @@ from testbed.robot.tree import Joint
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """Other ways to say an inertia's axes."""
 _LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_inertia"}
-_LEAST_NAMED = 6
 
 
-def edited_mjcf(
+def edit_mjcf(
     path: Path,
     links: Mapping[str, Inertia],
     joints: Mapping[str, tuple[Joint, Joint]],
@@ -47,7 +46,7 @@ def edited_mjcf(
         ModelError: The file cannot be edited: inertias are computed from geoms whatever
             inertials say, or bodies stand in other files or are copies.
     """
-    spec = parsed(path)
+    spec = parse(path)
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise ModelError(
             f'{path}: compiler inertiafromgeom="true" makes MuJoCo pass over all inertials; set it '
@@ -68,7 +67,7 @@ def edited_mjcf(
         for joint, element in own:
             if joint in joints:
                 _set_losses(document, element, *joints[joint])
-    return document.edited(), tuple(_changed_by_compiler(spec, links))
+    return document.edit(), tuple(_changed_by_compiler(spec, links))
 
 
 _Joints = list[tuple[str, Element]]
@@ -144,10 +143,9 @@ def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> I
     ):
         light = [name for name, value in values.items() if value < least]
         if light:
-            more = f" and {len(light) - _LEAST_NAMED} more" if len(light) > _LEAST_NAMED else ""
             yield (
                 f'compiler {setting}="{least:g}" makes MuJoCo raise what is written of '
-                f"{', '.join(light[:_LEAST_NAMED])}{more}: take it out of the file"
+                f"{few(light)}: take it out of the file"
             )
     if compiler.balanceinertia:
         yield (

@@ -15,7 +15,7 @@ _LOSSES = {"friction": "coulomb", "damping": "viscous"}
 """What a joint's <dynamics> states, by attribute."""
 
 
-def edited_urdf(
+def edit_urdf(
     path: Path,
     links: Mapping[str, Inertia],
     joints: Mapping[str, tuple[Joint, Joint]],
@@ -44,7 +44,7 @@ def edited_urdf(
     elements = {each.attributes.get("name", ""): each for each in root.named("joint")}
     for joint, (before, after) in joints.items():
         _set_losses(document, elements[joint], before, after)
-    return document.edited(), tuple(_lost(joints.values()))
+    return document.edit(), tuple(_lost(joints.values()))
 
 
 def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:

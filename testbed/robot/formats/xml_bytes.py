@@ -135,7 +135,7 @@ class XmlBytes:
         else:
             self._changes.append((element.opened, element.opened, inner))
 
-    def edited(self) -> bytes:
+    def edit(self) -> bytes:
         """The bytes with all changes."""
         pieces, last = [], 0
         for start, end, text in sorted(self._changes, key=lambda change: change[:2]):
@@ -145,11 +145,7 @@ class XmlBytes:
 
 
 def comment(lines: list[str]) -> str:
-    """A comment of some lines: ASCII, and no two dashes in a row.
-
-    Args:
-        lines: Of any text.
-    """
+    """A comment of some lines: ASCII, and no two dashes in a row."""
     plain = " ".join(" ".join(lines).split()).encode("ascii", "backslashreplace").decode()
     while "--" in plain:
         plain = plain.replace("--", "- -")

@@ -167,11 +167,7 @@ def extents(shapes: Iterable[Shape], bodies: int) -> Array:
 
 
 def triangles(shape: Shape) -> Array:
-    """A shape's surface in its body's frame, (T, 3 corners, 3) [m]; the winding is of no matter.
-
-    Args:
-        shape: Of any kind.
-    """
+    """A shape's surface in its body's frame, (T, 3 corners, 3) [m]; the winding is of no matter."""
     if shape.kind == "mesh":
         own = shape.vertices[shape.faces.astype(int)]
     elif shape.kind == "box":

@@ -13,11 +13,11 @@ import numpy as np
 import pinocchio as pin
 
 from testbed.arrays import Array
-from testbed.errors import ModelError
+from testbed.errors import WIDTH, ModelError, few
 from testbed.robot.formats.urdf_xml import rewrite_numbers, supported_xml
 from testbed.robot.locks import Lock
 from testbed.robot.model_file import find_mesh
-from testbed.robot.parsing import captured_stderr
+from testbed.robot.parsing import capture_stderr
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
@@ -42,9 +42,8 @@ def read_shapes(
     lost: list[str] = []
     missing = [line for link in root.findall("link") for line in _prepared(link, path, lost)]
     if lost:
-        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         missing.append(
-            f"not drawn, as it is neither beside the model file nor above it: {lost[0]}{more}"
+            f"not drawn, as it is neither beside the model file nor above it: {few(lost, WIDTH)}"
         )
     coloured = root.find("link/visual/material") is not None
     root.set("version", "1.2")  # capsules are new in it
@@ -73,7 +72,7 @@ def _shapes(
 def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
     """The robot, and what there is to see of it."""
     text = ET.tostring(root, encoding="unicode")
-    with captured_stderr() as said, warnings.catch_warnings():
+    with capture_stderr() as said, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = pin.buildModelFromXML(text)
         seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")
