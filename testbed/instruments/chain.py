@@ -102,7 +102,9 @@ class Instrument:
             PlateNoise(self.force_noise, self.moment_noise),
         )
         rig = Rig(names, self.full_scale)
-        every = sorted((fault.on(rig) for fault in (*always, *self.fault)), key=_place)
+        every = sorted(
+            (fault.on(rig) for fault in (*always, *self.fault)), key=lambda fault: fault.place
+        )
         return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
 
     def installed(
@@ -123,10 +125,6 @@ class Instrument:
             )
             for signal, stages in self.stages(names).items()
         }
-
-
-def _place(fault: Fault) -> int:
-    return fault.place
 
 
 def measure(
@@ -171,17 +169,12 @@ def measure(
         for signal in ("position", "torque", "wrench")
     }
     for fault in chains["tare"]:
-        seen["tare"] = _at_rest(fault, chains["wrench"], tare, instrument.rate, seed)
+        assert isinstance(fault, MeasuredTare)
+        instants = fault.instants(instrument.rate)
+        still = np.tile(tare, (len(instants), 1))
+        shown = applied(chains["wrench"], still, instants, seed, _TARE)
+        seen["tare"] = fault.apply(shown, instants, stream(fault.kind, seed))[0]
     return replace(exact, **seen)
-
-
-def _at_rest(fault: Fault, plate: tuple[Fault, ...], tare: Array, rate: float, seed: int) -> Array:
-    """The tare as the plate shows it, (6,) [N, N m]."""
-    assert isinstance(fault, MeasuredTare)
-    time = fault.instants(rate)
-    shown = applied(plate, np.tile(tare, (len(time), 1)), time, seed, _TARE)
-    found: Array = fault.apply(shown, time, stream(fault.kind, seed))[0]
-    return found
 
 
 def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:

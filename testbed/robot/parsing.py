@@ -13,7 +13,7 @@ import sys
 import tempfile
 import unicodedata
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -132,6 +132,11 @@ def decimals(text: str, count: int) -> list[float] | None:
         return None
     values = [float(word) for word in words]
     return values if all(abs(value) < float("inf") for value in values) else None
+
+
+def plain(values: Iterable[float]) -> str:
+    """Numbers as a file holds them, to the last digit."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.errors import WIDTH, InertiaError, ModelError, UnknownName, few
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
 
@@ -57,8 +57,7 @@ class Link:
     inertia: Inertia
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", readonly(self.rotation, (3, 3), "rotation"))
-        object.__setattr__(self, "position", readonly(self.position, (3,), "position"))
+        freeze(self, rotation=(3, 3), position=(3,))
 
     @property
     def in_body(self) -> Inertia:

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze, readonly
 from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
 
@@ -83,13 +83,7 @@ class Joint:
     rotor_inertia: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("axis", (3,)),
-            ("offset", (3,)),
-            ("rotation", (3, 3)),
-            ("position_range", (2,)),
-        ):
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, axis=(3,), offset=(3,), rotation=(3, 3), position_range=(2,))
 
     @property
     def revolute(self) -> bool:
@@ -191,7 +185,7 @@ class Tree:
     floating: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gravity", readonly(self.gravity, (3,), "gravity"))
+        freeze(self, gravity=(3,))
         if len(self.joints) != len(self.inertias):
             raise ValueError(f"{len(self.joints)} joints carry {len(self.inertias)} inertias")
         for j, joint in enumerate(self.joints):

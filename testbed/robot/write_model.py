@@ -33,6 +33,9 @@ THIN = 1e-9
 EXACT = 1e-9
 """Part of a body by which what is read again may differ from what was written."""
 
+LOSSES = ("coulomb", "viscous", "rotor_inertia")
+"""What of a joint is written."""
+
 ENDINGS = {"mjcf": ".xml", "urdf": ".urdf"}
 
 
@@ -82,7 +85,10 @@ def write_model(
         if not (same and np.array_equal(old.tensor, new.tensor)):
             bodies[k] = new
     inertias, notes = share_out(links, bodies, fixed)
-    joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
+    joints = {
+        old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
+        for old, new in zip(file.joints, tree.joints, strict=True)
+    }
     data, warnings = edit(model.path, {**repair, **inertias}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:

@@ -16,10 +16,10 @@ import pinocchio as pin
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, plain, supported_xml
+from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
 from testbed.robot.locks import Lock
-from testbed.robot.parsing import capture_stderr, read_xml
+from testbed.robot.parsing import capture_stderr, plain, read_xml
 from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Joint, Kind, Tree
@@ -174,7 +174,7 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
         link.remove(old)
     if inertia.pseudo.any():
         new = ET.SubElement(link, "inertial")
-        ET.SubElement(new, "origin", xyz=plain(list(inertia.com)), rpy="0 0 0")
+        ET.SubElement(new, "origin", xyz=plain(inertia.com), rpy="0 0 0")
         ET.SubElement(new, "mass", value=plain([inertia.mass]))
         moments = {key: plain([inertia.central[at]]) for key, at in TENSOR.items()}
         ET.SubElement(new, "inertia", moments)

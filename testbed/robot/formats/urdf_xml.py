@@ -19,7 +19,7 @@ import numpy as np
 from testbed.errors import WIDTH, FreeRootError, ModelError, few
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
-from testbed.robot.parsing import decimals, read_xml
+from testbed.robot.parsing import decimals, plain, read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
 from testbed.robot.tree import FARTHEST, UNIT
 
@@ -105,11 +105,6 @@ def numbers_of(element: ET.Element | None, key: str, absent: str = "0") -> list[
     """The numbers of an attribute that has been rewritten."""
     text = absent if element is None else element.get(key, absent)
     return [float(word) for word in text.split()]
-
-
-def plain(values: list[float]) -> str:
-    """Numbers as a file holds them."""
-    return " ".join(repr(float(value)) for value in values)
 
 
 def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:

@@ -18,7 +18,7 @@ from testbed.robot.formats.mjcf_compile import FULL
 from testbed.robot.formats.mjcf_spec import parse
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
-from testbed.robot.tree import Joint
+from testbed.robot.parsing import plain
 
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """Other ways to say an inertia's axes."""
@@ -28,7 +28,7 @@ _LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_i
 def edit_mjcf(
     path: Path,
     links: Mapping[str, Inertia],
-    joints: Mapping[str, tuple[Joint, Joint]],
+    joints: Mapping[str, Mapping[str, float]],
     note: list[str],
 ) -> tuple[bytes, tuple[str, ...]]:
     """The file's bytes with other inertials, friction and armatures.
@@ -36,7 +36,7 @@ def edit_mjcf(
     Args:
         path: The file.
         links: New inertias about and along the bodies' frames, by body.
-        joints: By name, as the file has them and as they are to be.
+        joints: By name, friction and rotor inertia where they have changed.
         note: Lines of a comment that says where the numbers come from.
 
     Returns:
@@ -62,11 +62,12 @@ def edit_mjcf(
     world = document.root.named("worldbody")
     places = dict(_bodies(spec.worldbody, world, path))
     for name, inertia in links.items():
-        _set_inertial(document, places[name][0], inertia)
+        document.put(places[name][0], "inertial", **_inertial(inertia))
     for _, own in places.values():
         for joint, element in own:
-            if joint in joints:
-                _set_losses(document, element, *joints[joint])
+            losses = joints.get(joint, {})
+            said = {key: plain([losses[what]]) for key, what in _LOSSES.items() if what in losses}
+            document.set(element, **said)
     return document.edit(), tuple(_changed_by_compiler(spec, links))
 
 
@@ -101,35 +102,13 @@ def _within(element: Element) -> Iterator[Element]:
             yield child
 
 
-def _set_inertial(document: XmlBytes, body: Element, inertia: Inertia) -> None:
+def _inertial(inertia: Inertia) -> dict[str, str | None]:
     """The mass centre, the mass, and the inertia about it, along the body's axes."""
-    central = inertia.central
-    said = {
-        "pos": " ".join(repr(float(x)) for x in inertia.com),
-        "mass": repr(inertia.mass),
-        "fullinertia": " ".join(repr(float(central[at])) for at in FULL),
-    }
-    if not central.any():  # MuJoCo takes no full inertia that is zero
-        said["diaginertia"] = "0 0 0"
-        del said["fullinertia"]
-    there = body.named("inertial")
-    if there:
-        others = {key: None for key in ("fullinertia", *_TURNS) if key not in said}
-        document.set(there[0], **said, **others)
-    else:
-        listed = " ".join(f'{key}="{value}"' for key, value in said.items())
-        document.insert(body, f"<inertial {listed}/>")
-
-
-def _set_losses(document: XmlBytes, element: Element, before: Joint, after: Joint) -> None:
-    """Friction, damping and armature, where they have changed."""
-    changed = {
-        key: repr(float(getattr(after, what)))
-        for key, what in _LOSSES.items()
-        if getattr(after, what) != getattr(before, what)
-    }
-    if changed:
-        document.set(element, **changed)
+    central, others = inertia.central, dict.fromkeys(("fullinertia", *_TURNS))
+    said = {"pos": plain(inertia.com), "mass": plain([inertia.mass]), **others}
+    if central.any():
+        return said | {"fullinertia": plain(central[at] for at in FULL)}
+    return said | {"diaginertia": "0 0 0"}  # MuJoCo takes no full inertia that is zero
 
 
 def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:

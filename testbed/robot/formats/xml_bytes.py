@@ -135,6 +135,20 @@ class XmlBytes:
         else:
             self._changes.append((element.opened, element.opened, inner))
 
+    def put(self, element: Element, tag: str, **values: str | None) -> None:
+        """Change attributes of the first child of a name, which is put in if there is none.
+
+        Args:
+            element: In which it stands.
+            tag: Its name.
+            values: As for `set`.
+        """
+        there = element.named(tag)
+        if there:
+            self.set(there[0], **values)
+        else:
+            self.insert(element, as_tag(tag, values))
+
     def edit(self) -> bytes:
         """The bytes with all changes."""
         pieces, last = [], 0
@@ -142,6 +156,12 @@ class XmlBytes:
             pieces += [self.data[last:start], text]
             last = end
         return b"".join([*pieces, self.data[last:]])
+
+
+def as_tag(tag: str, values: Mapping[str, str | None]) -> str:
+    """An element without content."""
+    listed = "".join(f' {key}="{value}"' for key, value in values.items() if value is not None)
+    return f"<{tag}{listed}/>"
 
 
 def comment(lines: list[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze
 from testbed.robot.tree import Tree
 
 ROUND = 32
@@ -42,16 +42,8 @@ class Shape:
     faces: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __post_init__(self) -> None:
-        shapes: dict[str, tuple[int | None, ...]] = {
-            "size": (None,),
-            "position": (3,),
-            "rotation": (3, 3),
-            "colour": (4,),
-            "vertices": (None, 3),
-            "faces": (None, 3),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, size=(None,), position=(3,), rotation=(3, 3), colour=(4,))
+        freeze(self, vertices=(None, 3), faces=(None, 3))
 
 
 @dataclass(frozen=True)
