@@ -16,7 +16,7 @@ from typing import Literal
 from testbed.errors import ModelError
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Lock
-from testbed.robot.parsing import check_name, read_xml
+from testbed.robot.parsing import check_name, errors_of, read_xml
 from testbed.robot.repair import Bodies, Repair
 from testbed.robot.tree import Tree
 
@@ -107,7 +107,8 @@ def load_tree(
     else:
         from testbed.robot.formats.urdf import read_urdf as read
     tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
-    check_tree(tree, path)
+    with errors_of(path):
+        check_tree(tree)
     return tree
 
 
@@ -159,40 +160,31 @@ def mimic_joints(path: str | Path) -> tuple[str, ...]:
     return names(path)
 
 
-def check_tree(tree: Tree, path: Path) -> None:
+def check_tree(tree: Tree) -> None:
     """Whether every number of a tree makes sense.
-
-    Args:
-        tree: What was read.
-        path: The file, for the message.
 
     Raises:
         ModelError: Names the joint or body and the number.
     """
     if tree.n == 0:
-        raise ModelError(f"{path}: the robot has no joint that moves")
+        raise ModelError("the robot has no joint that moves")
     if tree.n > MOST_JOINTS:
-        raise ModelError(f"{path}: {tree.n} joints that move; {MOST_JOINTS} is the limit")
-    check_name(tree.name, "the robot's name", path)
+        raise ModelError(f"{tree.n} joints that move; {MOST_JOINTS} is the limit")
+    check_name(tree.name, "the robot's name")
     for joint in tree.joints:
-        check_name(joint.name, "a joint's name", path)
-        check_name(joint.body, "a body's name", path)
-    try:
-        tree.gravity_or(tree.gravity)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
+        check_name(joint.name, "a joint's name")
+        check_name(joint.body, "a body's name")
+    tree.gravity_or(tree.gravity)
     if len(set(tree.names)) < tree.n:
-        raise ModelError(f"{path}: two joints have the same name")
+        raise ModelError("two joints have the same name")
     for joint in tree.joints:
-        flaw = joint.flaw()
-        if flaw:
-            raise ModelError(f"{path}: joint '{joint.name}' has {flaw}")
+        if flaw := joint.flaw():
+            raise ModelError(f"joint '{joint.name}' has {flaw}")
     owners = [*(f"body '{joint.body}'" for joint in tree.joints), "the pedestal"]
     for owner, inertia in zip(owners, (*tree.inertias, tree.pedestal), strict=True):
         if not inertia.within_limits:
             raise ModelError(
-                f"{path}: {owner} has a mass, centre or inertia that is no number, or beyond "
-                f"{HEAVIEST:g}"
+                f"{owner} has a mass, centre or inertia that is no number, or beyond {HEAVIEST:g}"
             )
 
 

@@ -49,64 +49,71 @@ def read_xml(path: Path) -> ET.Element:
     """
     if not path.is_file():
         raise ModelError(f"there is no model file '{path}'")
-    size = path.stat().st_size
-    if size > LARGEST:
-        raise ModelError(f"{path}: {size / 2**20:.0f} MiB; a model file has at most 64 MiB")
-    builder = _Limited(path)
+    with errors_of(path):
+        size = path.stat().st_size
+        if size > LARGEST:
+            raise ModelError(f"{size / 2**20:.0f} MiB; a model file has at most 64 MiB")
+        try:
+            return ET.parse(path, ET.XMLParser(target=_Limited())).getroot()
+        except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
+            with path.open("rb") as file:
+                page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
+            if page.startswith((b"<!doctype html", b"<html")):
+                raise ModelError("a web page, no model; download the raw file") from None
+            raise ModelError(f"not well-formed XML ({error})") from None
+
+
+@contextmanager
+def errors_of(path: Path) -> Iterator[None]:
+    """Errors in a model file begin with its name; those of a kind of their own have it already."""
     try:
-        return ET.parse(path, ET.XMLParser(target=builder)).getroot()
-    except (ET.ParseError, LookupError, ValueError) as error:  # the latter: odd encodings
-        with path.open("rb") as file:
-            page = file.read(_BEGINNING).lstrip(b"\xef\xbb\xbf\r\n\t ").lower()
-        if page.startswith((b"<!doctype html", b"<html")):
-            raise ModelError(f"{path}: a web page, no model; download the raw file") from None
-        raise ModelError(f"{path}: not well-formed XML ({error})") from None
+        yield
+    except ModelError as error:
+        if type(error) is not ModelError:
+            raise
+        raise ModelError(f"{path}: {error}") from None
 
 
-def check_name(name: str, what: str, path: Path) -> None:
+def check_name(name: str, what: str) -> None:
     """Whether a name can stand in a table, a file and a message.
 
     Args:
         name: As in the file.
         what: Whose name it is, for the message.
-        path: The file, for the message.
 
     Raises:
         ModelError: It is too long, or holds characters that control a terminal or are unseen.
     """
     if len(name) > LONGEST_NAME:
         raise ModelError(
-            f"{path}: {what} of {len(name)} characters, '{ascii(name[:20])[1:-1]}...'; a name has "
-            f"at most {LONGEST_NAME}"
+            f"{what} of {len(name)} characters, '{ascii(name[:20])[1:-1]}...'; a name has at most "
+            f"{LONGEST_NAME}"
         )
     if any(unicodedata.category(letter) in _UNSEEN for letter in name):
-        raise ModelError(
-            f"{path}: {what} {name!a:.60} holds control characters; names are plain text"
-        )
+        raise ModelError(f"{what} {name!a:.60} holds control characters; names are plain text")
 
 
 class _Limited(ET.TreeBuilder):
     """Elements as they come, counted."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._path, self._depth, self._count = path, 0, 0
+        self._depth, self._count = 0, 0
 
     def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
         """An element begins."""
         self._depth, self._count = self._depth + 1, self._count + 1
         if self._depth > DEEPEST:
-            raise ModelError(f"{self._path}: elements stand more than {DEEPEST} deep in each other")
+            raise ModelError(f"elements stand more than {DEEPEST} deep in each other")
         if self._count > MOST_ELEMENTS:
-            raise ModelError(f"{self._path}: more than {MOST_ELEMENTS} elements")
+            raise ModelError(f"more than {MOST_ELEMENTS} elements")
         if len(attrs) > MOST_ATTRIBUTES:
             raise ModelError(
-                f"{self._path}: <{tag:.40}> has {len(attrs)} attributes; {MOST_ATTRIBUTES} are the "
-                "limit"
+                f"<{tag:.40}> has {len(attrs)} attributes; {MOST_ATTRIBUTES} are the limit"
             )
         for key, value in attrs.items():
             if key in _NAMES:
-                check_name(value, f"{key} in <{tag:.40}>", self._path)
+                check_name(value, f"{key} in <{tag:.40}>")
         return super().start(tag, attrs)
 
     def end(self, tag: str) -> ET.Element:

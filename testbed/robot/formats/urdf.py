@@ -19,7 +19,7 @@ from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
 from testbed.robot.locks import Lock
-from testbed.robot.parsing import capture_stderr, plain, read_xml
+from testbed.robot.parsing import capture_stderr, errors_of, plain, read_xml
 from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Joint, Kind, Tree
@@ -73,7 +73,8 @@ def repaired_xml(
     """
     root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
     elements = {link.get("name", ""): link for link in root.findall("link")}
-    suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link, path))}
+    with errors_of(path):
+        suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
     links, parents = _links(root, path)
     found = repaired(links, suspects, parents, repair, path.name)
     for name, inertia in found.links.items():
@@ -144,13 +145,13 @@ def _built(root: ET.Element, path: Path) -> pin.Model:
     return model
 
 
-def _link_flaw(link: ET.Element, path: Path) -> str | None:
+def _link_flaw(link: ET.Element) -> str | None:
     """What is wrong with the link's inertia as it stands, if anything."""
     name, inertial = link.get("name", "?"), link.find("inertial")
     if inertial is None:
         return None
     if inertial.find("mass") is None or inertial.find("inertia") is None:
-        raise ModelError(f"{path}: the inertial of link '{name}' lacks a mass or an inertia")
+        raise ModelError(f"the inertial of link '{name}' lacks a mass or an inertia")
     origin = inertial.find("origin")
     place = numbers_of(origin, "xyz", "0 0 0") + numbers_of(origin, "rpy", "0 0 0")
     if not np.isfinite(place).all():
