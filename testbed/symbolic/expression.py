@@ -110,7 +110,7 @@ class Expression:
     """A sum of terms in order; see the module's description.
 
     Supports +, - and * with expressions and numbers. `==` tells whether two expressions
-    are written alike; `polynomial.same` whether they are equal.
+    are written alike; they are equal if their difference, expanded, has no parts.
 
     Attributes:
         terms: (factors, number), in order; none of the numbers is zero.

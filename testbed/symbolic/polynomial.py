@@ -336,16 +336,3 @@ class Ring:
             return monomial
         name = f"angle {wave} {monomial}"
         return self._monomial(Factor(Nature.CONSTANT, name))
-
-
-def same(a: Expression | Number, b: Expression | Number) -> bool:
-    """Whether two expressions are equal, whatever way they are written.
-
-    Exact: numbers are taken as the binary fractions they are.
-
-    Args:
-        a: An expression.
-        b: Another one.
-    """
-    ring = Ring()
-    return not ring.expand(expression(a) - expression(b)).parts

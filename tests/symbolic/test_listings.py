@@ -29,7 +29,7 @@ from testbed.symbolic.expression import (
 )
 from testbed.symbolic.languages import write_equations
 from testbed.symbolic.languages.paper import line
-from testbed.symbolic.polynomial import LARGEST, Ring, same
+from testbed.symbolic.polynomial import LARGEST, Ring
 from testbed.symbolic.simplify import natural_angles, simplify
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
@@ -44,6 +44,11 @@ COMPARABLE = ["joint-forces", "base-wrench", "mass-matrix", "gravity-forces"]
 
 HALVES = "\n + Ks2d*qp1*qp2*S22 + K3d*qp1*qp2*S2233 + K3d*qp1*qp3*S2233\n"
 """What the paper's Q1 lacks with the sign that Table 6 gives K_d."""
+
+
+def same(a: Expression | float, b: Expression | float) -> bool:
+    """Whether two expressions are equal, whatever way they are written: exactly."""
+    return not Ring().expand(expression(a) - expression(b)).parts
 
 
 def terms(text: str) -> dict[str, list[tuple[str, list[str]]]]:

@@ -101,7 +101,6 @@ def repaired_spec(
     """
     spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
     suspects, stated = stated_inertias(spec)
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
     # no chain ends without matter: MuJoCo takes no such file
     found = repaired(links, suspects, (), repair, path.name)
@@ -122,7 +121,6 @@ def read_links(
     """
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     _, stated = stated_inertias(spec)
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     return _links(compile_spec(spec, path), stated, path)
 
 

@@ -71,7 +71,6 @@ def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
 def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
     """What MuJoCo says of one mesh; None if it can read it."""
     alone = spec.copy()
-    alone.compiler.boundmass = alone.compiler.boundinertia = MASSLESS
     stated_inertias(alone)
     for geom in list(alone.geoms):
         if geom.meshname:
@@ -114,7 +113,8 @@ class StatedInertia:
 
 
 def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, StatedInertia]]:
-    """Flaws and explicit inertias, by body; in `spec` flawed ones are replaced, to be compiled."""
+    """Flaws and explicit inertias, by body; `spec` is made to compile: flawed ones are replaced."""
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     flaws: dict[str, str] = {}
     stated: dict[str, StatedInertia] = {}
     compiler = spec.compiler
@@ -155,7 +155,6 @@ def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, 
     """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
     copy = spec.copy()
     _, stated = stated_inertias(copy)
-    copy.compiler.boundmass = copy.compiler.boundinertia = MASSLESS
     return compile_spec(copy, path), stated
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.robot.formats.mjcf_compile import (
-    MASSLESS,
     compile_spec,
     drop_unreadable_meshes,
     no_mujoco_warnings,
@@ -46,7 +45,6 @@ def read_shapes(
     """
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     stated_inertias(spec)  # impossible ones would keep it from being compiled
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     warnings: tuple[str, ...] = ()
     try:
         with no_mujoco_warnings():
