@@ -21,6 +21,7 @@ from testbed.symbolic.expression import (
     Number,
     auxiliaries,
     collect,
+    depth_first,
 )
 
 Line = dict[Factors, Number]
@@ -73,6 +74,10 @@ class Assignments:
             self._fixed[factor] = known
         return known
 
+    def needs(self, name: Factor) -> list[Factor]:
+        """The lines that a line refers to."""
+        return [f for factors in self.lines[name] for f in factors if f in self.lines]
+
     def new(self, line: Line) -> Factor:
         """A new line, and its name."""
         self._made += 1
@@ -102,7 +107,8 @@ class Assignments:
             if not other and not nothing:
                 break
             self._rename(other, nothing)
-        self._prune()
+        needed = set(depth_first(self.results, self.needs))
+        self.lines = {name: line for name, line in self.lines.items() if name in needed}
 
     def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
         """Put other lines' names in the place of some, and zero in the place of `nothing`."""
@@ -122,17 +128,6 @@ class Assignments:
                     if nothing.isdisjoint(renamed):
                         terms.append((_ordered(renamed), number))
                 self.lines[name] = dict(collect(terms).terms)
-
-    def _prune(self) -> None:
-        """Forget what no result needs."""
-        needed: set[Factor] = set()
-        todo = list(self.results)
-        while todo:
-            name = todo.pop()
-            if name not in needed:
-                needed.add(name)
-                todo += [f for factors in self.lines[name] for f in factors if f in self.lines]
-        self.lines = {name: line for name, line in self.lines.items() if name in needed}
 
     def gather_fixed(self) -> None:
         """Several fixed factors of a term, or one with a number, become one."""

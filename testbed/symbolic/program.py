@@ -152,11 +152,7 @@ def _program(sheet: Assignments, named: bool) -> Program:
     once: list[Step] = []
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
-
-    def needs(name: Factor) -> list[Factor]:
-        return [f for factors in sheet.lines[name] for f in factors if f in sheet.lines]
-
-    for name in depth_first(sheet.results, needs):
+    for name in depth_first(sheet.results, sheet.needs):
         value = _snap(substitute(collect(sheet.lines[name].items()), made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
