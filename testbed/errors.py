@@ -76,6 +76,11 @@ def few(names: Sequence[str], width: int | None = None, by: str = ", ") -> str:
     return by.join(told) + more
 
 
+def quoted(names: Iterable[str]) -> str:
+    """The first names of a list, each in quotes, and how many there are more."""
+    return few([f"'{name}'" for name in names], WIDTH)
+
+
 def _spelled(character: str) -> str:
     return character.encode("unicode_escape").decode()
 

@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.arrays import Array, freeze
-from testbed.errors import WIDTH, InertiaError, ModelError, UnknownName, few
+from testbed.errors import InertiaError, ModelError, UnknownName, quoted
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
 
 Bodies: TypeAlias = Mapping[str, Inertia]
@@ -138,10 +138,10 @@ def repaired(
         raise InertiaError(source, list(grave.values()))
     notes = []
     if slight := [name for name in flaws if name not in grave]:
-        notes.append(f"the inertia of {few(slight, WIDTH)} is corrected within rounding")
+        notes.append(f"the inertia of {quoted(slight)} is corrected within rounding")
     if grave:
         notes.append(
-            f"no body has the inertia that the model file gives {few(list(grave), WIDTH)}; the "
+            f"no body has the inertia that the model file gives {quoted(grave)}; the "
             "nearest that can be is taken"
         )
     changed = {name: bodies[name] for name in touched} | nearest

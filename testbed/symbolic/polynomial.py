@@ -33,6 +33,9 @@ Wave: TypeAlias = tuple[Tone, ...]  # at most one tone a group, in order
 Mixture: TypeAlias = tuple[tuple[int, float], ...]  # (number of a wave, its weight)
 
 COSINE, SINE = 0, 1
+BITS = 6
+LARGEST = (1 << BITS) - 1
+"""Largest degree of a polynomial: no exponent can run over into the next."""
 
 
 class Waves:
@@ -93,11 +96,8 @@ class Waves:
         left, right = {tone[0]: tone for tone in a}, {tone[0]: tone for tone in b}
         options: list[list[tuple[Wave, float]]] = []
         for group in sorted({*left, *right}):
-            one, two = left.get(group), right.get(group)
-            if one and two:
-                options.append(_in_group(group, one, two))
-            else:
-                options.append([((one or two or _NEVER,), 1.0)])
+            tones = [each[group] for each in (left, right) if group in each]
+            options.append(_in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)])
         self._budget.multiply(prod(len(each) for each in options))
         mixture: dict[int, float] = {}
         for choice in choices(*options):
@@ -126,9 +126,6 @@ class Waves:
         for wave, weight in b.items():
             result[wave] = result.get(wave, 0.0) + sign * weight
         return {wave: weight for wave, weight in result.items() if weight}
-
-
-_NEVER: Tone = (0, 0, ())
 
 
 def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
@@ -160,15 +157,15 @@ def _normal(group: int, kind: int, index: Index) -> tuple[float, Wave]:
     """Sign and wave of a tone: the first angle counts positively; cos 0 = 1, sin 0 = 0."""
     if not index:
         return (0.0 if kind == SINE else 1.0), ()
-    if index[0][1] > 0:
-        return 1.0, ((group, kind, index),)
-    turned = tuple((atom, -times) for atom, times in index)
-    return (-1.0 if kind == SINE else 1.0), ((group, kind, turned),)
+    sign, index = positive(index)
+    return (sign if kind == SINE else 1.0), ((group, kind, index),)
 
 
-BITS = 6
-LARGEST = (1 << BITS) - 1
-"""Largest degree of a polynomial: no exponent can run over into the next."""
+def positive(index: Index) -> tuple[int, Index]:
+    """The sign of an angle's first part, and the angle in which that is positive."""
+    if index and index[0][1] < 0:
+        return -1, tuple((atom, -times) for atom, times in index)
+    return 1, index
 
 
 class Polynomial:

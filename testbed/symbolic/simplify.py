@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from testbed.symbolic.expression import Expression, Factor, Number, Term, collect, cosine, sine
-from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combined
+from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combined, positive
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
 Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
@@ -69,7 +69,7 @@ def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]
     for angle in angles:
         terms = ring.expand(angle).parts.get(0, {})
         index = tuple(sorted((atom, int(times)) for atom, times in terms.items()))
-        found.add(_positive(index)[1])
+        found.add(positive(index)[1])
     return frozenset(found)
 
 
@@ -140,11 +140,11 @@ def _product(
         kinds = (SINE, COSINE) if alike else (COSINE, SINE)
     shape = []
     for each, angle in zip(kinds, (half, rest), strict=True):
-        sign, positive = _positive(angle)
-        if positive not in natural:
+        sign, angle = positive(angle)
+        if angle not in natural:
             return None
         size = size * sign if each == SINE else size
-        shape.append((each, positive))
+        shape.append((each, angle))
     return tuple(sorted(shape)), size
 
 
@@ -167,12 +167,6 @@ def _half(index: Index) -> Index | None:
     if any(times % 2 for _, times in index):
         return None
     return tuple((atom, int(times) // 2) for atom, times in index)
-
-
-def _positive(index: Index) -> tuple[int, Index]:
-    if index and index[0][1] < 0:
-        return -1, tuple((atom, -times) for atom, times in index)
-    return 1, index
 
 
 def _term(ring: Ring, key: Key, number: Number, angles: dict[Tone, Term]) -> Term:

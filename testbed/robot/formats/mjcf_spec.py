@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import WIDTH, FreeRootError, LoopError, MimicError, ModelError, few
+from testbed.errors import FreeRootError, LoopError, MimicError, ModelError, quoted
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line, resolve
 from testbed.robot.formats.mjcf_xml import check_files
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
@@ -402,4 +402,4 @@ def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
 
 
 def _left_out(found: dict[str, list[str]]) -> tuple[str, ...]:
-    return tuple(f"left out: {what} {few(names, WIDTH)}" for what, names in found.items() if names)
+    return tuple(f"left out: {what} {quoted(names)}" for what, names in found.items() if names)

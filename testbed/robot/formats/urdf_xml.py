@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from testbed.errors import WIDTH, FreeRootError, ModelError, few
+from testbed.errors import FreeRootError, ModelError, quoted
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
 from testbed.robot.parsing import decimals, errors_of, plain, read_xml
@@ -277,7 +277,7 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
         raise ModelError(f"link '{lost}' hangs on no root; its chain of joints is a closed loop")
     if len(roots) > 1:
         raise ModelError(
-            f"{len(roots)} links are carried by no joint ({few(sorted(roots), WIDTH)}); a robot "
+            f"{len(roots)} links are carried by no joint ({quoted(sorted(roots))}); a robot "
             "has one such"
         )
 

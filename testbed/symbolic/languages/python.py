@@ -17,6 +17,8 @@ from testbed.symbolic.languages.text import (
     wrapped,
 )
 
+MOST_TERMS = 500
+"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
 STYLE = Style(own_name, decimal, plus_first=True)
 
 _FIRST_LINES = ("# -*- coding: utf-8 -*-", "# Written by testbed.")
@@ -112,10 +114,6 @@ def _body(each: Equations) -> list[str]:
 
 def _deleted(names: list[str]) -> list[str]:
     return [f"    del {', '.join(names[k : k + 8])}" for k in range(0, len(names), 8)]
-
-
-MOST_TERMS = 500
-"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
 
 
 def _assigned(target: str, pieces: list[str]) -> list[str]:
