@@ -124,14 +124,7 @@ def nearest_bodies(
     A file whose moments are off by rounding alone has none of them: such are repaired whatever
     is asked for.
 
-    Args:
-        path: The model file.
-        weld_root: As for `load_tree`.
-        lock: As for `load_tree`.
-        repair: As for `load_tree`.
-
-    Raises:
-        ModelError: As for `load_tree`.
+    Arguments and errors are those of `load_tree`.
     """
     path = Path(path)
     if model_format(path) == "mjcf":

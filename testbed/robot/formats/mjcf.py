@@ -41,16 +41,7 @@ def read_mjcf(
 ) -> Tree:
     """The tree of an MJCF file; the bedplate frame is MuJoCo's world frame.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        repair: Bodies in place of those that cannot be; None takes the nearest that can.
-        lock: Joints to be held, which are no joints of the tree.
-
-    Raises:
-        ModelError: The file is not MJCF, or holds what is not supported; FreeRootError and
-            MimicError are such.
-        InertiaError: A body cannot be rigid, and none is given in its place.
+    Arguments and errors are those of `load_tree`.
     """
     found = repaired_spec(path, weld_root=weld_root, repair=repair, lock=lock)
     model = compile_spec(found.spec, path)
@@ -88,17 +79,7 @@ def repaired_spec(
     repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> RepairedSpec:
-    """An MJCF file with bodies that can be, for every reader.
-
-    Args:
-        path: The file.
-        weld_root: As in `read_mjcf`.
-        repair: As there.
-        lock: As there.
-
-    Raises:
-        ModelError: As there.
-    """
+    """An MJCF file with bodies that can be, for every reader; otherwise as `read_mjcf`."""
     spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
     suspects, stated = stated_inertias(spec)
     links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
@@ -114,10 +95,7 @@ def read_links(
 ) -> tuple[Link, ...]:
     """The bodies of an MJCF file in those of its tree, carriers before what they carry.
 
-    Args:
-        path: The file, which `read_mjcf` has read.
-        weld_root: As then.
-        lock: As then.
+    Arguments are those with which `read_mjcf` has read it.
     """
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     _, stated = stated_inertias(spec)

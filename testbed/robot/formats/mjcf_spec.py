@@ -36,18 +36,10 @@ def open_spec(
 ) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
     """The editable MuJoCo model of an MJCF file: its mechanism, checked for what is supported.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        lock: Joints to be held, which are taken out, their bodies posed.
+    Held joints are taken out, their bodies posed. Arguments and errors are those of `load_tree`.
 
     Returns:
         The model, and a line for each thing that was accepted with a warning.
-
-    Raises:
-        ModelError: The file is not MJCF, or holds what is not supported; FreeRootError for a
-            floating root, MimicError for a joint that follows another that moves.
-        UnknownName: A joint to be held is not there.
     """
     spec = parse(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh

@@ -34,16 +34,7 @@ def read_urdf(
 ) -> Tree:
     """The tree of a URDF file; the bedplate frame is the root link's frame.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        repair: Bodies in place of those that cannot be; None takes the nearest that can.
-        lock: Joints to be held, which are no joints of the tree.
-
-    Raises:
-        ModelError: The file is not a URDF, or holds what is not supported; FreeRootError and
-            MimicError are such.
-        InertiaError: A link cannot be a rigid body, and none is given in its place.
+    Arguments and errors are those of `load_tree`.
     """
     root, found, warnings = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
     return _tree_of(_built(root, path), root.get("name", ""), (*found.notes, *warnings))
@@ -56,20 +47,11 @@ def repaired_xml(
     repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> tuple[ET.Element, Repair, tuple[str, ...]]:
-    """The file's links and joints with bodies that can be, for every reader.
-
-    Args:
-        path: The file.
-        weld_root: As in `read_urdf`.
-        repair: As there.
-        lock: As there.
+    """The file's links and joints with bodies that can be, for all readers; else as `read_urdf`.
 
     Returns:
         The root element; what was repaired; and a line for each thing that was accepted with a
         warning.
-
-    Raises:
-        ModelError: As there.
     """
     root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
     elements = {link.get("name", ""): link for link in root.findall("link")}
@@ -87,10 +69,7 @@ def read_links(
 ) -> tuple[Link, ...]:
     """The links of a URDF file in the bodies of its tree, carriers before what they carry.
 
-    Args:
-        path: The file, which `read_urdf` has read.
-        weld_root: As then.
-        lock: As then.
+    Arguments are those with which `read_urdf` has read it.
     """
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
     return _links(root, path)[0]

@@ -98,21 +98,12 @@ def supported_xml(
     lock: Lock | None = None,
     keep_visuals: bool = False,
 ) -> tuple[ET.Element, tuple[str, ...]]:
-    """The file's links and joints, checked for what is supported.
+    """The file's links and joints, checked for what is supported; held joints become fixed ones.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        lock: Joints to be held, which become fixed ones.
-        keep_visuals: Keep what is to be seen.
+    Arguments and errors are those of `load_tree`; `keep_visuals` keeps what is to be seen.
 
     Returns:
         The root element, and a line for each thing that was accepted with a warning.
-
-    Raises:
-        ModelError: The file is not URDF, or holds what is not supported; FreeRootError for a
-            floating root, MimicError for a joint that follows another that moves.
-        UnknownName: A joint to be held is not there.
     """
     root = _checked(path, weld_root, keep_visuals)
     return root, _hold(root.findall("joint"), lock or {}, path)

@@ -21,13 +21,7 @@ def edit_urdf(
     joints: Mapping[str, Mapping[str, float]],
     note: list[str],
 ) -> tuple[bytes, tuple[str, ...]]:
-    """The file's bytes with other inertials and friction.
-
-    Args:
-        path: The file.
-        links: New inertias about and along the links' frames, by link.
-        joints: By name, friction and rotor inertia where they have changed.
-        note: Lines of a comment that says where the numbers come from.
+    """The file's bytes with other inertials and friction; arguments are those of `edit_mjcf`.
 
     Returns:
         The bytes, and a line for what URDF has no place for.

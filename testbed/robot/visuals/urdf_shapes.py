@@ -29,11 +29,7 @@ def read_shapes(
 ) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
-    Args:
-        path: The URDF file.
-        tree: The tree read from it.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that are held.
+    Arguments are those of `load_shapes`.
 
     Raises:
         ModelError: Pinocchio refuses the shapes.

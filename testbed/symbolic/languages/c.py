@@ -28,12 +28,7 @@ STYLE = Style(own_name, _number, plus_first=True)
 
 
 def c(listing: Listing, source: str) -> str:
-    """Equations as C functions.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
-    """
+    """C functions; arguments as for `write_equations`."""
     lines = ["/*", *(f" * {line}".rstrip() for line in preface(listing, source)), " */"]
     lines += ["#include <math.h>", ""]
     for name, value, unit in used_constants(listing):

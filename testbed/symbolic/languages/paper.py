@@ -18,14 +18,10 @@ STYLE = Style(lambda factor: factor.name.replace("mbar", "mm"), fraction, parame
 
 
 def paper(listing: Listing, source: str) -> str:
-    """Equations in the paper's notation.
+    """The paper's notation; arguments as for `write_equations`.
 
     qp2 and qpp2 are the velocity and acceleration of joint 2, S223 is sin(2 q2 + q3). Lines
     that begin with * are comments; lines that begin with a blank continue the one before.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
     """
     lines = [f"* {line}".rstrip() for line in header(listing, source)]
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]

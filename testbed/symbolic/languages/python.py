@@ -47,12 +47,7 @@ def _in_blocks(function, shape, motion, parameters, size):
 
 
 def python(listing: Listing, source: str) -> str:
-    """Equations as a Python module.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
-    """
+    """A Python module; arguments as for `write_equations`."""
     lines = [*_FIRST_LINES, *(f"# {line}".rstrip() for line in preface(listing, source))]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
