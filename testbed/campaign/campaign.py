@@ -197,7 +197,7 @@ class Campaign:
         names = [factor.name for factor in tables.factor]
         if len(set(names)) < len(names):
             raise ExperimentError(f"{path}: two factors have one name: {', '.join(names)}")
-        cells = cells_of(_crossed(tables), _sampled(tables))
+        cells = cells_of(_cross(tables), _sample(tables))
         if len(cells) * tables.replicates > MOST_RUNS:
             raise ExperimentError(
                 f"{path}: {len(cells)} cells of {tables.replicates} replicates are more than "
@@ -283,7 +283,7 @@ def experiment_of(content: Mapping[str, Any], base: Path, words: Iterable[str]) 
     return Experiment.of_content(copy.deepcopy(dict(content)), base, words)
 
 
-def _crossed(tables: CampaignTables) -> list[list[Choice]]:
+def _cross(tables: CampaignTables) -> list[list[Choice]]:
     """Levels of the factors with values or names, in the order of the file."""
     found = []
     for number, factor in enumerate(tables.factor):
@@ -294,14 +294,14 @@ def _crossed(tables: CampaignTables) -> list[list[Choice]]:
     return found
 
 
-def _sampled(tables: CampaignTables) -> list[list[Choice]]:
+def _sample(tables: CampaignTables) -> list[list[Choice]]:
     """Points of all ranges together, each a level of every such factor."""
     ranges = [(k, factor) for k, factor in enumerate(tables.factor) if factor.range]
     if not ranges:
         return []
     asked = tables.sampling
     spans = [(*factor.range, factor.log) for _, factor in ranges if factor.range]
-    points = sampled(asked.method, spans, asked.points, asked.seed)
+    points = sample(asked.method, spans, asked.points, asked.seed)
     return [
         [_choice(k, factor, level) for (k, factor), level in zip(ranges, point, strict=True)]
         for point in points.tolist()
@@ -345,7 +345,7 @@ def cells_of(
     return tuple(found)
 
 
-def sampled(
+def sample(
     method: str, spans: Sequence[tuple[float, float, bool]], points: int, seed: int
 ) -> Array:
     """Points in a box, (points, factors).

@@ -12,7 +12,15 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
 from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
-from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal, applied, numbered, stream
+from testbed.instruments.fault import (
+    FULL_SCALE,
+    Fault,
+    Rig,
+    Signal,
+    apply_chain,
+    number_kinds,
+    stream,
+)
 from testbed.instruments.faults import fault_of
 from testbed.instruments.plate import MeasuredTare
 from testbed.instruments.plate_noise import PlateNoise
@@ -121,7 +129,7 @@ class Instrument:
         return {
             signal: tuple(
                 fault.on(rig).drawn(rig, stream(fault.kind, seed, number, "once"))
-                for fault, number in numbered(stages)
+                for fault, number in number_kinds(stages)
             )
             for signal, stages in self.stages(names).items()
         }
@@ -165,14 +173,14 @@ def measure(
     once = seed if installed is None else installed
     chains = instrument.installed(names, truth.position, once)
     seen: dict[str, Any] = {
-        signal: applied(chains[signal], exact.measured(signal), time, seed)
+        signal: apply_chain(chains[signal], exact.measured(signal), time, seed)
         for signal in ("position", "torque", "wrench")
     }
     for fault in chains["tare"]:
         assert isinstance(fault, MeasuredTare)
         instants = fault.instants(instrument.rate)
         still = np.tile(tare, (len(instants), 1))
-        shown = applied(chains["wrench"], still, instants, seed, _TARE)
+        shown = apply_chain(chains["wrench"], still, instants, seed, _TARE)
         seen["tare"] = fault.apply(shown, instants, stream(fault.kind, seed))[0]
     return replace(exact, **seen)
 

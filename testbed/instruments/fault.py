@@ -157,7 +157,7 @@ def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Ge
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
 
 
-def numbered(chain: Iterable[Fault]) -> Iterator[tuple[Fault, int]]:
+def number_kinds(chain: Iterable[Fault]) -> Iterator[tuple[Fault, int]]:
     """Faults, each with its number among those of its kind."""
     seen: Counter[str] = Counter()
     for fault in chain:
@@ -165,7 +165,9 @@ def numbered(chain: Iterable[Fault]) -> Iterator[tuple[Fault, int]]:
         seen[fault.kind] += 1
 
 
-def applied(chain: Iterable[Fault], signal: Array, time: Array, seed: int, use: str = "") -> Array:
+def apply_chain(
+    chain: Iterable[Fault], signal: Array, time: Array, seed: int, use: str = ""
+) -> Array:
     """A signal through a chain of faults, in their order.
 
     Args:
@@ -175,6 +177,6 @@ def applied(chain: Iterable[Fault], signal: Array, time: Array, seed: int, use: 
         seed: Of the recording.
         use: What is measured, where it is not a recording's signal: it has noise of its own.
     """
-    for fault, number in numbered(chain):
+    for fault, number in number_kinds(chain):
         signal = fault.apply(signal, time, stream(fault.kind, seed, number, use))
     return signal

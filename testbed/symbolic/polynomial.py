@@ -130,7 +130,7 @@ class Waves:
 
 def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
     """The product of two tones of one group as a sum of two."""
-    difference, total = combined(one[2], two[2], -1), combined(one[2], two[2], 1)
+    difference, total = combine(one[2], two[2], -1), combine(one[2], two[2], 1)
     kinds = (one[1], two[1])
     if kinds == (COSINE, COSINE):
         parts = [(COSINE, difference, 0.5), (COSINE, total, 0.5)]
@@ -145,7 +145,7 @@ def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
     return options
 
 
-def combined(a: Index, b: Index, sign: int) -> Index:
+def combine(a: Index, b: Index, sign: int) -> Index:
     """The sum or difference of two angles."""
     total = dict(a)
     for atom, times in b:

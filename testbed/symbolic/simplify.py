@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import TypeAlias
 
 from testbed.symbolic.expression import Expression, Factor, Number, Term, collect, cosine, sine
-from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combined, positive
+from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combine, positive
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
 Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
@@ -128,7 +128,7 @@ def _product(
     (kind, u), (other, v) = _tone(one), _tone(two)
     if kind != other or (kind == SINE and not (u and v)):
         return None
-    half, rest = _half(combined(u, v, 1)), _half(combined(u, v, -1))
+    half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
     if half is None or rest is None:
         return None
     alike = (numbers[one] > 0) == (numbers[two] > 0)

@@ -22,7 +22,7 @@ from testbed.instruments.encoders import (
     EncoderResolution,
     EncoderZeroError,
 )
-from testbed.instruments.fault import FULL_SCALE, Fault, Place, applied, stream
+from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
 from testbed.instruments.faults import KINDS, as_markdown, fault_of
 from testbed.instruments.plate import (
     MeasuredTare,
@@ -135,7 +135,7 @@ def test_places_decide_on_the_order_and_then_the_file() -> None:
     assert len({wrench(seen(*order)).tobytes() for order in permutations(faults)}) == 1
     gain, pose = PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)), PlatePose((0.0, 0.0, 1.0), 0.0)
     for order in ((gain, pose), (pose, gain)):
-        expected = applied(order, truth().wrench, TIME, 0)
+        expected = apply_chain(order, truth().wrench, TIME, 0)
         np.testing.assert_allclose(wrench(seen(*order, base=Instrument())), expected, atol=1e-12)
     counts = seen(EncoderResolution(0.25), EncoderNoise(0.1), EncoderEccentricity(0.1)).position
     same(counts / 0.25, np.rint(counts / 0.25))

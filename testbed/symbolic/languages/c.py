@@ -11,12 +11,12 @@ from testbed.symbolic.languages.text import (
     Style,
     decimal,
     function_name,
-    given,
+    inputs,
     own_name,
     preface,
     terms,
     used_constants,
-    wrapped,
+    wrap,
 )
 
 
@@ -39,11 +39,11 @@ def c(listing: Listing, source: str) -> str:
 
 
 def _comment(each: Equations) -> list[str]:
-    lines = wrapped("/*", each.kind.says.split(), " * ")
+    lines = wrap("/*", each.kind.says.split(), " * ")
     if not each.kind.is_regressor:
         names = [f"{p.name} [{p.unit}]," for p in each.parameters]
         names[-1:] = [name.rstrip(",") for name in names[-1:]]
-        lines += wrapped(f" * {each.vector}:", names, " * ")
+        lines += wrap(f" * {each.vector}:", names, " * ")
     return [*lines, " */"]
 
 
@@ -55,8 +55,8 @@ def _function(each: Equations, joints: int) -> list[str]:
     size = "".join(f"[{max(1, size)}]" for size in each.shape)
     arguments.append(f"double result{size}")
     separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
-    lines = [f"void {function_name(each)}(", *wrapped("   ", separated, "    "), "{"]
-    lines += [f"    const double {name} = {source};" for name, source in given(each, STYLE)]
+    lines = [f"void {function_name(each)}(", *wrap("   ", separated, "    "), "{"]
+    lines += [f"    const double {name} = {source};" for name, source in inputs(each, STYLE)]
     targets = {
         name: "result" + "".join(f"[{index}]" for index in place)
         for name, place in each.places.items()
@@ -64,7 +64,7 @@ def _function(each: Equations, joints: int) -> list[str]:
     style = replace(STYLE, name=lambda factor: targets.get(factor, factor.name))
     for label, value in program.lines:
         target = targets.get(label, f"const double {label.name}")
-        lines += wrapped(f"    {target} =", terms(value, style), "        ")
+        lines += wrap(f"    {target} =", terms(value, style), "        ")
         lines[-1] += ";"
     return [*lines, *_unused(each), "}"]
 

@@ -11,7 +11,7 @@ from testbed.symbolic.languages.text import (
     header,
     terms,
     used_constants,
-    wrapped,
+    wrap,
 )
 
 STYLE = Style(lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True)
@@ -30,7 +30,7 @@ def paper(listing: Listing, source: str) -> str:
         lines += ["", f"* {each.kind.title}"]
         for name, value in each.program.lines:
             if value or len(each.shape) == 1:
-                lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
+                lines += wrap(f"{name.name} =", terms(value, STYLE), " ")
     return "\n".join(lines) + "\n"
 
 
@@ -43,7 +43,7 @@ def _definitions(listing: Listing) -> list[str]:
             lines += ["", f"* {title}"]
             for name, value in listing.definitions:
                 if name.rstrip("xyz0123456789") == head:
-                    lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
+                    lines += wrap(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
     made = [f"* {line}" for line in definitions(listing)]
     return [*lines, "", *made] if made else lines
 

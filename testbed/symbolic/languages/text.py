@@ -100,7 +100,7 @@ def _factor(factor: Factor, style: Style) -> str:
     return style.name(factor)
 
 
-def wrapped(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
+def wrap(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
     """Pieces after a start in lines of a width; further lines are indented."""
     lines = [start]
     for piece in pieces:
@@ -179,7 +179,7 @@ def function_name(each: Equations) -> str:
     return each.kind.name.replace("-", "_")
 
 
-def given(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
+def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
     """Names and where they come from: qp1 from qp[0], K3d from delta_d[2] / 2, S2 from sin(q2)."""
     program = each.program
     for symbol in program.symbols:
@@ -197,13 +197,13 @@ def given(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
             yield wave.name, f"{function}({' '.join(terms(wave.content, style))})"
 
 
-def referred(each: Equations) -> set[Factor]:
+def references(each: Equations) -> set[Factor]:
     """Results that other lines refer to."""
     factors = (f for _, value in each.program.steps for f in leaves(value))
     return {factor for factor in factors if factor in each.places}
 
 
-def done_with(program: Program) -> dict[Factor, list[str]]:
+def last_uses(program: Program) -> dict[Factor, list[str]]:
     """After which line which auxiliary variables are needed no more."""
     last: dict[Factor, Factor] = {}
     made = {name for name, _ in program.steps} - program.results
