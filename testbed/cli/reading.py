@@ -66,9 +66,8 @@ class Reading:
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
-        from testbed.robot.load import mimic_joints
         from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import ModelFile
+        from testbed.robot.model_file import ModelFile, mimic_joints
 
         held: dict[str, float | None] = parse_lock(self.lock or ())
         welded, follow, bodies = self.weld_root, self.lock_mimic, None

@@ -15,7 +15,7 @@ from testbed.errors import UnknownName
 from testbed.kind_table import AsTable
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import Inertia
-from testbed.robot.shafts import with_shafts
+from testbed.robot.transmission import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of

@@ -15,7 +15,7 @@ from testbed.excitation.rest_to_rest import rest_to_rest
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import FAST, motion_of, rules_of
-from testbed.instruments.stage import stream
+from testbed.instruments.fault import stream
 from testbed.recordings.checks import COUNTED
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant

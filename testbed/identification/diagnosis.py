@@ -20,7 +20,7 @@ from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
 from testbed.identification.trace_findings import noisy, trace_findings
-from testbed.robot.shafts import shares
+from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
 from testbed.stages import stage
 

@@ -16,14 +16,20 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import binomtest
 
-from testbed.campaign import campaign_folder
+from testbed.campaign import results
 from testbed.campaign.bundle import Bundle, Outcome, Status, carry_out_bundle
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_folder import CampaignFolder, own_folder
-from testbed.campaign.campaign_summary import binomial_bounds, pooled, read_campaign, summarise
 from testbed.campaign.cluster import DaskEngine, SchedulerLost, local_workers
 from testbed.campaign.conduct import InThisProcess, Standing, Supply, conduct, places_of
-from testbed.campaign.summary_files import changes, write_summary
+from testbed.campaign.results import CampaignFolder, own_folder
+from testbed.campaign.summary import (
+    binomial_bounds,
+    changes,
+    pooled,
+    read_campaign,
+    summarise,
+    write_summary,
+)
 from testbed.errors import ExperimentError, TestbedError
 from testbed.experiment import evaluate
 from testbed.experiment import simulate as simulation
@@ -65,7 +71,7 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
     tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As kill -9 leaves it: no tidying up; table and new rows may then hold the same runs."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
+    monkeypatch.setattr(results, "LEAST_NEW", 6)
     once, compact, left = pq.ParquetWriter.write_table, CampaignFolder.compact, [0]
 
     def countdown(error: BaseException) -> None:
@@ -111,7 +117,7 @@ def test_bundles_their_order_and_parts_do_not_show(
     tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is there is not done again; progress counts; files of few rows do not pile up."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
+    monkeypatch.setattr(results, "LEAST_NEW", 4)
     seen: list[Standing] = []
 
     def look(standing: Standing) -> None:

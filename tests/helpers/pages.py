@@ -16,8 +16,8 @@ import numpy as np
 import testbed as tb
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_summary import Summary, read_campaign, summarise
 from testbed.campaign.conduct import conduct
+from testbed.campaign.summary import Summary, read_campaign, summarise
 from testbed.excitation.design import Design
 from testbed.excitation.prediction import Prediction
 from testbed.experiment.excite import Excitation

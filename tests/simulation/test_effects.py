@@ -15,7 +15,7 @@ from testbed.arrays import Array
 from testbed.errors import ModelError, SettingsError
 from testbed.robot.friction import COULOMB, VISCOUS
 from testbed.robot.model_file import ModelFile
-from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
 from testbed.simulation.effect import Effect, StepForces

@@ -11,10 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import TypeAlias
 
-from testbed.symbolic.expression import Expression, Factor, Number, Term, collect
-from testbed.symbolic.polynomial import Polynomial, Ring
-from testbed.symbolic.symbol_algebra import cosine, sine
-from testbed.symbolic.trigonometry import COSINE, SINE, Index, combined
+from testbed.symbolic.expression import Expression, Factor, Number, Term, collect, cosine, sine
+from testbed.symbolic.polynomial import COSINE, SINE, Index, Polynomial, Ring, combine, positive
 
 Tone: TypeAlias = tuple[int, Index]  # 0 for a cosine or 1 for a sine, its angle
 Shape: TypeAlias = tuple[Tone, ...]  # cosines and sines of one group
@@ -23,7 +21,7 @@ Key: TypeAlias = tuple[int, Shapes]  # monomial, shapes
 Terms: TypeAlias = dict[Key, Number]
 
 
-def present(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Expression:
+def simplify(ring: Ring, polynomial: Polynomial, natural: frozenset[Index]) -> Expression:
     """The polynomial as an expression.
 
     Args:
@@ -71,7 +69,7 @@ def natural_angles(ring: Ring, angles: Iterable[Expression]) -> frozenset[Index]
     for angle in angles:
         terms = ring.expand(angle).parts.get(0, {})
         index = tuple(sorted((atom, int(times)) for atom, times in terms.items()))
-        found.add(_positive(index)[1])
+        found.add(positive(index)[1])
     return frozenset(found)
 
 
@@ -130,7 +128,7 @@ def _product(
     (kind, u), (other, v) = _tone(one), _tone(two)
     if kind != other or (kind == SINE and not (u and v)):
         return None
-    half, rest = _half(combined(u, v, 1)), _half(combined(u, v, -1))
+    half, rest = _half(combine(u, v, 1)), _half(combine(u, v, -1))
     if half is None or rest is None:
         return None
     alike = (numbers[one] > 0) == (numbers[two] > 0)
@@ -142,11 +140,11 @@ def _product(
         kinds = (SINE, COSINE) if alike else (COSINE, SINE)
     shape = []
     for each, angle in zip(kinds, (half, rest), strict=True):
-        sign, positive = _positive(angle)
-        if positive not in natural:
+        sign, angle = positive(angle)
+        if angle not in natural:
             return None
         size = size * sign if each == SINE else size
-        shape.append((each, positive))
+        shape.append((each, angle))
     return tuple(sorted(shape)), size
 
 
@@ -154,7 +152,7 @@ def _halved(shape: Shape, number: Number, natural: frozenset[Index]) -> tuple[Sh
     """Half a sine of a double angle as a sine times a cosine."""
     kind, index = _tone(shape)
     half = _half(index)
-    if len(shape) == 1 and kind == SINE and half in natural and _is_half(number):
+    if len(shape) == 1 and kind == SINE and half in natural and number % 1 == 0.5:
         return ((COSINE, half), (SINE, half)), 2 * number
     return shape, number
 
@@ -169,16 +167,6 @@ def _half(index: Index) -> Index | None:
     if any(times % 2 for _, times in index):
         return None
     return tuple((atom, int(times) // 2) for atom, times in index)
-
-
-def _is_half(number: Number) -> bool:
-    return number != int(number) and 2 * number == int(2 * number)
-
-
-def _positive(index: Index) -> tuple[int, Index]:
-    if index and index[0][1] < 0:
-        return -1, tuple((atom, -times) for atom, times in index)
-    return 1, index
 
 
 def _term(ring: Ring, key: Key, number: Number, angles: dict[Tone, Term]) -> Term:

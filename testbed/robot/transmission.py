@@ -1,43 +1,36 @@
-"""Motor shafts that turn with several joints: coupled wrists, differential gears, belts.
+"""Between motors and joints: shafts that turn with several joints, rotors that spin.
 
 A shaft's speed is a sum of joint velocities, s = sum over j of c_j qd_j, and a torque on it acts on
 these joints as c_j times itself: no more power comes out of a gear than goes in. Friction and
-inertia of such a shaft are no joint's own.
+inertia of such a shaft (coupled wrists, differential gears, belts) are no joint's own.
+
+A rotor of ratio times its joint's speed has the momentum h qd e beyond that of a rotor at rest on
+its carrier, h = ratio times inertia, e the joint's axis. Since e is fixed in both bodies of the
+joint, a joint body with h e e' more inertia and a carrier with h e e' less have the same momentum:
+spin is among the minimal parameters already, for any tree. The torque of the joint takes ratio^2
+times inertia, of which h is then in the bodies.
+
+Source    derived for this project (docs/plants.md)
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-
-if TYPE_CHECKING:
-    from testbed.robot.tree import Tree
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Shaft, Tree
 
 Shafts = Mapping[str, Mapping[str, float]]
 """By the shaft's name, how much it turns with each of its joints, by name."""
 
 ALIKE = 1e-9
 """Sine of the angle between the turns of two shafts that are the same one."""
-
-
-@dataclass(frozen=True)
-class Shaft:
-    """One shaft.
-
-    Attributes:
-        name: Its name; its friction is called coulomb/NAME.
-        turns: Indices of its joints, and how much it turns with each.
-    """
-
-    name: str
-    turns: tuple[tuple[int, float], ...]
 
 
 def with_shafts(tree: Tree, given: Shafts) -> Tree:
@@ -70,20 +63,12 @@ def with_shafts(tree: Tree, given: Shafts) -> Tree:
 
 
 def places(tree: Tree) -> tuple[str, ...]:
-    """Where a term of the torques may be: the joints' names, then the shafts'.
-
-    Args:
-        tree: The robot.
-    """
+    """Where a term of the torques may be: the joints' names, then the shafts'."""
     return (*tree.names, *(shaft.name for shaft in tree.shafts))
 
 
 def shares(tree: Tree) -> Array:
-    """How much each place turns with each joint, (places, n): ones for the joints themselves.
-
-    Args:
-        tree: The robot.
-    """
+    """How much each place turns with each joint, (places, n): ones for the joints themselves."""
     found = np.eye(tree.n + len(tree.shafts), tree.n)
     for row, shaft in zip(found[tree.n :], tree.shafts, strict=True):
         row[:] = 0.0
@@ -115,3 +100,31 @@ def _check(tree: Tree, name: str, turns: Mapping[str, float]) -> None:
         )
     if len(kinds) > 1:
         raise ModelError(f"{what} turns with revolute and prismatic joints: that has no one unit")
+
+
+def with_rotor_spin(tree: Tree, spins: Mapping[str, float]) -> Tree:
+    """The robot whose minimal parameters hold what its rotors' spin adds.
+
+    Args:
+        tree: The robot, rotors at rest on their carriers.
+        spins: Ratio times inertia of the rotor, by joint name [kg m^2].
+
+    Raises:
+        UnknownName: There is no such joint.
+        ModelError: The joint slides: its rotor's momentum is none of the bodies'.
+    """
+    for name, spin in spins.items():
+        j = tree.index(name)
+        joint = tree.joints[j]
+        if not joint.revolute:
+            raise ModelError(f"joint '{name}' slides: the spin of its rotor is not of the bodies")
+        tree = tree.with_inertia(j, _about(joint.axis, spin))
+        tree = tree.with_inertia(joint.parent, _about(joint.carried_axis, -spin))
+        left = replace(joint, rotor_inertia=joint.rotor_inertia - spin)
+        tree = replace(tree, joints=(*tree.joints[:j], left, *tree.joints[j + 1 :]))
+    return tree
+
+
+def _about(axis: Array, size: float) -> Inertia:
+    """Inertia about one axis alone."""
+    return Inertia(0.0, np.zeros(3), size * np.outer(axis, axis))

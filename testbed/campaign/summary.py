@@ -9,17 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as pc
+import pyarrow.parquet as pq
 
 from testbed.arrays import Array
-from testbed.campaign.campaign_folder import NEW, RESULTS
-from testbed.campaign.results_table import StoredRows, about, read_rows
+from testbed.campaign.results import NEW, RESULTS, StoredRows, about, read_rows
 from testbed.errors import ExperimentError
+from testbed.files import replacing
 from testbed.identification.estimate import METHODS
 
 NORMAL = 1.959963984540054
@@ -140,11 +142,7 @@ def read_campaign(folder: Path) -> pa.Table:
 
 
 def summarise(rows: pa.Table) -> Summary:
-    """Errors, coverage and figures of a campaign.
-
-    Args:
-        rows: Of its table.
-    """
+    """Errors, coverage and figures of a campaign."""
     names = [name for name in rows.column_names if name.startswith("factor/")]
     every = rows.to_pylist()
     done = [row for row in every if row["status"] == "done"]
@@ -251,11 +249,7 @@ def binomial_bounds(inside: int, runs: int) -> tuple[float, float]:
 
 
 def pooled(parts: Sequence[ParameterErrors]) -> list[ParameterErrors]:
-    """Errors by method and parameter, all cells together.
-
-    Args:
-        parts: By cell.
-    """
+    """Errors by method and parameter, all cells together."""
     groups: dict[tuple[str, str], list[ParameterErrors]] = {}
     for part in parts:
         groups.setdefault((part.method, part.parameter), []).append(part)
@@ -285,3 +279,86 @@ def _pooled(method: str, name: str, parts: Sequence[ParameterErrors]) -> Paramet
         inside=sum(p.inside for p in parts),
         relative_rms=math.sqrt(mean([p.relative_rms**2 for p in parts])),
     )
+
+
+def write_summary(summary: Summary, folder: Path) -> list[Path]:
+    """Write what a summary says, as Parquet and as CSV.
+
+    Args:
+        summary: The summary.
+        folder: Where to.
+
+    Returns:
+        The files: parameters and figures, each twice.
+    """
+
+    def levels(cell: int) -> dict[str, Any]:
+        columns = (f"factor/{name}" for name in summary.factors)
+        return dict(zip(columns, summary.cells[cell], strict=True))
+
+    parameters = []
+    for each in summary.parameters:
+        low, high = each.bounds
+        more = {"coverage": each.coverage, "coverage_low": low, "coverage_high": high}
+        parameters.append(levels(each.cell) | asdict(each) | more)
+    figures = [levels(each.cell) | asdict(each) for each in summary.figures]
+    parts = {"parameters": parameters, "figures": figures}
+    written = []
+    for name, rows in parts.items():
+        table = pa.Table.from_pylist(rows) if rows else pa.table({})
+        for ending in ("parquet", "csv"):
+            path = folder / f"{name}.{ending}"
+            with replacing(path) as fresh:
+                if ending == "csv":
+                    pc.write_csv(table, fresh)
+                else:
+                    pq.write_table(table, fresh)
+            written.append(path)
+    return written
+
+
+@dataclass(frozen=True)
+class Change:
+    """A metric in one cell of two campaigns.
+
+    Attributes:
+        levels: Of the factors.
+        metric: Its name.
+        before: Its mean in the first campaign.
+        after: In the second.
+        ratio: After over before.
+        sigmas: Difference of the means over its standard error; not a number without replicates.
+    """
+
+    levels: tuple[Any, ...]
+    metric: str
+    before: float
+    after: float
+    ratio: float
+    sigmas: float
+
+
+def changes(before: Summary, after: Summary) -> Iterator[Change]:
+    """Metrics of two campaigns, where they have cells of the same levels.
+
+    Args:
+        before: The first.
+        after: The second.
+    """
+    known = {(before.cells[each.cell], each.metric): each for each in before.figures}
+    for new in after.figures:
+        levels = after.cells[new.cell]
+        old = known.get((levels, new.metric))
+        if old is None:
+            continue
+        error = math.hypot(old.error, new.error)
+        gap = new.mean - old.mean
+        same = 0.0 if gap == 0 else math.nan
+        yield Change(
+            levels=levels,
+            metric=new.metric,
+            before=old.mean,
+            after=new.mean,
+            ratio=new.mean / old.mean if old.mean else math.nan,
+            sigmas=gap / error if np.isfinite(error) and error > 0 else same,
+        )
