@@ -15,9 +15,8 @@ from typing import Any
 import llvmlite
 import numba
 from llvmlite import binding, ir
-from numba import njit, types
-from numba.core import cgutils, config
-from numba.extending import intrinsic
+from numba import extending, njit, types
+from numba.core import config
 
 from testbed.robot import friction
 
@@ -72,6 +71,9 @@ summing = _compiled(fastmath={"contract", "reassoc", "nsz"}, forceinline=True)
 outer = _compiled(nogil=True, cache=True)
 
 
+intrinsic: Any = extending.intrinsic
+
+
 @intrinsic  # type: ignore[untyped-decorator]
 def call(typing: Any, address: Any, arguments: Any) -> Any:
     """A C function that returns nothing, by its address: unlike one of ctypes it can be cached.
@@ -84,8 +86,8 @@ def call(typing: Any, address: Any, arguments: Any) -> Any:
     del typing
 
     def code(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        del signature
-        function, parts = values[0], cgutils.unpack_tuple(builder, values[1])
+        function, packed = values
+        parts = [builder.extract_value(packed, k) for k in range(len(signature.args[1]))]
         kind = ir.FunctionType(ir.VoidType(), [part.type for part in parts])
         builder.call(builder.inttoptr(function, kind.as_pointer()), parts)
         return context.get_dummy_value()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.kernel.compiler import call, outer, plain
-from testbed.simulation.controller import Controller, motor_torque
+from testbed.simulation.controller import DAMPING, Controller
 
 SLIPS = 1e-6
 """Part of dry friction by which the force that MuJoCo finds may differ while a joint slips."""
@@ -146,6 +146,35 @@ def follow(
             call(engine.forward, (model, engine.data))
             if clock.averaged:
                 _add(state, log.sensed[row], log.lost[row], (1 - middle) / 2 / steps)
+
+
+@plain
+def motor_torque(
+    drive: Controller,
+    k: int,
+    position: Array,
+    velocity: Array,
+    order: NDArray[np.int64],
+    torque: Array,
+) -> None:
+    """Motor torques for sample k within the limits of the motors; compiled.
+
+    Args:
+        drive: The controller.
+        k: The sample.
+        position: (nv,) [rad or m].
+        velocity: (nv,) [rad/s or m/s].
+        order: Where each joint's stand among these, (n,).
+        torque: Set, (n,) [N m or N].
+    """
+    inertia, stiffness = drive.inertia[drive.posture[k]], drive.bandwidth**2
+    damping = 2 * DAMPING * drive.bandwidth
+    for i in range(len(order)):
+        wanted = drive.expected[k, i]
+        for j, at in enumerate(order):
+            late, slow = drive.q[k, j] - position[at], drive.qd[k, j] - velocity[at]
+            wanted += inertia[i, j] * (stiffness * late + damping * slow)
+        torque[i] = min(max(wanted, -drive.effort[i]), drive.effort[i])
 
 
 @plain

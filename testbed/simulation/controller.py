@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
-from testbed.kernel.compiler import plain
 from testbed.robot.friction import ROTOR, drive_torque
 from testbed.robot.tree import Tree
 
@@ -62,35 +61,6 @@ class Controller(NamedTuple):
     posture: NDArray[np.int64]
     bandwidth: float
     effort: Array
-
-
-@plain
-def motor_torque(
-    drive: Controller,
-    k: int,
-    position: Array,
-    velocity: Array,
-    order: NDArray[np.int64],
-    torque: Array,
-) -> None:
-    """Motor torques for sample k within the limits of the motors; compiled.
-
-    Args:
-        drive: The controller.
-        k: The sample.
-        position: (nv,) [rad or m].
-        velocity: (nv,) [rad/s or m/s].
-        order: Where each joint's stand among these, (n,).
-        torque: Set, (n,) [N m or N].
-    """
-    inertia, stiffness = drive.inertia[drive.posture[k]], drive.bandwidth**2
-    damping = 2 * DAMPING * drive.bandwidth
-    for i in range(len(order)):
-        wanted = drive.expected[k, i]
-        for j, at in enumerate(order):
-            late, slow = drive.q[k, j] - position[at], drive.qd[k, j] - velocity[at]
-            wanted += inertia[i, j] * (stiffness * late + damping * slow)
-        torque[i] = min(max(wanted, -drive.effort[i]), drive.effort[i])
 
 
 def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from testbed.arrays import Array
 from testbed.recordings.recording import Truth
 from testbed.simulation.compiled_loop import (
     Clock,
@@ -74,7 +73,9 @@ class SampledLoop:
         smooth = 0 if forces else _smooth_steps(model, period)
         smooth = smooth if smooth < sampling.steps else 0
         self._smooth_model = copy.copy(model)
-        self._smooth_model.opt.timestep = period / max(smooth, 1)
+        option = self._smooth_model.opt
+        option.timestep = period / max(smooth, 1)
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)  # friction as it is
         self._push = _Push(forces, plant, data)
         self._engine = Engine(
             **mujoco_functions(),
@@ -107,10 +108,19 @@ class SampledLoop:
         """
         plant, model, n = self._plant, self._plant.model, len(self._plant.order)
         torque, velocity, acceleration = np.zeros((3, len(samples), n))
-        sensed, lost = np.zeros((len(samples), model.nsensordata)), np.zeros((len(samples), model.nv))
+        sensed, lost = (
+            np.zeros((len(samples), model.nsensordata)),
+            np.zeros((len(samples), model.nv)),
+        )
         log = Log(torque, velocity, acceleration, sensed, lost)
         follow(
-            self._engine, self._state, self._drive, self._clock, log, samples.start, self._push.failed
+            self._engine,
+            self._state,
+            self._drive,
+            self._clock,
+            log,
+            samples.start,
+            self._push.failed,
         )
         self._push.check()
         if self._clock.averaged:

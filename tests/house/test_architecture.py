@@ -40,7 +40,7 @@ PLAN = {
         "excitation": f"{ROBOT} kernel",
         "recordings": f"{BASE} toml_text robot",
         "instruments": f"{BASE} {KINDS} robot recordings",
-        "simulation": f"{BASE} {KINDS} robot dynamics excitation recordings",
+        "simulation": f"{BASE} {KINDS} robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings",
         "sanity": f"{ROBOT} toml_text recordings identification",
         "experiment": f"{ROBOT} {KINDS} installation toml_text excitation recordings instruments "

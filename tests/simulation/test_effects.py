@@ -133,8 +133,8 @@ def test_a_sample_in_one_step_is_that_of_all_its_steps(
     path = tmp_path_factory.mktemp("robot") / "robot.xml"
     path.write_text(robot.mjcf())
     tree = tb.load_tree(path)
-    rubbing = {name: dict(zip(("coulomb", "viscous"), rng.uniform(0, 1, 2))) for name in tree.names}
-    tree = tree.with_joints(rubbing)
+    frictions = zip(tree.names, *rng.uniform(0, 1, (2, tree.n)), strict=True)
+    tree = tree.with_joints({name: {"coulomb": c, "viscous": v} for name, c, v in frictions})
     plant = build_plant(ModelFile(path), tree, STEP, changed=tree.names)
     for averaged in (True, False):
         asked = tree, waving(tree.n), 0.5, 60.0, Sampling(1000.0, 4, averaged, 0.1)
