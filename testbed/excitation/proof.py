@@ -173,7 +173,7 @@ def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool
     if rules.collision is None:
         return True
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) + TOUCH)
-    return all((meter.measure(q).values > rules.clearance).all() for q in here.q)
+    return bool((meter.measure(here.q).values > rules.clearance).all())
 
 
 def _linear(motion: Fourier, rules: Rules) -> list[Margin]:
