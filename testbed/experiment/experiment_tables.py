@@ -236,7 +236,7 @@ class SimulationTable(Table):
     """The plant and its controller."""
 
     step: Positive = 2.5e-4
-    """Of the integration [s]."""
+    """Of the integration where a joint sticks or turns round; else it may be up to 1 ms [s]."""
     friction: bool = True
     """Keep the joints' friction."""
     bandwidth: Positive = 60.0

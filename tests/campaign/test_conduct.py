@@ -31,9 +31,8 @@ from testbed.campaign.summary import (
     write_summary,
 )
 from testbed.errors import ExperimentError, TestbedError
-from testbed.experiment import evaluate
-from testbed.experiment import simulate as simulation
-from testbed.simulation.rollout import simulate_motions
+from testbed.experiment import evaluate, prepare
+from testbed.simulation.rollout import simulate_motion
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 from tests.helpers.refusals import refuses
 
@@ -249,16 +248,15 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (second.status, "seed" in second.error) == ("failed", True)
     for error, status in ((ZeroDivisionError("so"), "failed"), (MemoryError("so"), "killed")):
         said = f"{type(error).__name__}: so"
-        for module, name in ((evaluate, "evaluate"), (simulation, "simulate_motions")):
+        for module, name in ((evaluate, "evaluate"), (prepare, "simulate_motion")):
             with monkeypatch.context() as patch:
                 patch.setattr(module, name, Mock(side_effect=error))
                 outcomes, _ = carry_out_bundle(bundle)
             assert {(each.status, each.error) for each in outcomes} == {(status, said)}
-    simulated = Mock(side_effect=simulate_motions)
-    monkeypatch.setattr(simulation, "simulate_motions", simulated)
+    simulated = Mock(side_effect=simulate_motion)
+    monkeypatch.setattr(prepare, "simulate_motion", simulated)
     carry_out_bundle(bundle)
-    (call,) = simulated.call_args_list
-    assert len(call.args[0]) == 1  # both runs move alike, and differ in noise
+    assert simulated.call_count == 1  # both runs move alike, and differ in noise
 
 
 def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_apart() -> None:

@@ -37,7 +37,7 @@ PLAN = {
         "excitation": f"{ROBOT} kernel",
         "recordings": f"{BASE} toml_text robot",
         "instruments": f"{BASE} kind_table robot recordings",
-        "simulation": f"{BASE} kind_table robot dynamics excitation recordings",
+        "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings stages",
         "sanity": f"{ROBOT} toml_text recordings identification",
         "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
