@@ -38,7 +38,7 @@ LONGEST = 21
 
 
 def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
-    """Everything that the page shows; drawings are under the keys "svg".
+    """Everything that the page shows; drawings know their "svg".
 
     Args:
         run: What the report is about.
@@ -60,10 +60,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "in_brackets": _in_brackets(run),
         "warnings": [*run.warnings, *look.warnings],
         "errors": dots_section(run),
-        "figures": [
-            section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
-            for section in sections(predict(run, unseen), unseen is not None)
-        ],
+        "figures": sections(predict(run, unseen), unseen is not None),
         "instrument": instrument_tables(run),
         "matrix": matrix_maps(run),
         "maps": _maps(run.tree, run.settings.zeros),

@@ -15,7 +15,9 @@ from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run
 from testbed.files import replacing
 from testbed.recordings.recording import Recording
+from testbed.reporting.bodies_section import Drawing
 from testbed.reporting.contents import contents
+from testbed.reporting.figures import Panel
 
 _SIGNS = {"+-": "±", "^2": "²", " %": "\u00a0%"}
 
@@ -107,6 +109,8 @@ def _without_drawings(content: Any) -> Any:
     """The page's data alone."""
     if isinstance(content, dict):
         return {key: _without_drawings(value) for key, value in content.items() if key != "svg"}
+    if isinstance(content, Panel | Drawing):
+        return {"title": content.title}
     if isinstance(content, list | tuple):
         return [_without_drawings(value) for value in content]
     return content
