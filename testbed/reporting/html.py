@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -27,18 +28,17 @@ _WHOLE = re.compile(r"[-+]?\d[\d.]*e-\d+|--[a-z][a-z-]*")
 """A number, an option: a browser would break them at a sign."""
 
 
-def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
+def write_report(run: Run, path: Path) -> Path:
     """Write a report, and its numbers beside it.
 
     Args:
         run: What it is about.
         path: The HTML file.
-        unseen: Another recording, of a motion that no estimate has seen; None for none.
 
     Returns:
         The JSON file: of the same name, ending in .json.
     """
-    content = contents(run, unseen)
+    content = contents(run)
     text = rendered("report.html", content)
     beside = path.with_suffix(".json")
     with replacing(path) as fresh, replacing(beside) as numbers:
@@ -55,8 +55,8 @@ def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = N
     Args:
         run: A run, or the folder of one.
         path: The HTML file.
-        unseen: Another recording of the robot, on which predictions are shown; default the run's
-            own.
+        unseen: Another recording of the robot, on which predictions are shown; default that of the
+            run's validation, else the run's own.
 
     Returns:
         The HTML file.
@@ -66,7 +66,8 @@ def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = N
         OSError: The file cannot be written there.
     """
     page = Path(path)
-    write_report(run if isinstance(run, Run) else read_run(Path(run)), page, unseen)
+    what = run if isinstance(run, Run) else read_run(Path(run))
+    write_report(what if unseen is None else replace(what, unseen=unseen), page)
     return page
 
 
