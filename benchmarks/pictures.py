@@ -11,7 +11,6 @@ from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.growth import growth
 from testbed.experiment.run_folder import read_run, write_run
-from testbed.experiment.unseen import unseen
 from testbed.reporting.html import write_report
 from testbed.viewer.log import write_rrd
 from testbed.viewer.scene import scene_of
@@ -29,7 +28,7 @@ def pictures(rounds: int = 3) -> dict[str, Any]:
             {
                 "rrd": lambda: write_rrd([scene], rrd),
                 "scene and rrd": lambda: write_rrd([scene_of(run, growth(run))], rrd),
-                "report": lambda: write_report(run, page, unseen(run)),
+                "report": lambda: write_report(run, page),
             },
             rounds,
             wall=True,

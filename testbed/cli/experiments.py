@@ -81,7 +81,7 @@ def run(
     except TestbedError as error:
         raise RecordingError(f"{error}; the recording is kept in '{folder}'") from None
     with output.Progress("validating on an unseen motion") as progress:
-        done, _ = checked_elsewhere(done, progress)
+        done = checked_elsewhere(done, progress)
     write_result(done, folder)
     if as_json:
         output.print_json(result(done) | {"folder": str(folder)})

@@ -167,7 +167,6 @@ def report(
 
     Example: testbed report a.parquet --model robot.urdf --validate b.parquet
     """
-    from testbed.experiment.carry_out import checked_elsewhere
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.html import write_report
@@ -180,13 +179,15 @@ def report(
         done = _run_at(run, model, reading, unchecked=unchecked)
         if consistent:
             done = _with_bodies(done, reading)
-        if validate is None:
+        if validate is not None:
+            done = _judged_on(done, validate, reading, unchecked=unchecked)
+        elif done.unseen is None:
+            from testbed.experiment.carry_out import checked_elsewhere
+
             progress.say(0, 0, "simulating an unseen motion")
-            done, other = checked_elsewhere(done, progress)
-        else:
-            done, other = _judged_on(done, validate, reading, unchecked=unchecked)
+            done = checked_elsewhere(done, progress)
         progress.say(0, 0, "drawing")
-        beside = write_report(done, path, other)
+        beside = write_report(done, path)
     output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)
 
 
@@ -272,15 +273,15 @@ def _loaded(
     return corrected.part(0, corrected.samples), accepted
 
 
-def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> tuple[Run, Recording]:
-    """A run with its estimates held against another recording, and that recording."""
+def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Run:
+    """A run with its estimates held against another recording."""
     from testbed.experiment.unseen import validated
 
     other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
     done = validated(run, other)
     said = (*other.facts.get("warnings", ()), *doubted)
     lines = [f"{path.name}: {line}" for line in said]
-    return replace(done, warnings=tuple(dict.fromkeys((*done.warnings, *lines)))), other
+    return replace(done, warnings=tuple(dict.fromkeys((*done.warnings, *lines))))
 
 
 def _with_bodies(run: Run, reading: Reading) -> Run:

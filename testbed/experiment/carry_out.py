@@ -9,7 +9,6 @@ from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.experiment.unseen import on_unseen_motion
 from testbed.identification.passes import Progress
-from testbed.recordings.recording import Recording
 from testbed.simulation.rollout import Watch
 
 
@@ -26,19 +25,14 @@ def carry_out(
         watch: Called with what happens while it is simulated, a second or so at a time.
     """
     run = evaluate(experiment, simulate(experiment, progress, watch))
-    return checked_elsewhere(run, progress)[0]
+    return checked_elsewhere(run, progress)
 
 
-def checked_elsewhere(
-    run: Run, progress: Progress = lambda done, total: None
-) -> tuple[Run, Recording | None]:
+def checked_elsewhere(run: Run, progress: Progress = lambda done, total: None) -> Run:
     """A run with all that other simulations say of it: its payload, a motion it has not seen.
 
     Args:
         run: The run.
         progress: Called with samples done and samples in all.
-
-    Returns:
-        The run, and the recording of the other motion where there is one.
     """
     return on_unseen_motion(with_payload_metrics(run, progress), progress)

@@ -54,12 +54,14 @@ class Predictions:
         recording: Of the run, or another of the same robot; joints in the tree's order.
         motion: What the recording shows, without the ends that filters take, M samples.
         signals: What was measured: the wrench, the joint torques, or both.
+        unseen: Whether the recording is another one.
     """
 
     run: Run
     recording: Recording
     motion: Motion
     signals: tuple[Signal, ...]
+    unseen: bool = False
 
     @cached_property
     def unexplained_torque(self) -> Array | None:
@@ -126,7 +128,7 @@ def predict(run: Run, recording: Recording | None = None) -> Predictions:
     Raises:
         RecordingError: The recording is of another robot.
     """
-    tree = run.tree
+    tree, unseen = run.tree, recording is not None
     recording = run.recording if recording is None else recording.ordered(tree)
     recording = _without_faults(run, recording)
     motion, inner = shown_motion(recording, run.settings)
@@ -137,4 +139,4 @@ def predict(run: Run, recording: Recording | None = None) -> Predictions:
     if recording.torque is not None:
         units = tuple("N m" if joint.revolute else "N" for joint in tree.joints)
         signals.append(Signal("torque", tree.names, units, recording.torque[inner], torque))
-    return Predictions(run, recording, motion, tuple(signals))
+    return Predictions(run, recording, motion, tuple(signals), unseen)

@@ -49,6 +49,7 @@ class Run:
         findings: What is wrong with the recording or its estimates.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
+        unseen: A recording of that motion; None for none.
         drives: What the plate says of the drives; None where it was not asked.
         consistent: Bodies that can exist; None where they were not asked for.
     """
@@ -64,6 +65,7 @@ class Run:
     model: ModelFile | None = None
     warnings: tuple[str, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
+    unseen: Recording | None = None
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
     findings: tuple[Finding, ...] = ()

@@ -4,6 +4,8 @@ experiment.toml   the experiment, every default written out
 motion.toml       the motion, if the experiment runs one of a file
 model/            the model file and what it refers to: a run folder needs nothing else
 recording.parquet what was measured (and, apart, what happened)
+unseen.parquet    what was measured on another motion, on which the estimates are validated
+estimates.zip     all that came of it, for `read_run`
 result.json       estimates, truth, metrics, verdicts, versions; written after the others
 """
 
@@ -12,19 +14,22 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 from testbed.errors import ExperimentError
+from testbed.experiment.estimates_file import read_estimates, write_estimates
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.results import result
 from testbed.experiment.run import Run
+from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import copy_model, model_format
 
 EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
-MOTION = "motion.toml"
+MOTION, UNSEEN, ESTIMATES = "motion.toml", "unseen.parquet", "estimates.zip"
 MODEL = "model"
 """Folder of the model file and what it refers to."""
 
@@ -48,7 +53,8 @@ def check_folder(folder: Path, experiment: Experiment, *, force: bool = False) -
     if not folder.is_dir():
         return
     present = {p.name for p in folder.iterdir()}
-    others = sorted(present - {EXPERIMENT, RECORDING, RESULT, MODEL})
+    own = {EXPERIMENT, RECORDING, RESULT, MODEL, MOTION, UNSEEN, ESTIMATES}
+    others = sorted(present - own)
     if present and (others or EXPERIMENT not in present):
         listed = ", ".join((others or sorted(present))[:3])
         raise ExperimentError(
@@ -105,6 +111,9 @@ def write_result(run: Run, folder: Path) -> None:
         run: What came of it.
         folder: Its folder.
     """
+    if run.unseen is not None:
+        run.unseen.blind().save(folder / UNSEEN)
+    write_estimates(run, folder / ESTIMATES, _source(folder))
     with replacing(folder / RESULT) as fresh:
         text = json.dumps(result(run), indent=1, sort_keys=True)
         fresh.write_text(text + "\n", encoding="utf-8")
@@ -133,7 +142,10 @@ def _is_of(folder: Path, experiment: Experiment) -> bool:
 
 
 def read_run(folder: Path) -> Run:
-    """A run folder as it was when it was written: the estimates are made again.
+    """A run folder's run, as it was when it was written.
+
+    Estimates are made again where the folder has none, or was changed, or is of other versions;
+    they are then not yet validated.
 
     Args:
         folder: The run folder.
@@ -151,4 +163,15 @@ def read_run(folder: Path) -> Run:
         raise ExperimentError(f"the run's model file '{model}' is not there any more")
     if fingerprint(model) != recording.facts.get("model_sha256"):
         raise ExperimentError(f"'{model}' is not the model that was simulated; run it again")
-    return evaluate(experiment, recording)
+    bare = evaluate(experiment, recording, methods=())
+    run = read_estimates(bare, folder / ESTIMATES, _source(folder))
+    if run is None:
+        return evaluate(experiment, recording)
+    other = folder / UNSEEN
+    return replace(run, unseen=Recording.load(other)) if other.is_file() else run
+
+
+def _source(folder: Path) -> dict[str, str]:
+    """All that estimates in a run folder came of: its files, and what computed them."""
+    files = [name for name in (EXPERIMENT, RECORDING, UNSEEN) if (folder / name).is_file()]
+    return versions() | {name: fingerprint(folder / name) for name in files}

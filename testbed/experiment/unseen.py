@@ -20,26 +20,24 @@ UNSEEN = 12.0
 """Seconds of it."""
 
 
-def on_unseen_motion(
-    run: Run, progress: Progress = lambda done, total: None
-) -> tuple[Run, Recording | None]:
-    """A run with its estimates validated on another motion, and the recording of that.
+def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) -> Run:
+    """A run with its estimates validated on another motion.
 
     Args:
         run: The run.
         progress: Called with samples done and samples in all.
 
     Returns:
-        The run as it is, with a warning, and no recording where the other motion cannot be
-        simulated; without a warning where no experiment made the run, or it has no estimate.
+        The run as it is, with a warning, where the other motion cannot be simulated; without one
+        where no experiment made the run, or it has no estimate.
     """
     if not run.estimates:
-        return run, None
+        return run
     try:
         recording = unseen(run, progress)
     except TestbedError as error:
-        return _warned(run, f"predictions are checked on the identified motion only: {error}"), None
-    return (run if recording is None else validated(run, recording)), recording
+        return _warned(run, f"predictions are checked on the identified motion only: {error}")
+    return run if recording is None else validated(run, recording)
 
 
 def unseen(run: Run, progress: Progress = lambda done, total: None) -> Recording | None:
@@ -73,6 +71,7 @@ def validated(run: Run, recording: Recording) -> Run:
         run: The run.
         recording: Another one of the same robot and instrument.
     """
+    run = replace(run, unseen=recording)
     try:
         found = {
             method: validate(run.tree, recording, estimate, settings=run.settings)

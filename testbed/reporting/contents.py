@@ -14,7 +14,6 @@ from testbed.identification.estimate_text import OPEN_ZERO
 from testbed.identification.influence import by_influence
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
-from testbed.recordings.recording import Recording
 from testbed.reporting.error_dots import dots_section
 from testbed.reporting.facts import asked, origin
 from testbed.reporting.instrument_tables import instrument_tables
@@ -37,12 +36,11 @@ LONGEST = 21
 """Characters of a value and its sigma with a sign between them; longer, sigma is in brackets."""
 
 
-def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
-    """Everything that the page shows; drawings are under the keys "svg".
+def contents(run: Run) -> dict[str, Any]:
+    """Everything that the page shows; drawings know their "svg".
 
     Args:
         run: What the report is about.
-        unseen: Another recording, of a motion that no estimate has seen; None for none.
     """
     look = load_appearance(run.tree, run.model)
     return {
@@ -60,10 +58,7 @@ def contents(run: Run, unseen: Recording | None = None) -> dict[str, Any]:
         "in_brackets": _in_brackets(run),
         "warnings": [*run.warnings, *look.warnings],
         "errors": dots_section(run),
-        "figures": [
-            section | {"panels": [{"title": p.title, "svg": p.svg} for p in section["panels"]]}
-            for section in sections(predict(run, unseen), unseen is not None)
-        ],
+        "figures": sections(predict(run, run.unseen)),
         "instrument": instrument_tables(run),
         "matrix": matrix_maps(run),
         "maps": _maps(run.tree, run.settings.zeros),

@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.experiment.run import Run
@@ -19,31 +14,14 @@ from testbed.experiment.score import Errors
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.estimate_text import ROUNDING
 from testbed.identification.influence import by_influence
-from testbed.reporting.figures import (
-    COLOURS,
-    FAINT,
-    STYLE,
-    WIDER,
-    WIDTH,
-    as_svg,
-    labels_room,
-    power_of_ten,
-)
-from testbed.reporting.named_panels import COLUMNS, MOST_ROWS
+from testbed.reporting.figures import Panel
+from testbed.reporting.named_panels import named_panels
 
 MOST = 60
 """Parameters drawn; of more, those that add most to the predicted signals."""
 
 LEAST = 1e-12
 """Share of the largest below which a dot stands at the edge, as an error of nothing does."""
-
-ROW, FRAME = 0.19, 0.62
-"""Height of a row, and of title and axis [inches]."""
-
-TICKS = 10
-"""Of a scale as wide as a panel."""
-
-FORMS = {"external": "o", "internal": "D"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +39,10 @@ class ErrorDots:
     errors: Mapping[Method, Array]
     sigmas: Mapping[Method, Array]
 
-    def part(self, chosen: NDArray[np.intp]) -> ErrorDots:
-        """Some of the parameters."""
-        return replace(
-            self,
-            names=tuple(self.names[k] for k in chosen),
-            errors={method: values[chosen] for method, values in self.errors.items()},
-            sigmas={method: values[chosen] for method, values in self.sigmas.items()},
-        )
+    @property
+    def label(self) -> str:
+        """Of the scale."""
+        return "relative error [%]" if self.sigmas else "relative sigma [%]"
 
     @property
     def range(self) -> tuple[float, float]:
@@ -133,71 +107,29 @@ def _placed(names: Sequence[str], estimate: Estimate, values: Array) -> Array:
     return np.where(np.isfinite(there), there, np.nan)
 
 
-def draw(
-    axis: Axes, dots: ErrorDots, limits: tuple[float, float], colours: Mapping[str, str]
-) -> None:
-    """Draw on an axis.
+def shown(errors: Array, limits: tuple[float, float]) -> Array:
+    """Errors where dots stand: at the edge, if beyond it; nan where there is none.
 
     Args:
-        axis: Where.
-        dots: What.
+        errors: (p,) [%].
         limits: Of the scale [%].
-        colours: By method, and "faint".
     """
-    rows = np.arange(len(dots.names), dtype=float)
-    low, high = limits
-    for k, (method, errors) in enumerate(dots.errors.items()):
-        place = rows + (0.16 * (2 * k - 1) if len(dots.errors) > 1 else 0.0)
-        shown = np.where(np.isnan(errors), np.nan, np.clip(errors, low, high))
-        colour = colours[method]
-        if method in dots.sigmas:
-            sigma = np.clip(dots.sigmas[method], low, high)
-            axis.hlines(place, low, sigma, color=colour, linewidth=2.6, alpha=0.28)
-        axis.plot(shown, place, FORMS[method], color=colour, markersize=3.6, clip_on=False)
-    axis.set_xscale("log")
-    axis.set_xlim(low, high)
-    axis.set_ylim(len(rows) - 0.5, -0.5)
-    axis.set_yticks(rows, dots.names)
-    axis.tick_params(axis="y", length=0)
-    axis.grid(True, axis="x", color=colours["faint"], alpha=0.35)
-    axis.grid(False, axis="y")
-    axis.xaxis.set_major_locator(
-        LogLocator(numticks=max(3, int(TICKS * axis.get_position().width)))
-    )
-    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
-    axis.xaxis.set_minor_locator(NullLocator())
-    axis.set_xlabel("relative error [%]" if dots.sigmas else "relative sigma [%]", labelpad=3)
+    return np.where(np.isnan(errors), np.nan, np.clip(errors, *limits))
 
 
-def dot_panels(dots: ErrorDots) -> list[dict[str, str]]:
-    """The drawing as elements of a page, on one scale.
+def dot_panels(dots: ErrorDots) -> list[Panel]:
+    """The drawing, in several plots on one scale where there are many parameters.
 
     Args:
         dots: What is drawn.
     """
-    count = len(dots.names)
-    parts = [
-        dots.part(k) for k in np.array_split(np.arange(count), COLUMNS if count > MOST_ROWS else 1)
-    ]
-    left = max(labels_room(*_figure(part, dots.range, 0.2)) for part in parts)
-    return [_panel(part, dots.range, min(0.6, WIDER * left)) for part in parts]
-
-
-def _panel(dots: ErrorDots, limits: tuple[float, float], left: float) -> dict[str, str]:
-    title = f"{dots.names[0]} to {dots.names[-1]}"
-    with rc_context({"svg.hashsalt": title, "svg.fonttype": STYLE["svg.fonttype"]}):
-        return {"title": title, "svg": as_svg(_figure(dots, limits, left)[0], title)}
-
-
-def _figure(dots: ErrorDots, limits: tuple[float, float], left: float) -> tuple[Figure, Axes]:
-    """A panel whose labels have so much room, part of its width."""
-    height = ROW * len(dots.names) + FRAME
-    with rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-        axis = figure.subplots()
-        figure.subplots_adjust(left=left, right=0.94, bottom=0.5 / height, top=1 - 0.1 / height)
-        draw(axis, dots, limits, {**COLOURS, "faint": FAINT})
-    return figure, axis
+    limits = dots.range
+    bars: dict[str, tuple[Array, Array]] = {
+        method: (np.full(len(sigma), limits[0]), np.clip(sigma, *limits))
+        for method, sigma in dots.sigmas.items()
+    }
+    values: dict[str, Array] = {m: shown(errors, limits) for m, errors in dots.errors.items()}
+    return named_panels("", dots.names, values, dots.label, bars=bars, pale=True, log=True)
 
 
 def dots_section(run: Run) -> dict[str, Any] | None:

@@ -2,85 +2,44 @@
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from testbed.arrays import Array
+from testbed.reporting.scales import Scale
 
-INK, FAINT = "#010203", "#010204"
-"""Stand for the page's text colour and a fainter one."""
-COLOURS = {
-    "measured": "#010205",
-    "unexplained": "#010205",
-    "external": "#010206",
-    "internal": "#010207",
-}
-"""By what curves are; later ones are drawn over earlier ones."""
-_VARIABLES = {
-    INK: "var(--ink)",
-    FAINT: "var(--faint)",
-    "#010205": "var(--measured)",
-    "#010206": "var(--external)",
-    "#010207": "var(--internal)",
-}
-STYLE: dict[Any, Any] = {
-    "svg.fonttype": "none",
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 9,
-    "text.color": INK,
-    "text.parse_math": False,  # a joint's name may hold what looks like mathematics
-    "axes.labelcolor": INK,
-    "axes.edgecolor": FAINT,
-    "axes.titlesize": 9,
-    "axes.titlecolor": INK,
-    "axes.titlepad": 3,
-    "axes.xmargin": 0.02,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "grid.color": FAINT,
-    "grid.alpha": 0.35,
-    "axes.grid": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "legend.frameon": False,
-    "lines.linewidth": 1.1,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.6,
-}
-WIDTH, HEIGHT = 4.1, 1.85
-"""Of a plot [inches]."""
-LEFT, RIGHT, BOTTOM, TOP = 0.47, 0.18, 0.45, 0.2
-"""Around its axes [inches]."""
-LOWER = 0.68
-"""Height of axes that stand below others [inches]."""
-ROW = 0.19
-"""Height of a named row [inches]."""
-WIDER = 1.05
-"""Room for labels in a font wider than the one they are measured in."""
+KINDS = ("measured", "unexplained", "external", "internal")
+"""What curves may be; later ones are drawn over earlier ones."""
+WIDTH, HEIGHT = 295.2, 133.2
+"""Of a plot [points]."""
+LEFT, RIGHT, BOTTOM, TOP = 34.0, 13.0, 32.4, 14.4
+"""Around its axes [points]."""
+MOST_LEFT = 0.6
+"""Of the width, for labels."""
+LOWER = 49.0
+"""Height of axes that stand below others [points]."""
+ROW = 13.7
+"""Height of a named row [points]."""
+TICK, GAP = 3.5, 3.5
+"""Length of a tick, and from there to its label [points]."""
+FONT, MIDDLE, NUMBERS, X_LABEL = 9.0, 3.2, 13.8, 27.0
+"""Size of letters; from their middle, and from the horizontal axis, to their feet [points]."""
+WIDTHS = ("iIjlftr.,:;|!'()[]/ ·-⁻⁰¹²³⁴⁵⁶⁷⁸⁹", 0.42), ("mwMWOQDGHNU@%&<>+=−~^_$#", 0.95)
+"""Letters that take less room than others, and more; of the size, in wide fonts."""
+LETTER = 0.67
+"""Width of all others."""
 THIN, THICKER = 1.0, 1.2
 """Width of the line on top, and by how much each one below is wider: it is seen on both sides."""
-DOT, SMALL = 7.0, 2.0
-"""Size of points."""
+BROAD = 2.6
+"""Width of pale bars."""
+DOT, SMALL, CORNERS = 4.5, 2.0, 6.4
+"""Size of points, of many points, and of those with corners."""
 FEW = 200
 """Points of a curve, more than which are small."""
-
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+GRID, PALE = ' opacity=".35"', ' opacity=".28"'
 
 Curves = Mapping[str, tuple[Array, Array]]  # x and y by what they are: measured, external, ...
 
@@ -95,9 +54,11 @@ class Panel:
         x_label: With unit.
         log: Both axes logarithmic; of named rows the horizontal one.
         points: Which curves are drawn as points.
-        bars: Ends of the bars of points, by curve.
+        bars: Ends of the bars of points in named rows, by curve.
+        pale: Bars are broad and pale, as those that begin at the axis.
         bands: Half the width of the band around a line, by curve.
         names: Of the rows 0, 1, ... from above, where points stand in such.
+        room: For labels at least, as plots beside this one need it [points].
         limits: Of the horizontal axis; None for what the curves need.
         from_zero: The vertical axis begins at zero.
         below: Curves of further plots, by their titles.
@@ -109,174 +70,203 @@ class Panel:
     log: bool = False
     points: tuple[str, ...] = ()
     bars: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    pale: bool = False
     bands: Mapping[str, Array] = field(default_factory=dict)
     names: tuple[str, ...] = ()
+    room: float = 0.0
     limits: tuple[float, float] | None = None
     from_zero: bool = False
     below: Mapping[str, Curves] = field(default_factory=dict)
 
     @property
-    def svg(self) -> str:
-        """The plot as an element of a page."""
-        with rc_context(STYLE | {"svg.hashsalt": self.says}):
-            return as_svg(self.drawn(), self.says)
-
-    @property
     def says(self) -> str:
         """What it shows, for those who do not see it."""
         rows = [f"{self.names[0]} to {self.names[-1]}"] if self.names else []
-        return f"{', '.join([self.title, *rows, *self.below])} over {self.x_label}"
+        shown = [words for words in (self.title, *rows, *self.below) if words]
+        return f"{', '.join(shown)} over {self.x_label}"
 
-    def drawn(self) -> Figure:
-        """The plot as matplotlib's."""
-        heights = [HEIGHT - BOTTOM - TOP, *(LOWER for _ in self.below)]
-        if self.names:
-            heights[0] = ROW * len(self.names)
-        total = sum(heights) + TOP * len(heights) + BOTTOM
-        with rc_context(STYLE):
-            figure = Figure(figsize=(WIDTH, total))
-            every = {self.title: self.curves, **self.below}
-            high = total
-            axes: list[Axes] = []
-            for height, (title, curves) in zip(heights, every.items(), strict=True):
-                high -= height + TOP
-                place = (LEFT / WIDTH, high / total, 1 - (LEFT + RIGHT) / WIDTH, height / total)
-                axes.append(figure.add_axes(place, sharex=axes[0] if axes else None))
-                self._draw(axes[-1], title, curves)
-                axes[-1].tick_params(labelbottom=len(axes) == len(heights))
-            axes[-1].set_xlabel(self.x_label, labelpad=3)
-            room = WIDER * max(labels_room(figure, axis) for axis in axes)
-            left = min(max(LEFT / WIDTH, room), 0.6)
-            for axis in axes:
-                box = axis.get_position()
-                axis.set_position((left, box.y0, 1 - RIGHT / WIDTH - left, box.height))
-        return figure
+    @property
+    def svg(self) -> str:
+        """The plot as an element of a page."""
+        every = {self.title: self.curves, **self.below}
+        across = self._across(every.values())
+        upright = [self._upright(curves, across.log) for curves in every.values()]
+        labels = [label for scale in upright for label in self._labels(scale).values()]
+        room = max(self.room, *map(text_width, labels)) + TICK + 2 * GAP
+        left = min(max(LEFT, room), MOST_LEFT * WIDTH)
+        height = ROW * len(self.names) if self.names else HEIGHT - TOP - BOTTOM
+        parts, bottom = [], 0.0
+        for (title, curves), scale in zip(every.items(), upright, strict=True):
+            top = bottom + (TOP if title else GAP)
+            bottom = top + height
+            frame = Frame(left, WIDTH - RIGHT, top, bottom, across, scale)
+            parts += [text(title, left, top - GAP, "start"), *self._axes(frame)]
+            parts += self._drawn(frame, curves)
+            height = LOWER
+        ticks = across.ticks(6)
+        parts += [
+            text(across.label(tick), x, bottom + NUMBERS, "middle", "x")
+            for tick, x in zip(ticks.tolist(), frame.across(ticks).tolist(), strict=True)
+        ]
+        parts.append(text(self.x_label, (left + WIDTH - RIGHT) / 2, bottom + X_LABEL, "middle"))
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {bottom + BOTTOM:.1f}"'
+            f' role="img" aria-label="{escape(self.says)}" fill="none" font-size="{FONT:g}" '
+            f"font-family=\"'DejaVu Sans',sans-serif\">{''.join(parts)}</svg>"
+        )
 
-    def _draw(self, axis: Axes, title: str, curves: Curves) -> None:
-        drawn = [label for label in COLOURS if label in curves]
-        lines = [label for label in drawn if label not in self.points]
-        for label in drawn:
-            x, y = curves[label]
-            style: dict[str, Any] = {"color": COLOURS[label]}
-            if label in lines:
-                style["linewidth"] = THIN + THICKER * (len(lines) - 1 - lines.index(label))
-            else:
-                size = SMALL if len(x) > FEW else DOT
-                style |= {"linestyle": "none", "marker": ".", "markersize": size}
-            axis.plot(x, y, **style)
-            if label in self.bars:
-                ends = self.bars[label]
-                (axis.hlines if self.names else axis.vlines)(
-                    y if self.names else x, *ends, color=COLOURS[label], linewidth=THIN
-                )
-            if label in self.bands:
-                wide, colour = np.asarray(self.bands[label]), COLOURS[label]
-                axis.fill_between(x, y - wide, y + wide, color=colour, alpha=0.3, linewidth=0)
-        axis.set_title(title, loc="left")
-        positive = any((np.asarray(line.get_ydata()) > 0).any() for line in axis.lines)
-        if self.names:
-            _in_rows(axis, self.names, self.log)
-        else:
-            (_logarithmic if self.log and positive else _linear)(axis)
-            if self.below:
-                _two_or_three(axis)
-        if self.from_zero:
-            axis.set_ylim(bottom=0.0)
+    def _across(self, every: Iterable[Curves]) -> Scale:
+        """The horizontal axis, which all plots share; even where no logarithm can be shown."""
+        values = [each for curves in every for each in curves.values()]
+        log = self.log and (bool(self.names) or any((y > 0).any() for _, y in values))
         if self.limits is not None:
-            axis.set_xlim(self.limits)
+            return Scale(*self.limits, log)
+        ends = [end for pair in self.bars.values() for end in pair]
+        return Scale.of(np.concatenate([*(x for x, _ in values), *ends]), 0.02, log)
+
+    def _upright(self, curves: Curves, log: bool) -> Scale:
+        """The vertical axis of one plot."""
+        if self.names:
+            return Scale(len(self.names) - 0.5, -0.5)
+        values = [y for _, y in curves.values()]
+        if log:
+            return Scale.of(np.concatenate(values), 0.0, log).decades
+        for kind, wide in self.bands.items():
+            values += [curves[kind][1] - wide, curves[kind][1] + wide]
+        scale = Scale.of(np.concatenate(values), 0.05)
+        return Scale(0.0, scale.high) if self.from_zero else scale
+
+    def _labels(self, scale: Scale) -> dict[float, str]:
+        """What is written beside a vertical axis, by value."""
+        if self.names:
+            return dict(enumerate(self.names))
+        return {tick: scale.label(tick) for tick in scale.ticks(2 if self.below else 4).tolist()}
+
+    def _axes(self, frame: Frame) -> Iterator[str]:
+        """Grid, axes and ticks of one plot, and the labels of its vertical axis."""
+        labels, ticks = self._labels(frame.y), frame.x.ticks(6)
+        heights = frame.up(np.array([*labels], dtype=float)).tolist()
+        at, rows = frame.across(ticks).tolist(), [] if self.names else heights
+        left, right, top, bottom = frame.left, frame.right, frame.top, frame.bottom
+        grid = [f"M{x:.1f},{bottom:.1f}V{top:.1f}" for x in at]
+        grid += [f"M{left:.1f},{y:.1f}H{right:.1f}" for y in rows]
+        yield stroke("".join(grid), "faint", 0.8, GRID)
+        yield stroke(f"M{left:.1f},{top:.1f}V{bottom:.1f}H{right:.1f}", "faint", 0.8)
+        marks = [f"M{x:.1f},{bottom:.1f}v{TICK}" for x in at]
+        minor = frame.across(frame.x.minor(ticks)).tolist()
+        marks += [f"M{x:.1f},{bottom:.1f}v{TICK / 2}" for x in minor]
+        marks += [f"M{left:.1f},{y:.1f}h{-TICK}" for y in rows]
+        minor = frame.up(frame.y.minor(np.array([*labels]))).tolist()
+        marks += [f"M{left:.1f},{y:.1f}h{-TICK / 2}" for y in minor]
+        yield stroke("".join(marks), "ink", 0.8)
+        edge = left - GAP - (0.0 if self.names else TICK)
+        for label, y in zip(labels.values(), heights, strict=True):
+            yield text(label, edge, y + MIDDLE, "end", "y")
+
+    def _drawn(self, frame: Frame, curves: Curves) -> Iterator[str]:
+        """The curves of one plot, and their bars; bands below all."""
+        drawn = [kind for kind in KINDS if kind in curves]
+        lines = [kind for kind in drawn if kind not in self.points]
+        for kind, wide in self.bands.items():
+            x, y = curves[kind]
+            for part in pieces(frame.across(x), frame.up(y - wide), frame.up(y + wide)):
+                outline = path(np.concatenate([part[:, :2], part[::-1, ::2]]))
+                yield f'<path d="{outline}z" fill="{colour(kind)}" opacity=".3"/>'
+        for kind in drawn:
+            x, y = frame.across(curves[kind][0]), frame.up(curves[kind][1])
+            if kind in self.bars:
+                ends = pieces(*map(frame.across, self.bars[kind]), y)
+                bars = (f"M{a:.1f},{at:.1f}H{b:.1f}" for part in ends for a, b, at in part.tolist())
+                yield stroke("".join(bars), kind, BROAD if self.pale else THIN, PALE * self.pale)
+            if kind in lines:
+                width = THIN + THICKER * (len(lines) - 1 - lines.index(kind))
+                yield stroke("".join(map(path, pieces(x, y))), kind, width)
+            else:
+                yield dots(np.column_stack([x, y]), kind)
 
 
-def labels_room(figure: Figure, axis: Axes) -> float:
-    """What the labels of the vertical axis need, part of the figure's width."""
-    canvas: Any = FigureCanvasAgg(figure)
-    box = axis.yaxis.get_tightbbox(canvas.get_renderer())
-    return 0.0 if box is None else float((axis.bbox.x0 - box.x0) / figure.bbox.width)
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Where one plot stands, and its axes.
+
+    Attributes:
+        left: Edge [points].
+        right: Edge [points].
+        top: Edge, downwards from the figure's [points].
+        bottom: Edge [points].
+        x: The horizontal axis.
+        y: The vertical one.
+    """
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    x: Scale
+    y: Scale
+
+    def across(self, values: Array) -> Array:
+        """From the figure's left to values [points]."""
+        return self.left + (self.right - self.left) * self.x.part(values)
+
+    def up(self, values: Array) -> Array:
+        """From the figure's top down to values [points]."""
+        return self.bottom - (self.bottom - self.top) * self.y.part(values)
 
 
-def _in_rows(axis: Axes, names: Sequence[str], log: bool) -> None:
-    """A row a name, from above."""
-    if log:
-        axis.set_xscale("log")
-        _powers(axis.xaxis, 6)
-    else:
-        _round(axis.xaxis, 6)
-    axis.set_ylim(len(names) - 0.5, -0.5)
-    axis.set_yticks(range(len(names)), names)
-    axis.tick_params(axis="y", length=0)
-    axis.grid(False, axis="y")
+def pieces(*columns: Array) -> Iterator[Array]:
+    """Rows side by side, in pieces of which all are numbers, (M, columns)."""
+    rows = np.column_stack(columns)
+    there = np.isfinite(rows).all(axis=1)
+    for part in np.split(rows, np.flatnonzero(~there)):
+        part = part[1:] if len(part) and not np.isfinite(part[0]).all() else part
+        if len(part):
+            yield part
 
 
-def _linear(axis: Axes) -> None:
-    """Few round ticks."""
-    _round(axis.xaxis, 6)
-    _round(axis.yaxis, 4)
+def path(points: Array) -> str:
+    """A line through points, (M, 2)."""
+    return "M" + " ".join(f"{x:.1f},{y:.1f}" for x, y in points.tolist())
 
 
-def _two_or_three(axis: Axes) -> None:
-    """Ticks of a low plot: every second of those that do not leave room for their labels."""
-    _round(axis.yaxis, 2)
-    low, high = axis.get_ylim()
-    ticks = [tick for tick in axis.get_yticks() if low <= tick <= high]
-    if len(ticks) > 3:
-        axis.set_yticks(ticks[::2])
-
-
-def _round(scale: Axis, most: int) -> None:
-    scale.set_major_locator(MaxNLocator(most, steps=[1, 2, 5, 10]))
-    scale.set_major_formatter(FuncFormatter(lambda value, _: tick_label(value)))
-
-
-def _logarithmic(axis: Axes) -> None:
-    """Both axes, with powers of ten for ticks; the vertical one from one of them to another."""
-    axis.set_xscale("log")
-    axis.set_yscale("log")
-    shown = [line.get_ydata() for line in axis.lines]
-    positive = np.concatenate([np.asarray(y)[np.asarray(y) > 0] for y in shown])
-    low, high = np.floor(np.log10(positive.min())), np.ceil(np.log10(positive.max()))
-    axis.set_ylim(10.0**low, 10.0 ** max(high, low + 1))
-    _powers(axis.xaxis, 6)
-    _powers(axis.yaxis, 4)
-
-
-def _powers(scale: Axis, most: int) -> None:
-    scale.set_major_locator(LogLocator(numticks=most))
-    scale.set_major_formatter(FuncFormatter(lambda value, _: power_of_ten(value)))
-    scale.set_minor_formatter(NullFormatter())
-
-
-def tick_label(value: float) -> str:
-    """A tick of an even axis: 0.02, -150, and 2·10⁻⁵ where zeros would be counted."""
-    number, _, power = f"{value:g}".partition("e")
-    if power:
-        number += f"·10{str(int(power)).translate(_SUPERSCRIPTS)}"
-    return number.replace("-", "−")
-
-
-def power_of_ten(value: float) -> str:
-    """A tick of a logarithmic axis: 0.01, 1, 100, and 10⁻⁵ where zeros would be counted."""
-    power = round(float(np.log10(value)))
-    if -3 <= power <= 3:
-        return f"{10.0**power:g}"
-    return f"10{str(power).translate(_SUPERSCRIPTS)}"
-
-
-def as_svg(figure: Figure, name: str) -> str:
-    """The figure as an element of a page, named for those who do not see it."""
-    text = io.StringIO()
-    canvas: Any = FigureCanvasSVG(figure)
-    canvas.print_svg(text, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    svg = text.getvalue()
-    svg = svg[svg.index("<svg") :]
-    for colour, variable in _VARIABLES.items():
-        svg = svg.replace(colour, variable)
-    svg = re.sub(r'width="[\d.]+pt" height="[\d.]+pt"', "", svg, count=1)
-    svg = re.sub(
-        r' id="((?:figure|axes|patch|line2d|text|xtick|ytick|matplotlib)[^"]*)"',
-        r' class="\1"',
-        svg,
+def stroke(line: str, kind: str, width: float, more: str = "") -> str:
+    """A line as an element."""
+    return (
+        f'<path d="{line}" stroke="{colour(kind)}" stroke-width="{width:g}" '
+        f'stroke-linejoin="round"{more}/>'
     )
-    title = f'role="img" aria-label="{escape(name)}">'
-    return svg.replace(">", f" {title}", 1)
+
+
+def dots(points: Array, kind: str) -> str:
+    """Points as an element, (M, 2); those of joint torques have corners."""
+    there = points[np.isfinite(points).all(axis=1)].tolist()
+    if kind == "internal":
+        half = CORNERS / 2
+        turns = f"l{half},{half} {-half},{half} {-half},{-half}z"
+        marks = "".join(f"M{x:.1f},{y - half:.1f}{turns}" for x, y in there)
+        return f'<path d="{marks}" fill="{colour(kind)}"/>'
+    size = SMALL if len(points) > FEW else DOT
+    marks = "".join(f"M{x:.1f},{y:.1f}h0" for x, y in there)
+    return stroke(marks, kind, size, ' stroke-linecap="round"')
+
+
+def text(words: str, x: float, y: float, anchor: str, axis: str = "") -> str:
+    """Words as an element; of a tick, which axis has it."""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="var(--ink)"'
+        f"{f' class={axis!r}' if axis else ''}>{escape(words)}</text>"
+    )
+
+
+def text_width(words: str) -> float:
+    """Of a line, more than less [points]."""
+    known = {letter: width for letters, width in WIDTHS for letter in letters}
+    return FONT * sum(known.get(letter, LETTER) for letter in words)
+
+
+def colour(kind: str) -> str:
+    """As the page has it."""
+    return f"var(--{'measured' if kind == 'unexplained' else kind})"
 
 
 def thinned(x: Array, y: Array, most: int = 1500) -> tuple[Array, Array]:

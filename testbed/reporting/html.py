@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from testbed.experiment.run import Run
 from testbed.experiment.run_folder import read_run
 from testbed.files import replacing
 from testbed.recordings.recording import Recording
+from testbed.reporting.bodies_section import Drawing
 from testbed.reporting.contents import contents
+from testbed.reporting.figures import Panel
 
 _SIGNS = {"+-": "±", "^2": "²", " %": "\u00a0%"}
 
@@ -25,18 +28,17 @@ _WHOLE = re.compile(r"[-+]?\d[\d.]*e-\d+|--[a-z][a-z-]*")
 """A number, an option: a browser would break them at a sign."""
 
 
-def write_report(run: Run, path: Path, unseen: Recording | None = None) -> Path:
+def write_report(run: Run, path: Path) -> Path:
     """Write a report, and its numbers beside it.
 
     Args:
         run: What it is about.
         path: The HTML file.
-        unseen: Another recording, of a motion that no estimate has seen; None for none.
 
     Returns:
         The JSON file: of the same name, ending in .json.
     """
-    content = contents(run, unseen)
+    content = contents(run)
     text = rendered("report.html", content)
     beside = path.with_suffix(".json")
     with replacing(path) as fresh, replacing(beside) as numbers:
@@ -53,8 +55,8 @@ def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = N
     Args:
         run: A run, or the folder of one.
         path: The HTML file.
-        unseen: Another recording of the robot, on which predictions are shown; default the run's
-            own.
+        unseen: Another recording of the robot, on which predictions are shown; default that of the
+            run's validation, else the run's own.
 
     Returns:
         The HTML file.
@@ -64,7 +66,8 @@ def report(run: Run | str | Path, path: str | Path, unseen: Recording | None = N
         OSError: The file cannot be written there.
     """
     page = Path(path)
-    write_report(run if isinstance(run, Run) else read_run(Path(run)), page, unseen)
+    what = run if isinstance(run, Run) else read_run(Path(run))
+    write_report(what if unseen is None else replace(what, unseen=unseen), page)
     return page
 
 
@@ -107,6 +110,8 @@ def _without_drawings(content: Any) -> Any:
     """The page's data alone."""
     if isinstance(content, dict):
         return {key: _without_drawings(value) for key, value in content.items() if key != "svg"}
+    if isinstance(content, Panel | Drawing):
+        return {"title": content.title}
     if isinstance(content, list | tuple):
         return [_without_drawings(value) for value in content]
     return content

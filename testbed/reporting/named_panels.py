@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.reporting.figures import Panel
+from testbed.reporting.figures import Panel, text_width
 
 MOST_ROWS = 9
 """Named rows from which they stand in several plots."""
@@ -26,6 +26,7 @@ def named_panels(
     x_label: str,
     *,
     bars: Mapping[str, tuple[Array, Array]] | None = None,
+    pale: bool = False,
     line: float | None = None,
     log: bool = False,
 ) -> list[Panel]:
@@ -37,6 +38,7 @@ def named_panels(
         values: By what they are, (p,).
         x_label: Of the values, with unit.
         bars: Ends of bars, by what they are of, (p,) each.
+        pale: Bars are broad and pale, as those that begin at the axis.
         line: What the values are held against.
         log: Logarithmic; values that are no numbers above zero are not drawn.
     """
@@ -69,7 +71,9 @@ def named_panels(
                 log=log,
                 points=tuple(values),
                 bars={kind: (low[part], high[part]) for kind, (low, high) in bars.items()},
+                pale=pale,
                 names=tuple(names[k] for k in part),
+                room=max(map(text_width, names)),
                 limits=limits,
             )
         )

@@ -27,15 +27,14 @@ SHOWN_CHANNELS, SHOWN_OTHERS = 6, 3
 """Plots of the signals, and of other figures, that are not folded away."""
 
 
-def sections(found: Predictions, unseen: bool) -> list[dict[str, Any]]:
+def sections(found: Predictions) -> list[dict[str, Any]]:
     """The figures that there are: measured against predicted, residuals' spectra, friction, bodies.
 
     Args:
         found: Predictions for the unseen recording, or for the one that was identified.
-        unseen: Which of the two.
     """
     smooth = found.smoothed(CUTOFF)
-    drawn = [_measured(found, smooth, unseen)]
+    drawn = [_measured(found, smooth)]
     if any(_told(signal) for signal in found.signals):
         drawn.append(_spectra(found))
     if found.unexplained_torque is not None:
@@ -68,7 +67,7 @@ def seconds_shown(time: Array) -> float:
     return min(SHOWN, float(time[-1] - time[0]))
 
 
-def _measured(found: Predictions, smooth: Predictions, unseen: bool) -> dict[str, Any]:
+def _measured(found: Predictions, smooth: Predictions) -> dict[str, Any]:
     time = smooth.motion.t
     shown = time <= time[0] + SHOWN
     panels, rows = [], []
@@ -86,7 +85,8 @@ def _measured(found: Predictions, smooth: Predictions, unseen: bool) -> dict[str
         rows.append(
             [name, unit, *_residual_cells(smooth, signal, c), *_ratio_cells(found, signal, c)]
         )
-    motion = "a motion that no estimate has seen" if unseen else "the motion that was identified"
+    seen = "the motion that was identified"
+    motion = "a motion that no estimate has seen" if found.unseen else seen
     methods = list(found.run.estimates)
     return {
         "id": "prediction",
@@ -131,8 +131,7 @@ def _residual_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
 
 def _validated(found: Predictions) -> list[Method]:
     """Methods whose residuals on this motion are known in units of their noise."""
-    run = found.run
-    return [] if found.recording is run.recording else list(run.validation)
+    return list(found.run.validation) if found.unseen else []
 
 
 def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:

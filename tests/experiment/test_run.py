@@ -251,7 +251,6 @@ def test_growth_passes_through_the_estimates_of_parts_and_ends_at_the_whole() ->
         part = tb.identify(tree, recording.part(0, 1001), method, settings=settings)
         for found, wanted in zip(grown.values, (part, run.estimates[method]), strict=True):
             np.testing.assert_array_equal(found, wanted.values)
-        np.testing.assert_array_equal(grown.sigma[0], part.sigma)
         errors = growing_errors(run, method, grown)
         relative = run.score.errors[method].relative
         np.testing.assert_allclose(errors[-1], relative[: len(errors.T)])

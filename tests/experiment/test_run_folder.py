@@ -6,6 +6,7 @@ import json
 import shutil
 import tomllib
 from copy import deepcopy
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -18,7 +19,9 @@ import testbed as tb
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.limit_terms import PlateTerm
 from testbed.excitation.proof import prove
+from testbed.experiment import results
 from testbed.experiment.earlier_estimate import prior_covariance
+from testbed.experiment.estimates_file import read_estimates, write_estimates
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.experiment import RecordingTables
@@ -26,6 +29,7 @@ from testbed.experiment.motion_file import read_motion
 from testbed.experiment.motions import motion_of, rules_of
 from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, read_result
 from testbed.experiment.results import identified_as_json
+from testbed.experiment.run import Run
 from testbed.experiment.run_folder import check_folder, read_run, write_recorded, write_run
 from testbed.experiment.trajectory_file import write_trajectory
 from testbed.experiment.write_motion import write_motion
@@ -89,6 +93,61 @@ def test_a_run_folder_can_be_moved_and_its_model_may_go(text: str, tmp_path: Pat
         np.testing.assert_array_equal(one.vertices, other.vertices)
     recording = tb.simulate(tb.Experiment.load(tmp_path / "there/experiment.toml"))
     np.testing.assert_array_equal(recording.measured("wrench"), run.recording.measured("wrench"))
+
+
+RUNS = ("puma", "ur5", "gantry", "tree_of_30", "free_base", "drives", "import", "bodies")
+
+
+def said(run: Run) -> str:
+    """All that a program reads of a run, and what is not in its file: other products."""
+    sums = {m: [each.normal_equations.residual(each.values).tolist(), each.matters, each.names]
+            for m, each in run.estimates.items()}  # fmt: skip
+    return json.dumps([results.result(run), sums, run.settings.terms], default=str)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RUNS)
+def test_all_that_came_of_a_run_comes_back(name: str, tmp_path: Path) -> None:
+    """To the bit, of every kind of robot and of whatever was asked; of another source, nothing."""
+    run: Run = result(name)
+    bare = replace(
+        run, estimates={}, failures={}, score=None, warnings=(), validation={}, drives=None,
+        consistent=None, findings=(),
+    )  # fmt: skip
+    paths = tmp_path / "one", tmp_path / "other"
+    for path in paths:
+        write_estimates(run, path, {"of": name})
+    assert len({path.read_bytes() for path in paths}) == 1
+    back = read_estimates(bare, paths[0], {"of": name})
+    assert back is not None
+    assert said(back) == said(run)
+    assert read_estimates(bare, paths[0], {"of": "another"}) is None
+    content = bytearray(paths[0].read_bytes())
+    for at in np.random.default_rng(0).integers(0, len(content), 20).tolist():
+        content[at] ^= 0x55
+        paths[0].write_bytes(content)
+        content[at] ^= 0x55
+        spoiled = read_estimates(bare, paths[0], {"of": name})
+        assert spoiled is None or said(spoiled) == said(run)
+
+
+@pytest.mark.slow
+def test_a_run_folder_is_identified_again_where_it_was_changed(tmp_path: Path) -> None:
+    """Else a report is of other settings than the folder says; an older folder has no estimates."""
+    run, place = tb.carry_out(experiment(tmp_path / "here", URDF)), tmp_path / "run"
+    write_run(run, place)
+    whole = read_run(place)
+    assert whole.unseen is not None
+    assert said(whole) == said(run)
+    asked = place / "experiment.toml"
+    text = asked.read_text()
+    asked.write_text(text.replace("seed = 0", "seed = 0\n"))
+    again = read_run(place)
+    assert (again.unseen, again.validation) == (None, {})
+    for method, estimate in run.estimates.items():
+        np.testing.assert_array_equal(again.estimates[method].values, estimate.values)
+    asked.write_text(text.replace("deadband = 0.02", "deadband = 0.2"))
+    assert read_run(place).estimates["internal"].samples < run.estimates["internal"].samples
 
 
 @pytest.mark.slow

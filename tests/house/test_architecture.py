@@ -69,7 +69,7 @@ GUESTS = {
     "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
-    "matplotlib": "reporting/figures.py reporting/error_dots.py reporting/plot.py",
+    "matplotlib": "reporting/plot.py",
     "jinja2": "reporting/html.py",
     "markupsafe": "reporting/html.py",
     "subprocess": "viewer/show.py",  # Rerun's viewer, and nothing else

@@ -139,7 +139,7 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
 def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
     run = run_named("ur5")
     smooth = predict(run).smoothed(10.0)
-    figure = sections(predict(run), False)[0]
+    figure = sections(predict(run))[0]
     panels, rows = iter(figure["panels"]), iter(figure["rows"])
     for signal in smooth.signals:
         for c, channel in enumerate(signal.channels):
@@ -163,7 +163,7 @@ def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(tmp_path: P
     tree = robot("ur5")
     other = noisy(ideal(tree, seed=8), 4)
     run = validated(run_of(tree), other)
-    numbers = json.loads(write_report(run, tmp_path / "r.html", other).read_text())
+    numbers = json.loads(write_report(run, tmp_path / "r.html").read_text())
     table = numbers["figures"][0]
     for method, found in run.validation.items():
         column = table["heads"].index(f"over what is allowed, {method}")
