@@ -26,9 +26,9 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.finding import in_lines
 from testbed.recordings.importing.pieces import pieces
-from testbed.sanity.accept import accepted_import
-from testbed.sanity.cures import with_lines
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.assessment import assess
+from testbed.sanity.check import import_and_check
+from testbed.sanity.remedies import with_lines
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"
@@ -109,7 +109,7 @@ def _scenario(name: str, made: Truth, told: Planted, seed: int) -> dict[str, Any
         path = Path(folder) / "right.toml"
         path.write_text(right_mapping(made, files, told))
         try:
-            says, refused = accepted_import(path, made.tree)[2].warnings, False
+            says, refused = import_and_check(path, made.tree)[2].warnings, False
         except RecordingError as error:
             says, refused = (str(error),), True
         line, text = asked(ROBOT, files, made, told)
@@ -174,8 +174,8 @@ def _held_against(
     made: Truth, columns: dict[str, Array], words: str, right: dict[str, Any], wrong: dict[str, Any]
 ) -> dict[str, Any]:
     """What the check says first, and whether the recording is right with what it proposes."""
-    found = check_sanity(made.tree, recorded(made, columns, wrong))
-    lines = [line for cure in found.cures for line in cure.lines]
+    found = assess(made.tree, recorded(made, columns, wrong))
+    lines = [line for remedy in found.remedies for line in remedy.lines]
     one, other = (recorded(made, columns, each) for each in (right, with_lines(wrong, lines)))
     rest = np.asarray(other.position) - np.asarray(one.position)
     zero = (rest.mean(axis=0) + np.pi) % (2 * np.pi) - np.pi
@@ -187,7 +187,7 @@ def _held_against(
     result = "right" if same else "no word" if not lines else "open" if told_open else "wrong"
     return {
         "tx40": words, "result": result, "certain": bool(found.certain),
-        "said": [cure.kind + " " + ", ".join(cure.joints) for cure in found.cures],
+        "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
         "held": result != "wrong",
     }  # fmt: skip
 

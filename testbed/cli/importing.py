@@ -69,7 +69,7 @@ def import_(
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
-    from testbed.sanity.accept import accepted_import
+    from testbed.sanity.check import import_and_check
 
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))
@@ -92,9 +92,9 @@ def import_(
     else:
         with output.Progress("importing, holding it against the robot") as bar:
             options = {"align": align, "unchecked": unchecked}
-            made, cuts, found = accepted_import(mapping, tree, **options, progress=bar)
+            made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
         taken = " (taken back)" if align else ""
-        lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
+        lines = [each.text + taken * each.matters for each in found.offsets]
         warnings = [*tree.warnings, *found.warnings]
     paths = _paths(out, len(made))
     for recording, path in zip(made, paths, strict=True):

@@ -4,7 +4,7 @@ For the right mapping the six channels w, in the bedplate's frame, are linear in
 parameters: A w + b = Y(q, q', q'') delta_r at all instants. Units, senses, orders of columns, the
 frame's turn and place, and what an unloaded plate shows are all in A (6x6) and b, and the equation
 is linear in both. So the rows Y, and constants, are projected out once for positions as they are
-taken; with the products H of what is left, every A leaves vec(A)' H vec(A). A frame that lies
+read; with the products H of what is left, every A leaves vec(A)' H vec(A). A frame that lies
 elsewhere by r (moments gain r x F), one that is turned a little more, and a wrench that is a little
 late (A dw/dt) are linear as well: they are fitted beside each A, not searched.
 
@@ -16,8 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from itertools import permutations, product
 
 import numpy as np
 
@@ -35,68 +33,65 @@ SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
 
 EXTRAS = 8
 
+WIDE = np.repeat([0.2, 1.0], [3, 5])
+"""Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
+turn [rad] and of the ratio."""
 
-@cache
-def quarter_turns() -> tuple[Array, ...]:
-    """The 24 turns that take axes to axes, (3, 3), the identity first."""
-    found = []
-    for places, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
-        turn = np.zeros((3, 3))
-        turn[range(3), places] = signs
-        if np.linalg.det(turn) > 0:
-            found.append(turn)
-    return tuple(sorted(found, key=lambda turn: -float(np.trace(turn))))
+CORRECTIONS = 4
+"""Steps of Gauss and Newton to a correction."""
 
 
-def both(turn: Array) -> Array:
-    """A turn of forces and of moments, (6, 6).
-
-    Args:
-        turn: (3, 3).
-    """
-    found: Array = np.zeros((6, 6))
-    found[:3, :3] = found[3:, 3:] = turn
-    return found
-
-
-def placed(turn: Array, place: Array) -> Array:
+def transform(turn: Array, place: Array) -> Array:
     """The wrench in the bedplate's frame of one in a sensor's, (6, 6).
 
     Args:
         turn: Of the sensor's frame, (3, 3).
         place: Of its origin, (3,) [m].
     """
-    found = both(turn)
-    found[3:, :3] = skew(place) @ turn
-    return found
+    matrix: Array = np.zeros((6, 6))
+    matrix[:3, :3] = matrix[3:, 3:] = turn
+    matrix[3:, :3] = skew(place) @ turn
+    return matrix
 
 
 def _slopes() -> Array:
     """How a map changes with what is fitted beside it, but for lateness, (8, 6, 6)."""
-    found = np.zeros((EXTRAS, 6, 6))
+    slopes = np.zeros((EXTRAS, 6, 6))
     for axis, unit in enumerate(np.eye(3)):
-        found[SHIFT[axis], 3:, :3] = skew(unit)
-        found[TURN[axis]] = both(skew(unit))
-    found[RATIO, 3:, 3:] = np.eye(3)
-    return found
+        slopes[SHIFT[axis], 3:, :3] = skew(unit)
+        slopes[TURN[axis]] = transform(skew(unit), np.zeros(3))
+    slopes[RATIO, 3:, 3:] = np.eye(3)
+    return slopes
 
 
 SLOPES = _slopes()
 
 
+def model_directions(rows: Array, weight: Array) -> Array:
+    """Orthonormal directions of all that parameters and constants make of the plate, (6 T, k).
+
+    Args:
+        rows: On the parameters that the base's wrench tells, (T, 6, N).
+        weight: Of the channels, (6,).
+    """
+    constants = np.broadcast_to(np.eye(6), (len(rows), 6, 6))
+    columns = np.concatenate([rows, constants], axis=2) * weight[:, None]
+    return directions(columns.reshape(6 * len(rows), -1))
+
+
 @dataclass(frozen=True, eq=False)
-class Judged:
+class MapFits:
     """What M maps leave.
 
     Attributes:
-        left: Part of each channel's variance that no parameters explain, (M, 6).
+        unexplained: Part of each channel's variance that no parameters explain, (M, 6).
         extras: What was fitted beside the maps, zero for the others, (M, 8).
         sigma: Of them, if what is left is white, (M, 8).
         size: Times what the model file's masses make, by the variance; negative for the other
             sense, (M,).
     """
 
-    left: Array
+    unexplained: Array
     extras: Array
     sigma: Array
     size: Array
@@ -105,24 +100,20 @@ class Judged:
 class PlateRows:
     """Products of the plate's channels that are left when the rows are projected out."""
 
-    def __init__(self, rows: Array, foretold: Array, taken: Instants) -> None:
+    def __init__(self, rows: Array, expected: Array, instants: Instants) -> None:
         """The products.
 
         Args:
             rows: On the parameters that the base's wrench tells, (T, 6, N).
-            foretold: The wrench by the model file's masses, (T, 6) [N, N m].
-            taken: With a wrench.
+            expected: The wrench by the model file's masses, (T, 6) [N, N m].
+            instants: With a wrench.
         """
-        assert taken.wrench is not None
-        assert taken.wrench_rate is not None
-        varied = foretold - foretold.mean(axis=0)
+        varied = expected - expected.mean(axis=0)
         size = np.sqrt([(varied[:, part] ** 2).mean() for part in (slice(0, 3), slice(3, 6))])
         weight = np.repeat(1 / np.where(size > 0, size, 1.0), 3)
-        channels = np.hstack([taken.wrench, taken.wrench_rate])  # (T, 12)
+        channels = np.hstack([instants.wrench, instants.wrench_rate])  # (T, 12)
         count = len(channels)
-        fixed = np.broadcast_to(np.eye(6), (count, 6, 6))
-        columns = np.concatenate([rows * weight[:, None], fixed], axis=2).reshape(6 * count, -1)
-        basis = directions(columns).reshape(count, 6, -1)
+        basis = model_directions(rows, weight).reshape(count, 6, -1)
         weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
         known = weighted.reshape(basis.shape[2], 72)
         self._left, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
@@ -133,14 +124,13 @@ class PlateRows:
             left[:, own] += weight[channel] * channels
             self._left[channel] = left.T @ left
             self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
-        self.foretold = varied * weight
-        self._model = np.einsum("tc,tk,c->ck", self.foretold, centred, weight).ravel()
-        self._model_size = float((self.foretold**2).sum())
+        self.expected = varied * weight
+        self._model = np.einsum("tc,tk,c->ck", self.expected, centred, weight).ravel()
+        self._model_size = float((self.expected**2).sum())
         self.weight, self._count = weight, count
-        noise = taken.noise[-6:]
-        self._noise = np.where(np.isfinite(noise), noise, 0.0) * count
+        self._noise = instants.wrench_noise * count
 
-    def judge(self, maps: Sequence[Array], free: Sequence[int] = (*SHIFT, LATE)) -> Judged:
+    def fit(self, maps: Sequence[Array], free: Sequence[int] = (*SHIFT, LATE)) -> MapFits:
         """What each map leaves, with what is free fitted beside it.
 
         Args:
@@ -157,9 +147,8 @@ class PlateRows:
             else:
                 terms[:, place, :, :6] = SLOPES[extra] @ stacked
         flat = terms.reshape(count, -1, 72)
-        whole = np.einsum("mx,cxy,my->mc", flat[:, 0], self._whole, flat[:, 0], optimize=True)
-        least = SILENT * np.repeat(whole.reshape(count, 2, 3).mean(axis=2), 3, axis=1)
-        whole = np.maximum(whole, np.maximum(least, 1e-300))
+        whole = _at_least(np.einsum("mx,cxy,my->mc", flat[:, 0], self._whole, flat[:, 0],
+                                   optimize=True))  # fmt: skip
         left = np.stack(
             [
                 (flat.reshape(-1, 72) @ each).reshape(flat.shape) @ flat.transpose(0, 2, 1)
@@ -175,13 +164,13 @@ class PlateRows:
         if LATE in free:
             late = best[:, free.index(LATE)]
             late[np.abs(late) > LATEST] = 0.0
-        all_terms = np.hstack([np.ones((count, 1)), best])
-        found = np.einsum("ma,mcab,mb->mc", all_terms, left, all_terms, optimize=True) / whole
-        along = np.einsum("ma,max->mx", all_terms, flat) @ self._model / self._model_size
+        weights = np.hstack([np.ones((count, 1)), best])
+        shares = np.einsum("ma,mcab,mb->mc", weights, left, weights, optimize=True) / whole
+        along = np.einsum("ma,max->mx", weights, flat) @ self._model / self._model_size
         extras, sigma = np.zeros((count, EXTRAS)), np.zeros((count, EXTRAS))
         extras[:, free] = best
-        sigma[:, free] = spread * np.sqrt(found.sum(axis=1, keepdims=True) / (6 * self._count))
-        return Judged(np.maximum(found, 0.0), extras, sigma, along)
+        sigma[:, free] = spread * np.sqrt(shares.sum(axis=1, keepdims=True) / (6 * self._count))
+        return MapFits(np.maximum(shares, 0.0), extras, sigma, along)
 
     def gain_ratio(self, each: Array) -> float:
         """Times that moments must grow to be as large beside the forces as the model file's.
@@ -194,10 +183,9 @@ class PlateRows:
 
     def _variance(self, each: Array) -> Array:
         """Of each channel after a map, in parts of the model's, (6,)."""
-        flat = np.zeros((6, 12))
-        flat[:, :6] = each
-        found: Array = np.einsum("x,cxy,y->c", flat.ravel(), self._whole, flat.ravel())
-        return found
+        flat = np.hstack([each, np.zeros((6, 6))]).ravel()
+        variance: Array = np.einsum("x,cxy,y->c", flat, self._whole, flat)
+        return variance
 
     def noise_share(self, each: Array) -> Array:
         """Part of each channel's variance that is the plate's own noise after a map, (6,).
@@ -205,10 +193,8 @@ class PlateRows:
         Args:
             each: The map, (6, 6).
         """
-        whole = self._variance(each)
-        least = SILENT * np.repeat(whole.reshape(2, 3).mean(axis=1), 3)
         noise = self.weight**2 * (each**2 @ self._noise)
-        share: Array = noise / np.maximum(whole, np.maximum(least, 1e-300))
+        share: Array = noise / _at_least(self._variance(each))
         return share
 
     def least_share(self, *, late: bool = False) -> float:
@@ -224,6 +210,103 @@ class PlateRows:
         used = used[np.diagonal(whole)[used] > 0]
         left, whole = left[np.ix_(used, used)], whole[np.ix_(used, used)]
         size = np.sqrt(np.diagonal(whole))
-        scaled = whole / np.outer(size, size) + 1e-10 * np.eye(len(size))
-        found = eigh(left / np.outer(size, size), scaled, eigvals_only=True, subset_by_index=[0, 0])
-        return max(float(found[0]), 1e-12)
+        size = np.outer(size, size)
+        scaled = whole / size + 1e-10 * np.eye(len(size))
+        least = eigh(left / size, scaled, eigvals_only=True, subset_by_index=[0, 0])
+        return max(float(least[0]), 1e-12)
+
+
+def _at_least(variance: Array) -> Array:
+    """Variances of channels, (..., 6), each at least a part of its neighbours' mean."""
+    mean = variance.reshape(*variance.shape[:-1], 2, 3).mean(axis=-1)
+    bounded: Array = np.maximum(variance, np.maximum(SILENT * np.repeat(mean, 3, axis=-1), 1e-300))
+    return bounded
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What a plate that is right but for little must be moved by.
+
+    Attributes:
+        values: Shift (3) [m], delay [s], turn (3) [rad], ratio of moments to forces, relative; in
+            the bedplate's frame, the turn first, (8,).
+        covariance: Theirs, (8, 8).
+    """
+
+    values: Array
+    covariance: Array
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations of the values, (8,)."""
+        sigma: Array = np.sqrt(np.diagonal(self.covariance))
+        return sigma
+
+
+def correction(rows: Array, instants: Instants, unexplained: Array, place: Array) -> Correction:
+    """A plate's frame, clock and ratio of gains, refined, each with its standard deviation.
+
+    With a mapping that is right but for little, w = Y delta + b - sum x_e S_e w - late dw/dt +
+    noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. Parameters and constants are
+    projected out, channels weighed by what is left of them, and w on the right-hand side is what
+    the last step predicts, so that its noise biases nothing.
+
+    Args:
+        rows: On the parameters that the base's wrench tells, (T, 6, N).
+        instants: With a wrench.
+        unexplained: Part of each channel's variance, (6,).
+        place: Where the mapping has the frame, (3,) [m]; a direction that the data do not tell goes
+            to zero.
+    """
+    wrench, count = instants.wrench, len(instants.wrench)
+    before = np.zeros(EXTRAS)
+    before[list(SHIFT)] = -place  # where the prior has its mean
+    weight = 1 / np.sqrt(np.maximum(unexplained * wrench.var(axis=0), 1e-30))
+    predicted = wrench
+    for _ in range(CORRECTIONS):
+        own = model_directions(rows, weight)
+        slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
+        slopes[:, :, LATE] = -instants.wrench_rate
+        columns = (slopes * weight[:, None]).reshape(6 * count, -1)
+        target = (wrench * weight).ravel()
+        columns, target = (each - own @ (own.T @ each) for each in (columns, target))
+        normal = columns.T @ columns + np.diag(1 / WIDE**2)
+        values = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
+        left = (target - columns @ values).reshape(count, 6) / weight
+        predicted = wrench - left
+        free = count - (own.shape[1] + EXTRAS) / 6
+        weight = 1 / np.maximum(np.sqrt((left**2).sum(axis=0) / free), 1e-12)
+    return Correction(values, np.linalg.inv(normal))
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchFit:
+    """A plate's channels at T instants against what the robot can make of them, for a picture.
+
+    Attributes:
+        time: (T,) [s].
+        wrench: As it is read, (T, 6) [N, N m].
+        fit: The nearest that base parameters and constants make, (T, 6) [N, N m].
+        unexplained: Part of each channel's variance, (6,).
+    """
+
+    time: Array
+    wrench: Array
+    fit: Array
+    unexplained: Array
+
+
+def wrench_fit(rows: Array, instants: Instants) -> WrenchFit:
+    """The channels as a mapping reads them.
+
+    Args:
+        rows: On the parameters that the base's wrench tells, (T, 6, N).
+        instants: With a wrench.
+    """
+    wrench = instants.wrench
+    size = np.maximum(wrench.std(axis=0), 1e-12)
+    basis = model_directions(rows, 1 / size)
+    fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size
+    unexplained = ((wrench - fit) ** 2).mean(axis=0) / size**2
+    time = instants.spacing * np.arange(len(wrench), dtype=np.float64)
+    return WrenchFit(time, wrench, fit, unexplained)
