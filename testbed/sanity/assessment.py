@@ -162,7 +162,7 @@ def _judge(
     wrong = []
     if gain > LIKELY and not foreign:
         wrong = [_timed(each, best) for each in best.hypotheses if each.kind != "torque_size"]
-    zero = None if foreign or best.plate is None else zero_hypothesis(best, tare)
+    zero = None if foreign or not best.has_plate else zero_hypothesis(best, tare)
     hypotheses = wrong if zero is None else [*wrong, zero]
     before = as_read.unexplained
     before[:torques] = best.torques.unexplained_as_recorded
@@ -174,7 +174,7 @@ def _judge(
     if wrong:
         doubts.append(Doubt(clear, wrong_mapping(tree, remedies, others, gain)))
     if not foreign:
-        if best.plate is not None:
+        if best.has_plate:
             doubts += negative_weight(best, tare_of(tree, tare))
         if zero is not None and not wrong:
             doubts.append(Doubt(False, other_zero(remedies[-1])))
@@ -185,7 +185,7 @@ def _judge(
 
 def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
     """The same; that a plate is late, by what was fitted beside, too."""
-    if hypothesis.kind != "late" or best.plate is None:
+    if hypothesis.kind != "late":
         return hypothesis
     return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
 
@@ -221,8 +221,6 @@ def zero_hypothesis(
         tare: What the recording says that it shows, (6,) [N, N m]; None for the model's pedestal.
         least: Parts of the robot's weight by which it must be another one.
     """
-    assert best.fit.plate is not None
-    assert best.plate is not None
     prior = best.fit.prior
     zero, sigma = best.fit.plate.zero(best.plate)
     smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
@@ -249,7 +247,7 @@ def alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternative
         return Alternatives(equals=tuple(equals))
     nearest = min(worse, key=lambda each: each.cost)
     left, least = (
-        float((each.torques if each.plate is None else each.plate).unexplained.sum())
+        float((each.plate if each.has_plate else each.torques).unexplained.sum())
         for each in (nearest, best)
     )
     kinds = tuple(dict.fromkeys(each.kind for each in nearest.hypotheses))

@@ -39,36 +39,38 @@ class Explanation:
 
     Attributes:
         fit: Of the positions.
-        plate: None without one.
-        torques: None of them without torques.
+        plate: `NO_PLATE` without one.
+        torques: `NO_TORQUES` without them.
     """
 
     fit: HypothesisFit
-    plate: PlateExplanation | None
+    plate: PlateExplanation
     torques: TorqueAssignment
 
     @cached_property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
         """In the order in which they are applied."""
-        plate = () if self.plate is None else self.plate.hypotheses
-        return merge((*self.fit.hypotheses, *plate, *self.torques.hypotheses))
+        return merge((*self.fit.hypotheses, *self.plate.hypotheses, *self.torques.hypotheses))
+
+    @property
+    def has_plate(self) -> bool:
+        """Whether there is a plate."""
+        return self.fit.plate.measured
 
     @property
     def cost(self) -> float:
         """Minus the logarithm of how likely it is [nats]."""
-        return self.torques.cost + (0.0 if self.plate is None else self.plate.cost)
+        return self.torques.cost + self.plate.cost
 
     @property
     def unexplained(self) -> Array:
         """Part of each channel's variance, torques first, (C,)."""
-        plate = () if self.plate is None else self.plate.unexplained
-        return np.concatenate([self.torques.unexplained, plate])
+        return np.concatenate([self.torques.unexplained, self.plate.unexplained])
 
     @property
     def noise(self) -> Array:
         """Part of each channel's variance that is its own noise, torques first, (C,)."""
-        plate = () if self.plate is None else self.plate.noise
-        return np.concatenate([self.fit.torque_noise, plate])
+        return np.concatenate([self.fit.torque_noise, self.plate.noise])
 
     @property
     def price(self) -> float:
@@ -87,19 +89,19 @@ class Explanation:
     @property
     def tolerance(self) -> float:
         """A cost that is higher by this is not told apart from the least [nats]."""
-        if self.plate is not None:
+        if self.has_plate:
             return APART
         return ROUGHLY_APART if self.hypotheses else ANY_APART
 
     @property
     def rank(self) -> float:
         """What decides among those that explain as much."""
-        return self.count * (ANY_APART if self.plate is None else APART) + self.price
+        return self.count * (APART if self.has_plate else ANY_APART) + self.price
 
     @property
     def explained(self) -> bool:
         """Whether nothing is odd about the plate; without one about the torques."""
-        return self.torques_explained(ENOUGH) if self.plate is None else self.plate.explained()
+        return self.plate.explained() if self.has_plate else self.torques_explained(ENOUGH)
 
     def torques_explained(self, share: float) -> bool:
         """Whether no more is left of the torques, noise aside.
@@ -135,10 +137,10 @@ class Explanation:
 
     def after_plate(self) -> Explanation:
         """The same with torques judged by what the plate tells of the parameters."""
-        evidence = self.fit.plate
-        if self.plate is None or evidence is None or self.fit.torques is None:
+        if not self.has_plate or self.fit.torques is None:
             return self
-        return replace(self, torques=assign(self.fit.evidence(*evidence.posterior(self.plate))))
+        mean, root = self.fit.plate.posterior(self.plate)
+        return replace(self, torques=assign(self.fit.evidence(mean, root)))
 
     def as_recorded(self) -> Explanation:
         """The same with torques as they were recorded."""
@@ -168,7 +170,7 @@ class HypothesisFit:
         prior: The robot.
         hypotheses: About positions and clocks.
         instants: Of the recording by these.
-        plate: Evidence of maps of the plate's channels, if there is a plate.
+        plate: Evidence of maps of the plate's channels.
         torques: Evidence of the torques by the model file's masses, if there are torques.
     """
 
@@ -184,16 +186,14 @@ class HypothesisFit:
             instants: Of the recording by these.
         """
         self.prior, self.hypotheses, self.instants = prior, hypotheses, instants
-        self.plate = self.torques = None
         time = np.arange(len(instants.position), dtype=np.float64) * instants.spacing
         motion = Motion(time, instants.position, instants.velocity, instants.acceleration)
         tree = prior.tree
         theta = np.eye(10 * tree.n).reshape(tree.n, 10, 10 * tree.n)
         self._joint_rows, base_rows = linear(tree, motion, theta)
-        if instants.wrench.size:
-            self.plate = PlateEvidence(prior, frame, base_rows, instants)
-        if instants.torque.size:
-            self.torques = self.evidence(prior.mean, prior.root)
+        self.plate = PlateEvidence(prior, frame, base_rows, instants)
+        measured = instants.torque.size > 0
+        self.torques = self.evidence(prior.mean, prior.root) if measured else None
 
     def evidence(self, mean: Array, root: Array) -> TorqueEvidence:
         """Of the torques, with parameters of this mean and root of their covariance."""
@@ -206,18 +206,13 @@ class HypothesisFit:
         share: Array = self.instants.torque_noise / np.maximum(variance, 1e-30)
         return share
 
-    @property
-    def least(self) -> float:
-        """Share that no map of the plate can mend; 0 without a plate."""
-        return 0.0 if self.plate is None else self.plate.least
-
     @cached_property
     def misfit(self) -> float:
         """About what the best explanation costs, whatever its hypotheses [nats].
 
         Torques count in their own order, or in that of the positions.
         """
-        cost = 3 * WEIGHT * float(np.log(self.least)) if self.plate is not None else 0.0
+        cost = 3 * WEIGHT * float(np.log(self.plate.least)) if self.plate.measured else 0.0
         if self.torques is not None:
             fit, same = self.torques.fit, range(self.prior.tree.n)
             orders = [same, *(h.values for h in self.hypotheses if h.kind == "position_order")]
@@ -239,20 +234,17 @@ class HypothesisFit:
     @cached_property
     def explanations(self) -> list[Explanation]:
         """All that is open, the positions being as they are."""
-        plates = [None] if self.plate is None else self.plate.explanations
-        return [Explanation(self, plate, self.assignment) for plate in plates]
+        return [Explanation(self, plate, self.assignment) for plate in self.plate.explanations]
 
     @cached_property
     def as_read(self) -> Explanation:
         """The plate as it was read, with torques in the likeliest order, senses and sizes."""
-        plate = None if self.plate is None else self.plate.as_read
-        return Explanation(self, plate, self.assignment)
+        return Explanation(self, self.plate.as_read, self.assignment)
 
     @property
     def fine(self) -> bool:
         """Whether nothing is odd as it was read, neither about the plate nor about the torques."""
-        shifted = self.plate is not None and self.plate.shift_cost > 0.5
-        if shifted or not self.as_read.explained:
+        if self.plate.shift_cost > 0.5 or not self.as_read.explained:
             return False
         after = self.as_read.after_plate()
-        return not after.hypotheses and (self.plate is None or not after.odd_torques())
+        return not after.hypotheses and not (self.plate.measured and after.odd_torques())

@@ -202,10 +202,9 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Finding]:
         tree: The robot.
         as_read: The recording as it is; without torques, the plate's channels count.
     """
-    torques, plate = as_read.torques.unexplained, as_read.plate
-    moves = torques > BRAKED + 3 * as_read.fit.torque_noise
-    if not torques.size and plate is not None:
-        moves = np.full(tree.n, not plate.explained(BRAKED))
+    moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
+    if not moves.size:
+        moves = np.full(tree.n, not as_read.plate.explained(BRAKED))
     position = as_read.fit.instants.position
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
     dead = [k for k in still if moves[k]]
@@ -224,7 +223,7 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
         best: What explains the recording best.
     """
     evidence, plate = best.fit.plate, best.plate
-    if evidence is None or plate is None or plate.explained(MIXED):
+    if plate.explained(MIXED):
         return
     left, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(left - NOISY * noise))
@@ -245,8 +244,6 @@ def negative_weight(best: Explanation, tare: Array) -> Iterator[Doubt]:
         best: What explains the recording best; with a wrench.
         tare: What the plate shows without the robot, (6,) [N, N m].
     """
-    assert best.fit.plate is not None
-    assert best.plate is not None
     prior = best.fit.prior
     force = (best.fit.plate.wrench(best.plate).mean(axis=0) - tare)[:3]
     size = float(np.linalg.norm(prior.tree.gravity))

@@ -213,7 +213,7 @@ def _with_starts(draft: Draft, out: Path) -> Draft:
 def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     """What the assessment says instead; the same where it finds nothing wrong."""
     codes, best = {each.code for each in assessment.certain}, assessment.best
-    plate = best is not None and best.plate is not None
+    plate = best is not None and best.has_plate
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
     if best is not None and codes == {WEIGHT} and zero_open:
         return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
@@ -263,7 +263,7 @@ def _by_the_data(
     draft: Draft, assessment: Assessment, best: Explanation, keys: set[tuple[str, str]]
 ) -> Draft:
     """Keys that were assumed and that the data bear out."""
-    if best.plate is None or assessment.likely:
+    if not best.has_plate or assessment.likely:
         return draft
     note = f"by the data: {share(best.plate.unexplained.max())} of the plate's channels is "
     note += "unexplained"
@@ -305,7 +305,7 @@ def _delayed(draft: Draft, signal: str, late: float, sigma: float) -> Draft:
 def _with_plate(draft: Draft, best: Explanation) -> Draft:
     """Frame, clock and zero of a plate as the data tell them."""
     table = draft.tables.get("wrench")
-    if table is None or best.fit.plate is None or best.plate is None:
+    if table is None or not best.has_plate:
         return draft
     place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
     rows, at = best.fit.plate.wrench_rows, np.array(place["xyz"], float)
@@ -366,7 +366,7 @@ def _too_short(best: Explanation | None) -> str:
         return ""
     instants, parameters = best.fit.instants, best.fit.prior.lift.shape[1]
     count, joints = instants.position.shape
-    if count * (joints if best.plate is None else 6) > SHORT * parameters:
+    if count * (6 if best.has_plate else joints) > SHORT * parameters:
         return ""
     return (
         f"{count * instants.spacing:.2g} s of motion are few for {parameters} parameters: "
@@ -385,7 +385,7 @@ def _doubted(draft: Draft) -> Draft:
 
 def _wrench_fit(read: Explanation | None) -> WrenchFit | None:
     """A plate's channels as a mapping reads them; None without a plate."""
-    if read is None or read.fit.plate is None:
+    if read is None or not read.has_plate:
         return None
     return wrench_fit(read.fit.plate.wrench_rows, read.fit.instants)
 
@@ -394,7 +394,7 @@ def _shares(tree: Tree, assessment: Assessment) -> tuple[tuple[str, float], ...]
     """What explanations of a plate leave of its channels."""
     shares: dict[str, float] = {}
     for each in assessment.explanations:
-        if each.plate is not None:
+        if each.has_plate:
             words = " and ".join(in_words(tree, hypothesis) for hypothesis in each.hypotheses)
             shares.setdefault(words or "as assumed", float(each.plate.unexplained.mean()))
     return tuple(shares.items())

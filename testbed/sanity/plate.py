@@ -3,15 +3,15 @@
 For one order of columns, everything that a mapping says of a plate is a turn, a place, units, and a
 delay. Gauss's and Newton's steps on these (`PlateRows.fit`), from the 24 turns that take axes to
 axes, all at once, end in the least of all turns: none is further than 63 degrees from a start.
-Units are those pairs whose ratio is near, and a turn that a person would write is tried where one
-is near.
+Units are those pairs whose ratio is near; where a turn is near that a person would write, or that
+the mapping says, it is tried.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cache, cached_property
 from itertools import chain, permutations, product
 from typing import Any
 
@@ -38,7 +38,7 @@ ROUNDS, LARGEST_TURN, LARGEST_RATIO = 7, 0.5, 0.7
 """Of Gauss and Newton; their largest steps of a turn [rad] and of the ratio's logarithm."""
 
 SNAP = 0.02
-"""Distance of a turn's matrix to one by multiples of 15 degrees from which that is tried."""
+"""Distance of a turn's matrix to one that is plainer from which that is tried."""
 
 NEAR = 0.1
 """By how much the ratio of gains may be off for a pair of units to be tried."""
@@ -132,27 +132,6 @@ def quarter_turns() -> tuple[Array, ...]:
     return tuple(sorted(proper, key=lambda turn: -float(np.trace(turn))))
 
 
-@lru_cache(maxsize=3)
-def single_hypotheses(frame: Frame) -> tuple[MapHypothesis, ...]:
-    """Nothing wrong about a plate, or one thing, as a list.
-
-    The sense is the sign of what the model file predicts; a shift is fitted.
-
-    Args:
-        frame: How the mapping has read the plate.
-    """
-    turns = [turn @ frame.turn for turn in quarter_turns()[1:]]
-    pairs = [units for units in product(FORCES, MOMENTS) if units != frame.units]
-    return (
-        ((), np.eye(6)),
-        *(((Hypothesis("plate_order", (), order),), frame.map(frame.turn, frame.units, order))
-          for order in PLATE_ORDERS),
-        *(((Hypothesis("units", (), units),), frame.map(frame.turn, units, AS_READ))
-          for units in pairs),
-        *(((_turn_hypothesis(turn),), frame.map(turn, frame.units, AS_READ)) for turn in turns),
-    )  # fmt: skip
-
-
 def best_hypotheses(
     plate: PlateRows, frame: Frame, order: Sequence[int]
 ) -> Iterator[MapHypothesis]:
@@ -172,9 +151,9 @@ def best_hypotheses(
             continue
         exact = _refine(plate, frame, turn, units, order)
         angles = [round(angle / STEPS[-1]) * STEPS[-1] for angle in to_rpy(exact)]
-        plainer = from_rpy(angles)
-        both = (exact, plainer) if np.linalg.norm(exact - plainer) < SNAP else (exact,)
-        for each in both:
+        plainer = (from_rpy(angles), frame.turn)
+        near = [each for each in plainer if np.linalg.norm(exact - each) < SNAP]
+        for each in (exact, *near):
             hypotheses = [Hypothesis("plate_order", (), tuple(order))] * (tuple(order) != AS_READ)
             hypotheses += [Hypothesis("units", (), units)] * (units != frame.units)
             hypotheses += [_turn_hypothesis(each)] * bool(np.linalg.norm(each - frame.turn) > 1e-6)
@@ -243,8 +222,16 @@ class PlateExplanation:
         return bool((self.unexplained < share + 3 * self.noise).all())
 
 
+NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
+
+
 class PlateEvidence:
-    """How well maps of a plate's channels can be the wrench on this robot."""
+    """How well maps of a plate's channels can be the wrench on this robot; without one, nothing.
+
+    Attributes:
+        measured: Whether there is a plate.
+        rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
+    """
 
     def __init__(self, prior: Prior, frame: Frame, rows: Array, instants: Instants) -> None:
         """Products of rows and channels.
@@ -253,10 +240,12 @@ class PlateEvidence:
             prior: The robot.
             frame: How the mapping has read the plate.
             rows: Of the wrench on all barycentric parameters, (T, 6, 10 n).
-            instants: With a wrench.
+            instants: Of the recording.
         """
         self._prior, self._frame, self.rows, self._instants = prior, frame, rows, instants
-        self._products = PlateRows(self.wrench_rows, rows @ prior.mean, instants)
+        self.measured = instants.wrench.size > 0
+        if self.measured:
+            self._products = PlateRows(self.wrench_rows, rows @ prior.mean, instants)
 
     @property
     def wrench_rows(self) -> Array:
@@ -267,7 +256,7 @@ class PlateEvidence:
     @cached_property
     def least(self) -> float:
         """Share that no map can mend."""
-        return self._products.least_share(late=True)
+        return self._products.least_share(late=True) if self.measured else 0.0
 
     @cached_property
     def least_in_time(self) -> float:
@@ -296,13 +285,15 @@ class PlateEvidence:
 
     @cached_property
     def explanations(self) -> list[PlateExplanation]:
-        """All that is open, the best forty of turns and units and of single hypotheses."""
+        """All that is open: the best turns and units, the columns in their order or in another."""
+        if not self.measured:
+            return [NO_PLATE]
         plate, frame = self._products, self._frame
         several = self._judge([*best_hypotheses(plate, frame, AS_READ)])
         if not any(each.explained() for each in several):
             others = (best_hypotheses(plate, frame, order) for order in PLATE_ORDERS)
             several += self._judge([*chain.from_iterable(others)])
-        return several + self._judge(single_hypotheses(frame))
+        return several
 
     def _judge(self, hypotheses: Sequence[MapHypothesis]) -> list[PlateExplanation]:
         """Explanations by maps, a shift and lateness fitted."""
@@ -330,6 +321,8 @@ class PlateEvidence:
     @cached_property
     def as_read(self) -> PlateExplanation:
         """The plate as it was read; lateness is nobody's mistake."""
+        if not self.measured:
+            return NO_PLATE
         same = np.eye(6)
         fits = self._products.fit([same], [LATE])
         size = np.log(max(fits.size[0], 1e-9)) / ROUGH
@@ -341,6 +334,8 @@ class PlateEvidence:
     @cached_property
     def shift_cost(self) -> float:
         """What the frame where it was read costs beside one that is fitted [nats]."""
+        if not self.measured:
+            return 0.0
         fits = self._products.fit([np.eye(6)])
         distance, sigma = (float(np.linalg.norm(x[0, SHIFT])) for x in (fits.extras, fits.sigma))
         beyond = max(0.0, distance - SHIFTED) / (CLEAR * sigma + 1e-9)

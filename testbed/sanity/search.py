@@ -197,7 +197,7 @@ class Search:
                 return
         yield self._judged()
         likeliest = min(several, key=lambda each: each.cost)
-        if first.plate and likeliest.plate and first.plate.mixed(likeliest.plate.unexplained):
+        if self._has_plate and first.plate.mixed(likeliest.plate.unexplained):
             return  # positions are right where only a matrix explains the plate
         self._look(first, rarer_hypotheses(tree, pairs=not self._has_plate))
         yield self._at_best_zeros(3)
@@ -207,9 +207,10 @@ class Search:
 
     def _in_time(self, first: HypothesisFit) -> HypothesisFit | None:
         """The same with the plate's clock set, where a fit shows that it is late, or early."""
-        delays = [each.plate.delay for each in self.fits.values() if each.plate is not None]
-        late, times = min(delays, key=lambda delay: delay[1], default=(0.0, 1.0))
-        if times > LATE or first.hypotheses:
+        if first.hypotheses or not self._has_plate:
+            return None
+        late, times = min((each.plate.delay for each in self.fits.values()), key=lambda d: d[1])
+        if times > LATE:
             return None
         return self._apply(first, Hypothesis("late", (), (late,)))
 
@@ -226,8 +227,8 @@ class Search:
     def _judged(self) -> list[Explanation]:
         """What the nearest fits leave, but for those that no map of a plate explains as well."""
         nearest = self._nearest(JUDGED)
-        most = MUCH * min((each.least for each in nearest), default=0.0) + EXPLAINED
-        return [each for fit in nearest if fit.least <= most for each in fit.explanations]
+        most = MUCH * min(each.plate.least for each in nearest) + EXPLAINED
+        return [each for fit in nearest if fit.plate.least <= most for each in fit.explanations]
 
     def _at_best_zeros(self, count: int) -> list[Explanation]:
         fits = [self._refine(each) for each in self._nearest(count) if _moves_zero(each)]

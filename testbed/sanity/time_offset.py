@@ -36,9 +36,6 @@ FINE, ROWS_A_SECOND = 100.0, 12.5
 MOST_INSTANTS = 6000
 """At which rows are made; of a longer recording the middle is taken."""
 
-STEPS = 8
-"""Of Gauss and Newton."""
-
 DEADBAND, NEARLY = 0.02, 0.02
 """Speed below which a joint rests [rad/s or m/s]; part of a row's filter that may be at rest."""
 
@@ -48,14 +45,14 @@ LAGS = 12
 DEPENDENT = 1e-9
 """Share of the largest singular value below which columns of unit length depend on others."""
 
-LARGEST_STEP, SMALLEST_STEP = (0.05, 0.01), 1e-8
-"""Of delay [s] and drift; delay below which the search ends [s]."""
-
 MOST_SKEW = 5e-4
 """By which clocks differ at most: more is a model that is wrong."""
 
 CLEAR = 5.0
 """Sigmas from which a delay or a drift of clocks is no noise."""
+
+Remainder = Callable[[Array], Array]
+"""What of a signal, (T, C), no unknowns of the rows explain, weighed."""
 
 
 @dataclass(frozen=True)
@@ -267,34 +264,37 @@ def _fit(
     kind: str, rows: Array, counted: Array, signal: _Signal, start: float, *, drifting: bool
 ) -> TimeOffset:
     """Delay and drift, channels weighed by what is left in them."""
+    from scipy.optimize import least_squares
+
     place = signal.time - signal.time.mean()
     powers = np.stack([np.ones_like(place), place][: 1 + drifting], axis=1)  # (T, 1 or 2)
     unknowns, weights = start * np.eye(powers.shape[1])[0], counted
     for _ in range(2):  # the second time by what is left in each channel
         rest = _remainder(rows, weights)
-        for _ in range(STEPS):
-            left, columns = _linearize(signal, rest, powers, unknowns)
-            step = np.linalg.lstsq(columns.reshape(left.size, -1), -left.ravel(), rcond=None)[0]
-            most = np.array(LARGEST_STEP[: len(step)])
-            unknowns = unknowns + np.clip(step, -most, most)
-            if abs(step[0]) < SMALLEST_STEP:
-                break
-        left, columns = _linearize(signal, rest, powers, unknowns)
+
+        def residuals(unknowns: Array, rest: Remainder = rest) -> Array:
+            return rest(signal.at(powers @ unknowns)).ravel()
+
+        def slopes(unknowns: Array, rest: Remainder = rest) -> Array:
+            rates = signal.at(powers @ unknowns, 1)
+            return np.stack([rest(rates * power[:, None]).ravel() for power in powers.T], axis=1)
+
+        best = least_squares(residuals, unknowns, slopes, method="lm")
+        unknowns, left = best.x, best.fun.reshape(counted.shape)
         size = left / np.maximum(weights, 1e-30)
         size = np.sqrt((counted * size**2).sum(axis=0) / counted.sum(axis=0).clip(1))
         weights = counted / np.maximum(size, 1e-12)
-    late = powers @ unknowns
-    values = signal.at(late)
+    values = signal.at(powers @ unknowns)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
-    before = float(np.linalg.norm(rest(signal.at(0 * late)))) / alone
+    before = float(np.linalg.norm(residuals(0 * unknowns))) / alone
     after = float(np.linalg.norm(left)) / alone
-    middle, sigma = float(signal.time.mean()), _sigma(left, columns)
-    late_by, skew = np.append(unknowns, 0.0)[:2].tolist()
+    middle, sigma = float(signal.time.mean()), _sigma(left, best.jac.reshape(*left.shape, -1))
+    late, skew = np.append(unknowns, 0.0)[:2].tolist()
     wide, drift = np.append(sigma, np.inf)[:2].tolist()
-    return TimeOffset(kind, late_by, wide, skew, drift, middle, before, after)
+    return TimeOffset(kind, late, wide, skew, drift, middle, before, after)
 
 
-def _remainder(rows: Array, weights: Array) -> Callable[[Array], Array]:
+def _remainder(rows: Array, weights: Array) -> Remainder:
     """What of a signal, weighed, no unknowns of the rows explain, (T, C) of (T, C)."""
     basis = directions((rows * weights[..., None]).reshape(-1, rows.shape[2]), DEPENDENT)
 
@@ -304,16 +304,6 @@ def _remainder(rows: Array, weights: Array) -> Callable[[Array], Array]:
         return remainder
 
     return rest
-
-
-def _linearize(
-    signal: _Signal, rest: Callable[[Array], Array], powers: Array, unknowns: Array
-) -> tuple[Array, Array]:
-    """What is left of a signal, (T, C), and its derivatives by delay and drift, (T, C, 1 or 2)."""
-    late = powers @ unknowns
-    slopes = signal.at(late, 1)
-    columns = [rest(slopes * power[:, None]) for power in powers.T]
-    return rest(signal.at(late)), np.stack(columns, axis=-1)
 
 
 def _sigma(left: Array, columns: Array) -> Array:

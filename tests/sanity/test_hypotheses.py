@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import WrenchTable, read_mapping
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
+from testbed.robot.rotations import to_rpy
 from testbed.sanity.findings import out_of_range, size_finding
 from testbed.sanity.hypotheses import (
     Hypothesis,
@@ -24,7 +26,7 @@ from testbed.sanity.hypotheses import (
     position_hypotheses,
     rarer_hypotheses,
 )
-from testbed.sanity.plate import frame_of, quarter_turns, single_hypotheses
+from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
 from testbed.sanity.remedies import mapping_lines, remedies_for, with_lines
 from testbed.sanity.time_offset import TimeOffset, align_mapping
 from tests.helpers.foreign_files import npz, some_log
@@ -94,12 +96,20 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
         read = WrenchTable.model_validate(table)
         return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
 
-    several = single_hypotheses(frame_of(mapping))
-    for k in rng.choice(len(several), 10, replace=False):
+    frame, orders = frame_of(mapping), (AS_READ, *PLATE_ORDERS)
+    for _ in range(10):
+        turn = quarter_turns()[rng.integers(24)] @ frame.turn
+        units = (rng.choice([*FORCES]), rng.choice([*MOMENTS]))
+        order = orders[rng.integers(len(orders))]
+        hypotheses = (
+            Hypothesis("plate_order", (), order),
+            Hypothesis("units", (), units),
+            Hypothesis("turn", (), to_rpy(turn)),
+        )
         said = mapping
-        for lines in mapping_lines(robot("ur5"), several[k][0], mapping).values():
+        for lines in mapping_lines(robot("ur5"), hypotheses, mapping).values():
             said = with_lines(said, lines)
-        wanted = made(given) @ several[k][1].T
+        wanted = made(given) @ frame.map(turn, units, order).T
         scale = np.abs(wanted).max()
         np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
 
