@@ -17,7 +17,7 @@ from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
 from testbed.reporting.named_panels import named_panels
 from testbed.sanity.mapping_solution import MappingSolution, table_of
-from testbed.sanity.plate_map import WrenchFit
+from testbed.sanity.plate import WrenchFit
 
 UNITS = ("N",) * 3 + ("N m",) * 3
 

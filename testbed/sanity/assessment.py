@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError
 from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
@@ -25,7 +24,6 @@ from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.findings import (
-    NO_ALTERNATIVES,
     Alternatives,
     Doubt,
     at_rest,
@@ -39,6 +37,7 @@ from testbed.sanity.findings import (
     wrong_mapping,
 )
 from testbed.sanity.hypotheses import Hypothesis, in_words
+from testbed.sanity.plate import WrenchFit
 from testbed.sanity.remedies import Remedy, remedies_for
 from testbed.sanity.search import Progress, Search
 
@@ -81,7 +80,7 @@ class Assessment:
     doubts: tuple[Doubt, ...]
     sizes: Array = field(default_factory=lambda: np.zeros(0))
     remedies: tuple[Remedy, ...] = ()
-    alternatives: Alternatives = NO_ALTERNATIVES
+    alternatives: Alternatives = field(default_factory=Alternatives)
     as_read: Explanation | None = None
     explanations: tuple[Explanation, ...] = ()
 
@@ -99,6 +98,11 @@ class Assessment:
     def best(self) -> Explanation | None:
         """What explains the recording best."""
         return self.explanations[0] if self.explanations else None
+
+    @property
+    def wrench_fit(self) -> WrenchFit | None:
+        """The plate as it was read beside what explains it; None where there is none."""
+        return None if self.as_read is None else self.as_read.fit.plate.wrench_fit()
 
     def require(self, *, align: bool = False) -> None:
         """Stop where something is certainly wrong.
@@ -153,7 +157,7 @@ def _judge(
     best = explanations[0]
     sizes, torques = best.torques.sizes, len(best.torques.unexplained)
     gain = as_read.cost - best.cost
-    clear = gain > CERTAIN and explains(as_read, best)
+    clear = gain > CERTAIN and _explains(as_read, best)
     plate = tuple(unexplained_plate(best))
     foreign = any(each.certain for each in plate)
     still = tuple(still_joints(tree, as_read))
@@ -167,7 +171,7 @@ def _judge(
     before = as_read.unexplained
     before[:torques] = best.torques.unexplained_as_recorded
     remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
-    others = alternatives(tree, explanations)
+    others = _alternatives(tree, explanations)
     doubts = [] if wrong else list(beyond)
     if not (wrong and clear):
         doubts += plate
@@ -175,10 +179,11 @@ def _judge(
         doubts.append(Doubt(clear, wrong_mapping(tree, remedies, others, gain)))
     if not foreign:
         if best.has_plate:
-            doubts += negative_weight(best, tare_of(tree, tare))
+            doubts += negative_weight(best, tare)
         if zero is not None and not wrong:
             doubts.append(Doubt(False, other_zero(remedies[-1])))
-        doubts += odd_sizes(best, tree, mapping)
+        sized = any(each.kind == "torque_size" for each in best.hypotheses)
+        doubts += odd_sizes(tree, sizes, mapping, certain=sized)
     doubts += [Doubt(False, each) for each in still]
     return Assessment(tuple(doubts), sizes, remedies, others, as_read, tuple(explanations))
 
@@ -190,13 +195,8 @@ def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
     return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
 
 
-def explains(as_read: Explanation, best: Explanation) -> bool:
-    """Whether channels that are explained better are explained well.
-
-    Args:
-        as_read: The data as they are.
-        best: The data by hypotheses.
-    """
+def _explains(as_read: Explanation, best: Explanation) -> bool:
+    """Whether channels that are explained better than as they were read are explained well."""
     before, after = as_read.unexplained, best.unexplained
     for each in best.hypotheses:
         if each.kind == "torque_order":  # what is left of a column, whosever it is
@@ -204,11 +204,6 @@ def explains(as_read: Explanation, best: Explanation) -> bool:
     better = (before > TIMES * after) & (before > NOISY * as_read.noise)
     better |= any(each.kind == "shift" for each in best.hypotheses) & (before < WELL)
     return bool(better.any() and (after < WELL + NOISY * best.noise)[better].all())
-
-
-def tare_of(tree: Tree, tare: Array | None) -> Array:
-    """What a plate shows without the robot, (6,) [N, N m]: unless it is known, the pedestal."""
-    return pedestal_wrench(tree) if tare is None else tare
 
 
 def zero_hypothesis(
@@ -224,17 +219,12 @@ def zero_hypothesis(
     prior = best.fit.prior
     zero, sigma = best.fit.plate.zero(best.plate)
     smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
-    moved = np.abs(zero - tare_of(prior.tree, tare)) > np.maximum(smallest, CLEAR * sigma)
+    moved = np.abs(zero - prior.zero(tare)) > np.maximum(smallest, CLEAR * sigma)
     return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
 
 
-def alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternatives:
-    """What else explains a recording, that is none like the best.
-
-    Args:
-        tree: The robot.
-        explanations: The best first.
-    """
+def _alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternatives:
+    """What else explains a recording, that is none like the best, which comes first."""
     best, *others = explanations
     most = best.cost + best.tolerance
     equals = dict.fromkeys(_equal_zeros(tree, best.hypotheses))

@@ -107,9 +107,6 @@ class Alternatives:
     equals: tuple[str, ...] = ()
 
 
-NO_ALTERNATIVES = Alternatives()
-
-
 def share(part: float) -> str:
     """A part of a channel's variance as a person reads it.
 
@@ -237,15 +234,15 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
         yield Doubt(certain, _finding(FOREIGN, "the plate", text, left[channel]))
 
 
-def negative_weight(best: Explanation, tare: Array) -> Iterator[Doubt]:
+def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
     """A robot that pulls its plate up.
 
     Args:
         best: What explains the recording best; with a wrench.
-        tare: What the plate shows without the robot, (6,) [N, N m].
+        tare: What the recording says that it shows without the robot, as of `Prior.zero`.
     """
     prior = best.fit.prior
-    force = (best.fit.plate.wrench(best.plate).mean(axis=0) - tare)[:3]
+    force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero(tare))[:3]
     size = float(np.linalg.norm(prior.tree.gravity))
     carried = float(-force @ prior.tree.gravity / size**2) if size else 0.0
     if carried * size < PULLED * prior.weight:
@@ -309,52 +306,40 @@ def wrong_mapping(
     return _finding(MAPPING, subject, text, worst.before, (causes,), _mapping(remedies))
 
 
-def odd_sizes(best: Explanation, tree: Tree, mapping: Mapping[str, Any]) -> Iterator[Doubt]:
+def odd_sizes(
+    tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
+) -> Iterator[Doubt]:
     """Torques that are far from what masses of that order make.
 
     Args:
-        best: What explains the recording best.
         tree: The robot.
+        sizes: Times what the model file's masses say, nan where that is not known, (n,) or (0,).
         mapping: What the recording's mapping file says; empty if it has none.
+        certain: Whether other sizes explain the torques far better.
     """
-    sizes = best.torques.sizes
     known = sizes[np.isfinite(sizes)]
-    refused = any(each.kind == "torque_size" for each in best.hypotheses)
-    for certain, least, most in ((True, LEAST, MOST), (False, SMALL, LARGE)):
-        if (refused or not certain) and not ((known > least) & (known < most)).all():
-            yield Doubt(certain, size_finding(tree, sizes, least, most, mapping))
-            return
-
-
-def size_finding(
-    tree: Tree, sizes: Array, least: float, most: float, mapping: Mapping[str, Any]
-) -> Finding:
-    """Torques of another size, and what to do.
-
-    Args:
-        tree: The robot.
-        sizes: Times what the model file's masses say, nan where that is not known, (n,).
-        least: Below this they are doubted.
-        most: Above this.
-        mapping: What the recording's mapping file says; empty if it has none.
-    """
-    odd = [k for k in range(tree.n) if sizes[k] <= least or sizes[k] >= most]
+    certain = certain and not ((known > LEAST) & (known < MOST)).all()
+    least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
+    odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
+    if not odd:
+        return
     listed = ", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6])
     if all(sizes[k] < 1 for k in odd):
+        word, causes = "small", ("torques on the motors' side of the gears",
+                                 "currents taken for torques")  # fmt: skip
         needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
-        small, causes = "small", ("torques on the motors' side of the gears",
-                                  "currents taken for torques")  # fmt: skip
         remedy = (
             f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
             f"with gain about {needed}"
         )
     else:
-        small, causes = "large", ("a unit such as N mm", "masses of another robot")
+        word, causes = "large", ("a unit such as N mm", "masses of another robot")
         unit = str((mapping.get("torque") or {}).get("unit"))
-        thousand = 0.5 < np.nanmedian(sizes) / 1e3 < 2.0 and unit in SMALLER
+        thousand = 0.5 < np.median(known) / 1e3 < 2.0 and unit in SMALLER
         remedy = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
-    text = f"is too {small}: it is so many times what the model's masses make: {listed}"
-    return _finding(SIZE, "the torque", text, sizes[odd[0]], causes, f"in the mapping: {remedy}")
+    text = f"is too {word}: it is so many times what the model's masses make: {listed}"
+    remedy = f"in the mapping: {remedy}"
+    yield Doubt(certain, _finding(SIZE, "the torque", text, sizes[odd[0]], causes, remedy))
 
 
 def _mapping(remedies: Sequence[Remedy]) -> str:

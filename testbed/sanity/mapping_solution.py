@@ -29,7 +29,8 @@ from testbed.sanity.assessment import Assessment, assess, zero_hypothesis
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.findings import CLEARLY, FOREIGN, SIZE, WEIGHT, share
 from testbed.sanity.hypotheses import in_words
-from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, WrenchFit, correction, wrench_fit
+from testbed.sanity.plate import WrenchFit, frame_of
+from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import align_mapping, time_offsets
 from testbed.toml_text import checked
@@ -134,8 +135,8 @@ def solve_mapping(
     short = _too_short(assessment.best)
     if short or any(each.code == FOREIGN for each in assessment.likely):
         draft, warnings = _doubted(draft), [*warnings, *([short] if short else [])]
-    fits = _wrench_fit(first.as_read), _wrench_fit(assessment.as_read)
-    return MappingSolution(draft, tuple(warnings), *fits, _shares(tree, first))
+    before, after = first.wrench_fit, assessment.wrench_fit
+    return MappingSolution(draft, tuple(warnings), before, after, _shares(tree, first))
 
 
 def missing(draft: Draft) -> list[str]:
@@ -307,28 +308,29 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     table = draft.tables.get("wrench")
     if table is None or not best.has_plate:
         return draft
-    place = table.get("place") or {"xyz": [0.0] * 3, "rpy": [0.0] * 3}
-    rows, at = best.fit.plate.wrench_rows, np.array(place["xyz"], float)
-    fit = correction(rows, best.fit.instants, best.plate.unexplained, at)
-    shift, spread = fit.values[list(SHIFT)], fit.sigma[list(SHIFT)]
-    moved = from_vector(fit.values[list(TURN)])
-    turn, xyz = moved @ from_rpy(place["rpy"]), moved @ at + shift
-    rpy, plain = to_rpy(turn), _plain_angles(turn, fit.covariance[np.ix_(TURN, TURN)])
+    frame = frame_of(draft.content)
+    moves, covariance = best.fit.plate.correction(best.plate)
+    sigma = np.sqrt(np.diagonal(covariance))
+    shift, spread = moves[list(SHIFT)], sigma[list(SHIFT)]
+    moved = from_vector(moves[list(TURN)])
+    turn, xyz = moved @ frame.turn, moved @ frame.place + shift
+    rpy, plain = to_rpy(turn), _plain_angles(turn, covariance[np.ix_(TURN, TURN)])
     note = (
         f"{draft.notes.get(('wrench', 'place'), 'solved')}; "
-        f"rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(fit.sigma[list(TURN)]), 3)} deg; "
+        f"rpy {_list(np.rad2deg(rpy), 3)} +- {_list(np.rad2deg(sigma[list(TURN)]), 3)} deg; "
         f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"
     )
-    axes = ", ".join(axis for axis, sigma in zip("xyz", spread, strict=True) if sigma > FAR)
+    axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
     note += f"; {axes} cannot be told from these data" * bool(axes)
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in plain or rpy]}
     draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
-    ratio = FORCES[table["units"][0]] / MOMENTS[table["units"][1]] / (1 + fit.values[RATIO])
+    force, moment = frame.units
+    ratio = FORCES[force] / MOMENTS[moment] / (1 + moves[RATIO])
     known = draft.notes.get(("wrench", "units"), "by the file")
-    note = f"{known}; ratio {ratio:.6g} +- {ratio * fit.sigma[RATIO]:.2g}"
+    note = f"{known}; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
     own_clock = table["source"] != draft.tables["position"]["source"]
-    late, late_sigma = float(fit.values[LATE]), float(fit.sigma[LATE])
+    late, late_sigma = float(moves[LATE]), float(sigma[LATE])
     if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
         draft = _delayed(draft, "wrench", late, late_sigma)
     return _with_zero(draft, best)
@@ -381,13 +383,6 @@ def _doubted(draft: Draft) -> Draft:
         for place, note in draft.notes.items()
     }
     return replace(draft, notes=notes)
-
-
-def _wrench_fit(read: Explanation | None) -> WrenchFit | None:
-    """A plate's channels as a mapping reads them; None without a plate."""
-    if read is None or not read.has_plate:
-        return None
-    return wrench_fit(read.fit.plate.wrench_rows, read.fit.instants)
 
 
 def _shares(tree: Tree, assessment: Assessment) -> tuple[tuple[str, float], ...]:

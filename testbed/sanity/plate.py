@@ -23,7 +23,17 @@ from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, plain
 from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.sanity.hypotheses import STEPS, Hypothesis
 from testbed.sanity.instants import Instants, delay
-from testbed.sanity.plate_map import LATE, RATIO, SHIFT, SLOPES, TURN, PlateRows, transform
+from testbed.sanity.plate_map import (
+    EXTRAS,
+    LATE,
+    RATIO,
+    SHIFT,
+    SLOPES,
+    TURN,
+    PlateRows,
+    model_directions,
+    transform,
+)
 from testbed.sanity.prior import Prior
 
 AS_READ = (0, 1, 2, 3, 4, 5)
@@ -67,6 +77,13 @@ SHIFTED, CLEAR, MOST_SHIFT = 5e-3, 5.0, 50.0
 
 MOST_MAPS = 40
 """Maps that are judged together with the torques, the best first."""
+
+WIDE = np.repeat([0.2, 1.0], [3, 5])
+"""Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
+turn [rad] and of the ratio."""
+
+CORRECTIONS = 4
+"""Steps of Gauss and Newton to a correction."""
 
 MapHypothesis = tuple[tuple[Hypothesis, ...], Array]
 """Hypotheses about a plate, and the map from the recorded wrench by them, (6, 6)."""
@@ -225,6 +242,23 @@ class PlateExplanation:
 NO_PLATE = PlateExplanation((), np.eye(6), 0.0, np.zeros(0), np.zeros(0), 0.0)
 
 
+@dataclass(frozen=True, eq=False)
+class WrenchFit:
+    """A plate's channels at T instants against what the robot can make of them, for a picture.
+
+    Attributes:
+        time: (T,) [s].
+        wrench: As it is read, (T, 6) [N, N m].
+        fit: The nearest that base parameters and constants make, (T, 6) [N, N m].
+        unexplained: Part of each channel's variance, (6,).
+    """
+
+    time: Array
+    wrench: Array
+    fit: Array
+    unexplained: Array
+
+
 class PlateEvidence:
     """How well maps of a plate's channels can be the wrench on this robot; without one, nothing.
 
@@ -245,10 +279,10 @@ class PlateEvidence:
         self._prior, self._frame, self.rows, self._instants = prior, frame, rows, instants
         self.measured = instants.wrench.size > 0
         if self.measured:
-            self._products = PlateRows(self.wrench_rows, rows @ prior.mean, instants)
+            self._products = PlateRows(self._wrench_rows, rows @ prior.mean, instants)
 
     @property
-    def wrench_rows(self) -> Array:
+    def _wrench_rows(self) -> Array:
         """On the parameters that the base's wrench tells, (T, 6, N)."""
         rows: Array = self.rows @ self._prior.lift
         return rows
@@ -376,3 +410,52 @@ class PlateEvidence:
         mean, root = self.posterior(each)
         rest = self.wrench(each) - self.rows @ mean
         return rest.mean(axis=0), np.linalg.norm(self.rows.mean(axis=0) @ root, axis=1)
+
+    def correction(self, each: PlateExplanation) -> tuple[Array, Array]:
+        """What a plate that is right but for little must be moved by.
+
+        With a mapping that is right but for little, w = Y delta + b - sum x_e S_e w - late dw/dt +
+        noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. Parameters and constants
+        are projected out, channels weighed by what is left of them, and w on the right-hand side is
+        what the last step predicts, so that its noise biases nothing. A direction of the place that
+        the data do not tell goes to zero.
+
+        Args:
+            each: Of the plate, without hypotheses about it.
+
+        Returns:
+            Shift (3) [m], delay [s], turn (3) [rad], ratio of moments to forces, relative; in the
+            bedplate's frame, the turn first, (8,). Their covariance, (8, 8).
+        """
+        data, rows = self._instants, self._wrench_rows
+        wrench, count = data.wrench, len(data.wrench)
+        before = np.zeros(EXTRAS)
+        before[list(SHIFT)] = -self._frame.place  # where the prior has its mean
+        weight = 1 / np.sqrt(np.maximum(each.unexplained * wrench.var(axis=0), 1e-30))
+        predicted = wrench
+        for _ in range(CORRECTIONS):
+            own = model_directions(rows, weight)
+            slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
+            slopes[:, :, LATE] = -data.wrench_rate
+            columns = (slopes * weight[:, None]).reshape(6 * count, -1)
+            target = (wrench * weight).ravel()
+            columns, target = (x - own @ (own.T @ x) for x in (columns, target))
+            normal = columns.T @ columns + np.diag(1 / WIDE**2)
+            values = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
+            left = (target - columns @ values).reshape(count, 6) / weight
+            predicted = wrench - left
+            free = count - (own.shape[1] + EXTRAS) / 6
+            weight = 1 / np.maximum(np.sqrt((left**2).sum(axis=0) / free), 1e-12)
+        return values, np.linalg.inv(normal)
+
+    def wrench_fit(self) -> WrenchFit | None:
+        """The channels as the mapping reads them, and what explains them; None without a plate."""
+        if not self.measured:
+            return None
+        wrench = self._instants.wrench
+        size = np.maximum(wrench.std(axis=0), 1e-12)
+        basis = model_directions(self._wrench_rows, 1 / size)
+        fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size
+        unexplained = ((wrench - fit) ** 2).mean(axis=0) / size**2
+        time = self._instants.spacing * np.arange(len(wrench), dtype=np.float64)
+        return WrenchFit(time, wrench, fit, unexplained)

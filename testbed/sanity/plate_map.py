@@ -33,13 +33,6 @@ SHIFT, LATE, TURN, RATIO = (0, 1, 2), 3, (4, 5, 6), 7
 
 EXTRAS = 8
 
-WIDE = np.repeat([0.2, 1.0], [3, 5])
-"""Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
-turn [rad] and of the ratio."""
-
-CORRECTIONS = 4
-"""Steps of Gauss and Newton to a correction."""
-
 
 def transform(turn: Array, place: Array) -> Array:
     """The wrench in the bedplate's frame of one in a sensor's, (6, 6).
@@ -221,92 +214,3 @@ def _at_least(variance: Array) -> Array:
     mean = variance.reshape(*variance.shape[:-1], 2, 3).mean(axis=-1)
     bounded: Array = np.maximum(variance, np.maximum(SILENT * np.repeat(mean, 3, axis=-1), 1e-300))
     return bounded
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """What a plate that is right but for little must be moved by.
-
-    Attributes:
-        values: Shift (3) [m], delay [s], turn (3) [rad], ratio of moments to forces, relative; in
-            the bedplate's frame, the turn first, (8,).
-        covariance: Theirs, (8, 8).
-    """
-
-    values: Array
-    covariance: Array
-
-    @property
-    def sigma(self) -> Array:
-        """Standard deviations of the values, (8,)."""
-        sigma: Array = np.sqrt(np.diagonal(self.covariance))
-        return sigma
-
-
-def correction(rows: Array, instants: Instants, unexplained: Array, place: Array) -> Correction:
-    """A plate's frame, clock and ratio of gains, refined, each with its standard deviation.
-
-    With a mapping that is right but for little, w = Y delta + b - sum x_e S_e w - late dw/dt +
-    noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. Parameters and constants are
-    projected out, channels weighed by what is left of them, and w on the right-hand side is what
-    the last step predicts, so that its noise biases nothing.
-
-    Args:
-        rows: On the parameters that the base's wrench tells, (T, 6, N).
-        instants: With a wrench.
-        unexplained: Part of each channel's variance, (6,).
-        place: Where the mapping has the frame, (3,) [m]; a direction that the data do not tell goes
-            to zero.
-    """
-    wrench, count = instants.wrench, len(instants.wrench)
-    before = np.zeros(EXTRAS)
-    before[list(SHIFT)] = -place  # where the prior has its mean
-    weight = 1 / np.sqrt(np.maximum(unexplained * wrench.var(axis=0), 1e-30))
-    predicted = wrench
-    for _ in range(CORRECTIONS):
-        own = model_directions(rows, weight)
-        slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
-        slopes[:, :, LATE] = -instants.wrench_rate
-        columns = (slopes * weight[:, None]).reshape(6 * count, -1)
-        target = (wrench * weight).ravel()
-        columns, target = (each - own @ (own.T @ each) for each in (columns, target))
-        normal = columns.T @ columns + np.diag(1 / WIDE**2)
-        values = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
-        left = (target - columns @ values).reshape(count, 6) / weight
-        predicted = wrench - left
-        free = count - (own.shape[1] + EXTRAS) / 6
-        weight = 1 / np.maximum(np.sqrt((left**2).sum(axis=0) / free), 1e-12)
-    return Correction(values, np.linalg.inv(normal))
-
-
-@dataclass(frozen=True, eq=False)
-class WrenchFit:
-    """A plate's channels at T instants against what the robot can make of them, for a picture.
-
-    Attributes:
-        time: (T,) [s].
-        wrench: As it is read, (T, 6) [N, N m].
-        fit: The nearest that base parameters and constants make, (T, 6) [N, N m].
-        unexplained: Part of each channel's variance, (6,).
-    """
-
-    time: Array
-    wrench: Array
-    fit: Array
-    unexplained: Array
-
-
-def wrench_fit(rows: Array, instants: Instants) -> WrenchFit:
-    """The channels as a mapping reads them.
-
-    Args:
-        rows: On the parameters that the base's wrench tells, (T, 6, N).
-        instants: With a wrench.
-    """
-    wrench = instants.wrench
-    size = np.maximum(wrench.std(axis=0), 1e-12)
-    basis = model_directions(rows, 1 / size)
-    fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size
-    unexplained = ((wrench - fit) ** 2).mean(axis=0) / size**2
-    time = instants.spacing * np.arange(len(wrench), dtype=np.float64)
-    return WrenchFit(time, wrench, fit, unexplained)

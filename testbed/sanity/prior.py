@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.parameters.barycentric import barycentric, standard, to_barycentric
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.free_base import FREE
@@ -39,6 +40,14 @@ class Prior:
         """Of the robot by the model file [N]."""
         mass = sum(each.mass for each in self.tree.inertias)
         return float(mass * np.linalg.norm(self.tree.gravity))
+
+    def zero(self, tare: Array | None) -> Array:
+        """What a plate shows without the robot, (6,) [N, N m].
+
+        Args:
+            tare: What its recording says; None for the model's pedestal.
+        """
+        return pedestal_wrench(self.tree) if tare is None else tare
 
 
 def prior_of(tree: Tree) -> Prior:

@@ -57,7 +57,9 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
     """
     channels = [*(f"the torque of '{name}'" for name in tree.names[:torques]), *AXES]
     remedies = []
-    for each, lines in mapping_lines(tree, hypotheses, mapping).items():
+    for each in hypotheses:
+        lines = tuple(_lines(tree, each, mapping))
+        mapping = with_lines(mapping, lines)  # on which the next ones build
         every = range(len(before))
         own = {"wrench": every[torques:], "torque": each.joints}.get(KINDS[each.kind].table, every)
         best = max(own, key=lambda k: before[k] - after[k])
@@ -75,22 +77,6 @@ def in_mapping(remedies: Iterable[Remedy]) -> str:
     """
     last = {(table, key): value for each in remedies for table, key, value in each.lines}
     return "; ".join(f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items())
-
-
-def mapping_lines(tree: Tree, hypotheses: Sequence[Hypothesis], mapping: Mapping[str, Any]
-                  ) -> dict[Hypothesis, tuple[Line, ...]]:  # fmt: skip
-    """What to write for each of several hypotheses, each building on the lines before.
-
-    Args:
-        tree: The robot.
-        hypotheses: In the order in which they are applied.
-        mapping: What the recording's mapping file says; empty if it has none.
-    """
-    lines: dict[Hypothesis, tuple[Line, ...]] = {}
-    for each in hypotheses:
-        lines[each] = tuple(_lines(tree, each, mapping))
-        mapping = with_lines(mapping, lines[each])
-    return lines
 
 
 def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:

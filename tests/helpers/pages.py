@@ -30,7 +30,7 @@ from testbed.reporting.html import write_report
 from testbed.reporting.mapping_page import write_mapping_page
 from testbed.reporting.motion_page import write_motion_page
 from testbed.sanity.mapping_solution import KNOWN, MappingSolution
-from testbed.sanity.plate_map import WrenchFit
+from testbed.sanity.plate import WrenchFit
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT

@@ -18,7 +18,7 @@ from testbed.recordings.importing.mapping import WrenchTable, read_mapping
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
 from testbed.robot.rotations import to_rpy
-from testbed.sanity.findings import out_of_range, size_finding
+from testbed.sanity.findings import odd_sizes, out_of_range
 from testbed.sanity.hypotheses import (
     Hypothesis,
     joint_map,
@@ -27,7 +27,7 @@ from testbed.sanity.hypotheses import (
     rarer_hypotheses,
 )
 from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
-from testbed.sanity.remedies import mapping_lines, remedies_for, with_lines
+from testbed.sanity.remedies import remedies_for, with_lines
 from testbed.sanity.time_offset import TimeOffset, align_mapping
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
@@ -106,9 +106,8 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
             Hypothesis("units", (), units),
             Hypothesis("turn", (), to_rpy(turn)),
         )
-        said = mapping
-        for lines in mapping_lines(robot("ur5"), hypotheses, mapping).values():
-            said = with_lines(said, lines)
+        remedies = remedies_for(robot("ur5"), hypotheses, np.ones(6), np.ones(6), mapping, 0)
+        said = with_lines(mapping, [line for each in remedies for line in each.lines])
         wanted = made(given) @ frame.map(turn, units, order).T
         scale = np.abs(wanted).max()
         np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
@@ -158,12 +157,13 @@ def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -
     ]
     for sizes, remedy, unit, number in cases:
         mapping = {"torque": {"unit": unit}}
-        found = size_finding(tree, np.array(sizes), 0.2, 5.0, mapping)
+        ((_, found),) = odd_sizes(tree, np.array(sizes), mapping, certain=True)
         assert remedy in found.remedy
         assert found.number == number
         odd = [n for n, s in zip(tree.names, sizes, strict=True) if s < 0.2 or s > 5]
         assert [name in found.found for name in tree.names] == [n in odd for n in tree.names]
-    other = size_finding(tree, np.full(3, 40.0), 0.2, 5.0, {"torque": {"unit": "N m"}})
+    mapping = {"torque": {"unit": "N m"}}
+    ((_, other),) = odd_sizes(tree, np.full(3, 40.0), mapping, certain=True)
     assert "=" not in other.remedy
     gantry = robot("gantry")  # three joints slide, three turn
     low, high = np.array([joint.position_range for joint in gantry.joints]).T
