@@ -236,12 +236,12 @@ def _alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternativ
     if not worse:
         return Alternatives(equals=tuple(equals))
     nearest = min(worse, key=lambda each: each.cost)
-    left, least = (
+    more, least = (
         float((each.plate if each.has_plate else each.torques).unexplained.sum())
         for each in (nearest, best)
     )
     kinds = tuple(dict.fromkeys(each.kind for each in nearest.hypotheses))
-    return Alternatives(kinds, left / (least + 1e-9), tuple(equals))
+    return Alternatives(kinds, more / (least + 1e-9), tuple(equals))
 
 
 def _equal_zeros(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[str]:

@@ -84,9 +84,9 @@ def check_recording(
     if unchecked:
         doubts.append(UNCHECKED)
     else:
-        known = source.facts.get(FACT) or {}
-        if known.get("of") == digest(tree, source):
-            return CheckReport(doubts=tuple(known["warnings"]))
+        verdict = source.facts.get(FACT) or {}
+        if verdict.get("of") == digest(tree, source):
+            return CheckReport(doubts=tuple(verdict["warnings"]))
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each.text for each in assessment.likely]

@@ -222,16 +222,18 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
     evidence, plate = best.fit.plate, best.plate
     if plate.explained(MIXED):
         return
-    left, noise = plate.unexplained, plate.noise
-    channel = int(np.argmax(left - NOISY * noise))
+    shares, noise = plate.unexplained, plate.noise
+    channel = int(np.argmax(shares - NOISY * noise))
     certain = not plate.explained(UNEXPLAINED)
-    text = f"{share(left[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
-    if evidence.mixed(left):
+    text = (
+        f"{share(shares[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
+    )
+    if evidence.mixed(shares):
         text = f"mixes its channels: {text}, {share(evidence.least_in_time)} by a matrix of all six"
-        yield Doubt(certain, _finding(CROSSTALK, "the plate", text, left[channel]))
+        yield Doubt(certain, _finding(CROSSTALK, "the plate", text, shares[channel]))
     else:
         text = f"has measured another robot, or in other columns: {text}"
-        yield Doubt(certain, _finding(FOREIGN, "the plate", text, left[channel]))
+        yield Doubt(certain, _finding(FOREIGN, "the plate", text, shares[channel]))
 
 
 def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
@@ -317,8 +319,8 @@ def odd_sizes(
         mapping: What the recording's mapping file says; empty if it has none.
         certain: Whether other sizes explain the torques far better.
     """
-    known = sizes[np.isfinite(sizes)]
-    certain = certain and not ((known > LEAST) & (known < MOST)).all()
+    finite = sizes[np.isfinite(sizes)]
+    certain = certain and not ((finite > LEAST) & (finite < MOST)).all()
     least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
     odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
     if not odd:
@@ -335,7 +337,7 @@ def odd_sizes(
     else:
         word, causes = "large", ("a unit such as N mm", "masses of another robot")
         unit = str((mapping.get("torque") or {}).get("unit"))
-        thousand = 0.5 < np.median(known) / 1e3 < 2.0 and unit in SMALLER
+        thousand = 0.5 < np.median(finite) / 1e3 < 2.0 and unit in SMALLER
         remedy = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
     text = f"is too {word}: it is so many times what the model's masses make: {listed}"
     remedy = f"in the mapping: {remedy}"

@@ -223,9 +223,9 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     if SIZE in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
         return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
-    known = np.isfinite(assessment.sizes)
-    if draft.tables.get("torque", {}).get("gain") == 1.0 and known.any():
-        sizes = np.where(known, assessment.sizes, np.median(assessment.sizes[known]))
+    finite = np.isfinite(assessment.sizes)
+    if draft.tables.get("torque", {}).get("gain") == 1.0 and finite.any():
+        sizes = np.where(finite, assessment.sizes, np.median(assessment.sizes[finite]))
         joints = [tree.names.index(name) for name in draft.tables[""]["joints"]]
         gains = [round_significant(1 / sizes[k], 4) for k in joints]
         by = "solved: by the plate" if plate else f"{ASSUMED}: by the model file's masses"
@@ -326,8 +326,8 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
     force, moment = frame.units
     ratio = FORCES[force] / MOMENTS[moment] / (1 + moves[RATIO])
-    known = draft.notes.get(("wrench", "units"), "by the file")
-    note = f"{known}; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
+    origin = draft.notes.get(("wrench", "units"), "by the file")
+    note = f"{origin}; ratio {ratio:.6g} +- {ratio * sigma[RATIO]:.2g}"
     draft = draft.saying("wrench", "units", table["units"], note)
     own_clock = table["source"] != draft.tables["position"]["source"]
     late, late_sigma = float(moves[LATE]), float(sigma[LATE])
@@ -338,8 +338,8 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
 
 def _with_zero(draft: Draft, best: Explanation) -> Draft:
     """What the plate shows without the robot, where that is clear."""
-    known = draft.tables["wrench"].get("tare")
-    zero = zero_hypothesis(best, None if known is None else np.array(known), least=0.0)
+    tare = draft.tables["wrench"].get("tare")
+    zero = zero_hypothesis(best, None if tare is None else np.array(tare), least=0.0)
     if zero is None:
         return draft
     note = "solved: Fz, Mx and My, as far as they are of weight, by the model file's masses"

@@ -348,8 +348,8 @@ class PlateEvidence:
                 about.append(Hypothesis("sense"))
                 each = -each
             late, noise = float(fits.extras[k, LATE]), self._products.noise_share(each)
-            left, cost = fits.unexplained[k], float(costs[k])
-            several.append(PlateExplanation(tuple(about), each, late, left, noise, cost))
+            shares, cost = fits.unexplained[k], float(costs[k])
+            several.append(PlateExplanation(tuple(about), each, late, shares, noise, cost))
         return several
 
     @cached_property
@@ -360,10 +360,10 @@ class PlateEvidence:
         same = np.eye(6)
         fits = self._products.fit([same], [LATE])
         size = np.log(max(fits.size[0], 1e-9)) / ROUGH
-        left = fits.unexplained[0] if fits.size[0] > 0 else np.ones(6)  # of negative masses
-        cost = WEIGHT * (np.log(left + TINY).sum() + min(size**2, 1e3)) + self.shift_cost
+        unexplained = fits.unexplained[0] if fits.size[0] > 0 else np.ones(6)  # of negative masses
+        cost = WEIGHT * (np.log(unexplained + TINY).sum() + min(size**2, 1e3)) + self.shift_cost
         late, noise = float(fits.extras[0, LATE]), self._products.noise_share(same)
-        return PlateExplanation((), same, late, left, noise, float(cost))
+        return PlateExplanation((), same, late, unexplained, noise, float(cost))
 
     @cached_property
     def shift_cost(self) -> float:
@@ -389,8 +389,8 @@ class PlateEvidence:
         """
         prior, wrench = self._prior, self.wrench(each)
         rest, moved = wrench - self.rows @ prior.mean, self.rows @ prior.root
-        left = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
-        sigma = np.sqrt(left * np.maximum(wrench.var(axis=0), 1e-12))
+        share = np.maximum(each.unexplained, LEAST_LEFT) * LASTS
+        sigma = np.sqrt(share * np.maximum(wrench.var(axis=0), 1e-12))
         columns = ((moved - moved.mean(axis=0)) / sigma[:, None]).reshape(-1, moved.shape[2])
         target = ((rest - rest.mean(axis=0)) / sigma).ravel()
         spread, axes = eigh(columns.T @ columns + np.eye(columns.shape[1]))
@@ -442,10 +442,10 @@ class PlateEvidence:
             columns, target = (x - own @ (own.T @ x) for x in (columns, target))
             normal = columns.T @ columns + np.diag(1 / WIDE**2)
             values = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
-            left = (target - columns @ values).reshape(count, 6) / weight
-            predicted = wrench - left
+            residual = (target - columns @ values).reshape(count, 6) / weight
+            predicted = wrench - residual
             free = count - (own.shape[1] + EXTRAS) / 6
-            weight = 1 / np.maximum(np.sqrt((left**2).sum(axis=0) / free), 1e-12)
+            weight = 1 / np.maximum(np.sqrt((residual**2).sum(axis=0) / free), 1e-12)
         return values, np.linalg.inv(normal)
 
     def wrench_fit(self) -> WrenchFit | None:

@@ -108,14 +108,14 @@ class PlateRows:
         count = len(channels)
         basis = model_directions(rows, weight).reshape(count, 6, -1)
         weighted = np.einsum("tcr,tk->rck", basis * weight[:, None], channels, optimize=True)
-        known = weighted.reshape(basis.shape[2], 72)
-        self._left, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
+        explained = weighted.reshape(basis.shape[2], 72)
+        self._residual, self._whole = np.zeros((6, 72, 72)), np.zeros((6, 72, 72))
         centred = channels - channels.mean(axis=0)
         for channel in range(6):
             own = slice(12 * channel, 12 * channel + 12)
-            left = -basis[:, channel] @ known
-            left[:, own] += weight[channel] * channels
-            self._left[channel] = left.T @ left
+            residual = -basis[:, channel] @ explained
+            residual[:, own] += weight[channel] * channels
+            self._residual[channel] = residual.T @ residual
             self._whole[channel][own, own] = weight[channel] ** 2 * centred.T @ centred
         self.expected = varied * weight
         self._model = np.einsum("tc,tk,c->ck", self.expected, centred, weight).ravel()
@@ -142,14 +142,14 @@ class PlateRows:
         flat = terms.reshape(count, -1, 72)
         whole = _at_least(np.einsum("mx,cxy,my->mc", flat[:, 0], self._whole, flat[:, 0],
                                    optimize=True))  # fmt: skip
-        left = np.stack(
+        residual = np.stack(
             [
                 (flat.reshape(-1, 72) @ each).reshape(flat.shape) @ flat.transpose(0, 2, 1)
-                for each in self._left
+                for each in self._residual
             ],
             axis=1,
         )  # (M, 6, 1 + k, 1 + k)
-        total = (left / whole[:, :, None, None]).sum(axis=1)
+        total = (residual / whole[:, :, None, None]).sum(axis=1)
         size = np.sqrt(np.einsum("maa->ma", total)[:, 1:]) + 1e-300
         normal = total[:, 1:, 1:] / size[:, :, None] / size[:, None, :] + 1e-9 * np.eye(len(free))
         best = -np.linalg.solve(normal, (total[:, 1:, 0] / size)[..., None])[..., 0] / size
@@ -158,7 +158,7 @@ class PlateRows:
             late = best[:, free.index(LATE)]
             late[np.abs(late) > LATEST] = 0.0
         weights = np.hstack([np.ones((count, 1)), best])
-        shares = np.einsum("ma,mcab,mb->mc", weights, left, weights, optimize=True) / whole
+        shares = np.einsum("ma,mcab,mb->mc", weights, residual, weights, optimize=True) / whole
         along = np.einsum("ma,max->mx", weights, flat) @ self._model / self._model_size
         extras, sigma = np.zeros((count, EXTRAS)), np.zeros((count, EXTRAS))
         extras[:, free] = best
@@ -198,14 +198,14 @@ class PlateRows:
         """
         from scipy.linalg import eigh
 
-        left, whole = self._left.sum(axis=0), self._whole.sum(axis=0)
+        residual, whole = self._residual.sum(axis=0), self._whole.sum(axis=0)
         used = np.arange(72).reshape(6, 12)[:, : 12 if late else 6].ravel()
         used = used[np.diagonal(whole)[used] > 0]
-        left, whole = left[np.ix_(used, used)], whole[np.ix_(used, used)]
+        residual, whole = residual[np.ix_(used, used)], whole[np.ix_(used, used)]
         size = np.sqrt(np.diagonal(whole))
         size = np.outer(size, size)
         scaled = whole / size + 1e-10 * np.eye(len(size))
-        least = eigh(left / size, scaled, eigvals_only=True, subset_by_index=[0, 0])
+        least = eigh(residual / size, scaled, eigvals_only=True, subset_by_index=[0, 0])
         return max(float(least[0]), 1e-12)
 
 

@@ -154,9 +154,9 @@ class Search:
 
     def _with_signs(self, after: Explanation) -> list[Explanation]:
         """What explains it with other senses of the positions whose torques are unclear."""
-        known = {joint for each in after.fit.hypotheses for joint in each.joints
+        same = {joint for each in after.fit.hypotheses for joint in each.joints
                  if each.kind == "position_sign"}  # fmt: skip
-        signs = [Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear - known)]
+        signs = [Hypothesis("position_sign", (joint,)) for joint in sorted(after.unclear - same)]
         fits = (self._apply(after.fit, each) for each in signs)
         return [each for fit in fits if fit is not None for each in fit.explanations]
 
@@ -175,7 +175,7 @@ class Search:
         units = [each for each in hypotheses if each.kind in UNITS]
         self._look(first, units)
         if units:  # without them the fits are those that were judged
-            yield self._judged()
+            yield self._promising()
         explained = any(each.explained for each in several)
         in_time = None if explained else self._in_time(first)
         if in_time is None:
@@ -185,7 +185,7 @@ class Search:
             yield from self._stages(in_time, several)
             return
         if not self._has_plate:
-            yield self._judged()
+            yield self._promising()
             plain = [each.cost for each in several if not each.sized]
             if several[0].sized and min(plain, default=np.inf) > several[0].cost - DOUBTED:
                 del several[1:]  # torques of another size leave little to tell of the rest
@@ -195,7 +195,7 @@ class Search:
             gain = several[0].as_recorded().cost - likeliest.cost
             if gain < DOUBTED or likeliest.torques_explained(GOOD):
                 return
-        yield self._judged()
+        yield self._promising()
         likeliest = min(several, key=lambda each: each.cost)
         if self._has_plate and first.plate.mixed(likeliest.plate.unexplained):
             return  # positions are right where only a matrix explains the plate
@@ -203,7 +203,7 @@ class Search:
         yield self._at_best_zeros(3)
         for each in self._nearest(2 if self._has_plate else 4):
             self._look(each, position_hypotheses(tree, each.instants.position, each.hypotheses))
-        yield self._judged()
+        yield self._promising()
 
     def _in_time(self, first: HypothesisFit) -> HypothesisFit | None:
         """The same with the plate's clock set, where a fit shows that it is late, or early."""
@@ -224,7 +224,7 @@ class Search:
     def _nearest(self, count: int) -> list[HypothesisFit]:
         return sorted(self.fits.values(), key=lambda each: each.bound)[:count]
 
-    def _judged(self) -> list[Explanation]:
+    def _promising(self) -> list[Explanation]:
         """What the nearest fits leave, but for those that no map of a plate explains as well."""
         nearest = self._nearest(JUDGED)
         most = MUCH * min(each.plate.least for each in nearest) + EXPLAINED
@@ -244,10 +244,10 @@ class Search:
                 angles = tuple(round(angle + step, 6) for angle in last.values)
                 moved = replace(last, values=angles)
                 instants = self._transform(fit.instants, added)
-                tried = self._fit((*before, moved), instants)
-                nearer = tried.misfit < fit.misfit
+                trial = self._fit((*before, moved), instants)
+                nearer = trial.misfit < fit.misfit
                 if nearer:
-                    fit, last = tried, moved
+                    fit, last = trial, moved
         return fit
 
 

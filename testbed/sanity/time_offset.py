@@ -264,34 +264,24 @@ def _fit(
     kind: str, rows: Array, counted: Array, signal: _Signal, start: float, *, drifting: bool
 ) -> TimeOffset:
     """Delay and drift, channels weighed by what is left in them."""
-    from scipy.optimize import least_squares
-
-    place = signal.time - signal.time.mean()
-    powers = np.stack([np.ones_like(place), place][: 1 + drifting], axis=1)  # (T, 1 or 2)
-    unknowns, weights = start * np.eye(powers.shape[1])[0], counted
+    middle = float(signal.time.mean())
+    powers = np.stack([np.ones_like(signal.time), signal.time - middle][: 1 + drifting], axis=1)
+    unknowns, weights = start * np.eye(1 + drifting)[0], counted
     for _ in range(2):  # the second time by what is left in each channel
         rest = _remainder(rows, weights)
-
-        def residuals(unknowns: Array, rest: Remainder = rest) -> Array:
-            return rest(signal.at(powers @ unknowns)).ravel()
-
-        def slopes(unknowns: Array, rest: Remainder = rest) -> Array:
-            rates = signal.at(powers @ unknowns, 1)
-            return np.stack([rest(rates * power[:, None]).ravel() for power in powers.T], axis=1)
-
-        best = least_squares(residuals, unknowns, slopes, method="lm")
-        unknowns, left = best.x, best.fun.reshape(counted.shape)
-        size = left / np.maximum(weights, 1e-30)
+        best = _search(signal, rest, powers, unknowns)
+        unknowns, residual = best.x, best.fun.reshape(counted.shape)
+        size = residual / np.maximum(weights, 1e-30)
         size = np.sqrt((counted * size**2).sum(axis=0) / counted.sum(axis=0).clip(1))
         weights = counted / np.maximum(size, 1e-12)
     values = signal.at(powers @ unknowns)
     alone = float(np.linalg.norm(weights * (values - values.mean(axis=0))))
-    before = float(np.linalg.norm(residuals(0 * unknowns))) / alone
-    after = float(np.linalg.norm(left)) / alone
-    middle, sigma = float(signal.time.mean()), _sigma(left, best.jac.reshape(*left.shape, -1))
+    before = float(np.linalg.norm(rest(signal.at(0 * signal.time)))) / alone
+    after = float(np.linalg.norm(residual)) / alone
+    sigma = _sigma(residual, best.jac.reshape(*residual.shape, -1))
     late, skew = np.append(unknowns, 0.0)[:2].tolist()
-    wide, drift = np.append(sigma, np.inf)[:2].tolist()
-    return TimeOffset(kind, late, wide, skew, drift, middle, before, after)
+    late_sigma, skew_sigma = np.append(sigma, np.inf)[:2].tolist()
+    return TimeOffset(kind, late, late_sigma, skew, skew_sigma, middle, before, after)
 
 
 def _remainder(rows: Array, weights: Array) -> Remainder:
@@ -300,16 +290,29 @@ def _remainder(rows: Array, weights: Array) -> Remainder:
 
     def rest(signal: Array) -> Array:
         flat = (signal * weights).reshape(-1)
-        remainder: Array = (flat - basis @ (basis.T @ flat)).reshape(signal.shape)
-        return remainder
+        return np.asarray((flat - basis @ (basis.T @ flat)).reshape(signal.shape))
 
     return rest
 
 
-def _sigma(left: Array, columns: Array) -> Array:
+def _search(signal: _Signal, rest: Remainder, powers: Array, start: Array) -> Any:
+    """Delay and drift that leave the least; SciPy's result."""
+    from scipy.optimize import least_squares
+
+    def residuals(unknowns: Array) -> Array:
+        return rest(signal.at(powers @ unknowns)).ravel()
+
+    def slopes(unknowns: Array) -> Array:
+        rates = signal.at(powers @ unknowns, 1)
+        return np.stack([rest(rates * power[:, None]).ravel() for power in powers.T], axis=1)
+
+    return least_squares(residuals, start, slopes, method="lm")
+
+
+def _sigma(residual: Array, columns: Array) -> Array:
     """Sigmas of delay and drift, residuals correlated over some rows [NW87]."""
     normal = np.einsum("tci,tcj->ij", columns, columns)
-    scores = np.einsum("tci,tc->ti", columns, left)
+    scores = np.einsum("tci,tc->ti", columns, residual)
     spread = scores.T @ scores
     for lag in range(1, min(LAGS, len(scores) - 1)):
         product = scores[lag:].T @ scores[:-lag]
