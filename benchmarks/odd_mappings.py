@@ -36,7 +36,7 @@ ROBOT = "ur5"
 CROSSTALK, DRIFT, LOAD = 0.1, 30.0, 3.0
 """Of one channel on another, relative; of forces [N]; a mass that the file lacks [kg]."""
 
-OPEN = ("cannot tell", *MARKS)
+OPEN = ("cannot tell", "do not decide", *MARKS)
 """What is said of explanations that are equal."""
 
 QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)
@@ -182,12 +182,13 @@ def _held_against(
     zero[[0, -1]] = 0  # no data tell
     same = not (np.abs(zero) > 1e-3).any() and np.ptp(rest, axis=0).max() < 1e-4
     same = same and bool(np.allclose(other.measured("torque"), one.measured("torque")))
-    text = " ".join(in_lines([*found.certain, *found.likely]))
+    text = " ".join(in_lines([*found.certain, *found.likely])) if lines else found.undecided
     told_open = any(word in text for word in OPEN)
-    result = "right" if same else "no word" if not lines else "open" if told_open else "wrong"
+    result = "right" if same else "open" if told_open else "wrong" if lines else "no word"
     return {
         "tx40": words, "result": result, "certain": bool(found.certain),
         "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
+        "undecided": found.undecided,
         "held": result != "wrong",
     }  # fmt: skip
 

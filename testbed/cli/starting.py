@@ -84,7 +84,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     with output.Progress("importing, holding it against the robot") as bar:
         several, _, found = import_and_check(mapping, tree, progress=bar)
     max(several, key=lambda each: each.samples).save(made)
-    output.print_lines([f"{made}: testbed identify {made} --model {robot}"], found.warnings)
+    last = f"{made}: testbed identify {made} --model {robot}"
+    output.print_lines([*found.notes, last], found.warnings)
 
 
 def _check_free(path: Path) -> None:

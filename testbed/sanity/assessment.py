@@ -33,6 +33,7 @@ from testbed.sanity.findings import (
     out_of_range,
     spikes,
     still_joints,
+    undecided,
     unexplained_plate,
     wrong_mapping,
 )
@@ -75,6 +76,8 @@ class Assessment:
         alternatives: What else explains it.
         as_read: The recording as it is; None where nothing can be told.
         explanations: What explains it, the best first; none where nothing can be told.
+        undecided: What of the positions is left open, where nothing of the mapping is wrong; empty
+            where that is nothing, or was not looked at.
     """
 
     doubts: tuple[Doubt, ...]
@@ -83,6 +86,7 @@ class Assessment:
     alternatives: Alternatives = field(default_factory=Alternatives)
     as_read: Explanation | None = None
     explanations: tuple[Explanation, ...] = ()
+    undecided: str = ""
 
     @property
     def certain(self) -> tuple[Finding, ...]:
@@ -145,15 +149,15 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
     rest = tuple(at_rest(tree, search.instants))
     if rest:
         return Assessment((*beyond, *rest))
-    as_read, explanations = search.best()
-    return _judge(tree, mapping, source.tare, beyond, as_read, explanations)
+    return _judge(tree, mapping, source.tare, beyond, search)
 
 
 def _judge(
     tree: Tree, mapping: Mapping[str, Any], tare: Array | None, beyond: Sequence[Doubt],
-    as_read: Explanation, explanations: Sequence[Explanation],
+    search: Search,
 ) -> Assessment:  # fmt: skip
     """What explanations say for and against a recording; `beyond`: of positions out of range."""
+    as_read, explanations = search.best()
     best = explanations[0]
     sizes, torques = best.torques.sizes, len(best.torques.unexplained)
     gain = as_read.cost - best.cost
@@ -185,7 +189,8 @@ def _judge(
         sized = any(each.kind == "torque_size" for each in best.hypotheses)
         doubts += odd_sizes(tree, sizes, mapping, certain=sized)
     doubts += [Doubt(False, each) for each in still]
-    return Assessment(tuple(doubts), sizes, remedies, others, as_read, tuple(explanations))
+    unclear = "" if wrong or foreign else undecided(tree, search.undecided())
+    return Assessment(tuple(doubts), sizes, remedies, others, as_read, tuple(explanations), unclear)
 
 
 def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:

@@ -49,11 +49,13 @@ class CheckReport:
         offsets: How late torques and wrench are.
         doubts: What may be wrong.
         delays: Signals that are late, with lines for the mapping.
+        notes: What the data leave open.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
     doubts: tuple[str, ...] = ()
     delays: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -78,6 +80,7 @@ def check_recording(
         RecordingError: The recording cannot be true of this robot; says what would make it right.
     """
     source = on_its_base(source, tree)
+    notes: list[str] = []
     doubts = [] if tree.floating else _base_motion(source)
     if doubts and not unchecked:
         raise RecordingError(doubts[0])
@@ -90,10 +93,11 @@ def check_recording(
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each.text for each in assessment.likely]
+        notes += [assessment.undecided] * bool(assessment.undecided)
     offsets = time_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
     delays = [f"{each.text}; {in_mapping(each, mapping)}" for each in offsets if each.matters]
-    return CheckReport(tuple(offsets), tuple(doubts), tuple(delays))
+    return CheckReport(tuple(offsets), tuple(doubts), tuple(delays), tuple(notes))
 
 
 def _base_motion(source: Source) -> list[str]:

@@ -16,7 +16,7 @@ from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import BRAKED, Explanation
-from testbed.sanity.hypotheses import KINDS, own_joints
+from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
 from testbed.sanity.plate import MIXED
 from testbed.sanity.remedies import Remedy, in_mapping
@@ -342,6 +342,21 @@ def odd_sizes(
     text = f"is too {word}: it is so many times what the model's masses make: {listed}"
     remedy = f"in the mapping: {remedy}"
     yield Doubt(certain, _finding(SIZE, "the torque", text, sizes[odd[0]], causes, remedy))
+
+
+def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
+    """A line of what data leave open of positions; empty where that is nothing.
+
+    Args:
+        tree: The robot.
+        hypotheses: That explain a recording about as well as none.
+    """
+    parts = []
+    for kind, what in (("zero", "zero"), ("position_sign", "sign"), ("position_order", "order")):
+        joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
+        if joints:
+            parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
+    return f"these data do not decide, of the positions, {'; '.join(parts)}" if parts else ""
 
 
 def _mapping(remedies: Sequence[Remedy]) -> str:

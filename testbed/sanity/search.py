@@ -13,7 +13,13 @@ from testbed.errors import RecordingError
 from testbed.recordings.recording import Recording
 from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.robot.tree import Tree
-from testbed.sanity.explanation import Explanation, HypothesisFit, ranked
+from testbed.sanity.explanation import (
+    APART,
+    ROUGHLY_APART,
+    Explanation,
+    HypothesisFit,
+    ranked,
+)
 from testbed.sanity.hypotheses import (
     Hypothesis,
     joint_map,
@@ -51,6 +57,9 @@ AFRESH = ("late", "quaternion_order")
 
 UNITS = ("degrees", "radians", "base_unit", "quaternion_order")
 """Hypotheses that concern all joints, which are looked at before those of some."""
+
+NOTHING = 1e-6
+"""Gain of a hypothesis that changes nothing at all [nats]."""
 
 STEPS = np.deg2rad([12, -12, 6, -6, 3, -3, 1.5, -1.5, 0.7, -0.7])
 """By which a zero is moved while that is better [rad]."""
@@ -99,6 +108,20 @@ class Search:
             several = ranked([*several, *self._refine(nearest).explanations])
         several = list({each.hypotheses: each for each in several[::-1]}.values())[::-1]
         return as_recorded, ranked(each.after_plate() for each in several[:MOST])
+
+    def undecided(self) -> list[Hypothesis]:
+        """Those about positions alone by which the recording is about as likely as it is.
+
+        But for such as change nothing at all: a zero about an axis along gravity is a name.
+        """
+        first = self.fits[()]
+        most = APART if self._has_plate else ROUGHLY_APART
+        gains = {each: first.misfit - fit.misfit for each, fit in self.fits.items()}
+        return [
+            each[0]
+            for each, gain in gains.items()
+            if len(each) == 1 and gain > -most and abs(gain) > NOTHING
+        ]
 
     def _fit(self, hypotheses: tuple[Hypothesis, ...], instants: Instants) -> HypothesisFit:
         """A fit, made once."""

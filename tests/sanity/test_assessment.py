@@ -147,6 +147,18 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
 
 
 @pytest.mark.slow
+def test_zeros_that_data_do_not_decide_are_named() -> None:
+    """Some of a wrist without a plate; with one, none."""
+    tree, recording = right("tx40")
+    for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
+        found = assess(tree, of_joint(joint, zero=angle)(recording))
+        assert (found.certain, found.remedies) == ((), ())
+        assert tree.names[joint] in found.undecided
+        assert tree.names[1] not in found.undecided
+    assert assess(*right("ur5")).undecided == ""
+
+
+@pytest.mark.slow
 def test_torques_that_are_none_and_exchanged_joints_are_refused() -> None:
     """On the motors' side, or currents; columns of other joints; a plate of another robot."""
     tree, recording = right("puma", "wrench")
