@@ -120,12 +120,12 @@ class Reading:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.reporting.output import Progress
-        from testbed.sanity.accept import accept
+        from testbed.sanity.check import check_recording
 
         if "mapping" not in source.facts:
             return ()
         with Progress("looking for mistakes") as bar:
-            return accept(tree, source, unchecked=unchecked, progress=bar).warnings
+            return check_recording(tree, source, unchecked=unchecked, progress=bar).warnings
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""

@@ -63,7 +63,7 @@ COMMANDS = {
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
-    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import warnings"),
+    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import notes warnings"),
     "import, guess": ("import --guess log.csv", ""),
     "new": ("new two.urdf --out OUT/two.toml", ""),
     "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),

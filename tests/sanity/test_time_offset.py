@@ -13,9 +13,9 @@ from scipy.interpolate import make_interp_spline
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.sanity.accept import accept, accepted_import
-from testbed.sanity.clock_offset import clock_offsets
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.assessment import assess
+from testbed.sanity.check import check_recording, import_and_check
+from testbed.sanity.time_offset import time_offsets
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot
 from tests.helpers.runs import robot, without
@@ -38,13 +38,13 @@ def test_a_late_plate_and_late_torques_are_found(name: str, late: float) -> None
     torque = shifted(recording.measured("torque"), time, late)
     spoiled = replace(recording, torque=torque, wrench=shifted(wrench, time, late / 2))
     rounded = replace(spoiled, position=np.nextafter(spoiled.position, np.inf))
-    found, again = clock_offsets(tree, spoiled), clock_offsets(tree, rounded)
+    found, again = time_offsets(tree, spoiled), time_offsets(tree, rounded)
     for each, other, wanted in zip(found, again, (late, late / 2), strict=True):
         assert (each.late, each.drifts) == (True, False)
         assert abs(each.delay - wanted) < max(2e-5, 5 * each.sigma)
         assert abs(each.delay - other.delay) < 1e-5 * each.sigma
     fast = replace(recording, torque=None, wrench=shifted(wrench, time, 5e-3 * (time - 10)))
-    (plate,) = clock_offsets(tree, fast)
+    (plate,) = time_offsets(tree, fast)
     assert not plate.drifts
 
 
@@ -54,7 +54,7 @@ def test_sigma_of_a_delay_is_honest() -> None:
     for seed in range(6):
         tree = random_robot(np.random.default_rng(seed), 3).tree()
         recording = measured(tree, seed, duration=10.0, rate=200.0)
-        found += [(each.delay / each.sigma, each.late) for each in clock_offsets(tree, recording)]
+        found += [(each.delay / each.sigma, each.late) for each in time_offsets(tree, recording)]
     z = np.array([value for value, _ in found])
     assert 0.5 < np.sqrt(np.mean(z**2)) < 1.8
     assert not any(late for _, late in found)
@@ -71,15 +71,15 @@ def test_a_plate_whose_clock_is_off_by_far_is_no_other_robot(late: float, degree
         recording, time=recording.time[: len(wrench)], wrench=wrench,
         position=recording.position[inside] * (180 / np.pi if degrees else 1),
     )  # fmt: skip
-    found = check_sanity(tree, read)
-    assert [cure.kind for cure in found.cures] == ["late", *["degrees"] * degrees]
-    ((table, key, value),) = found.cures[0].lines
+    found = assess(tree, read)
+    assert [each.kind for each in found.remedies] == ["late", *["degrees"] * degrees]
+    ((table, key, value),) = found.remedies[0].lines
     assert (table, key) == ("wrench", "delay")
     assert value == pytest.approx(late, abs=5e-3)
     with pytest.raises(RecordingError):
         found.require()
     if not degrees:
-        (clock,) = accept(tree, read, align=True).clocks
+        (clock,) = check_recording(tree, read, align=True).offsets
         assert clock.delay == pytest.approx(late, abs=max(1e-3, 5 * clock.sigma))
 
 
@@ -137,8 +137,8 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     perfect = error(tree, tb.Recording.from_mapping(two_sources(tmp_path, tree, 0, 0)))
     path = two_sources(tmp_path, tree, LATE, SKEW)
     wrong = error(tree, tb.Recording.from_mapping(path))
-    (recording,), cuts, found = accepted_import(path, tree, align=True)
-    (clock,) = found.clocks
+    (recording,), cuts, found = import_and_check(path, tree, align=True)
+    (clock,) = found.offsets
     assert (cuts, clock.drifts) == ([], True)
     assert clock.skew == pytest.approx(-SKEW, abs=5 * clock.skew_sigma)
     said = path.read_text().replace('"s"', f'"s"\noffset = {-LATE}\nskew = {SKEW}', 1)
@@ -146,6 +146,6 @@ def test_two_clocks_are_as_good_as_one(tmp_path: Path) -> None:
     assert wrong > 3 * perfect
     assert error(tree, tb.Recording.from_mapping(path)) < 1.2 * perfect
     assert error(tree, recording) < 1.2 * perfect
-    (left,) = clock_offsets(tree, recording)
+    (left,) = time_offsets(tree, recording)
     assert (left.late, left.drifts) == (False, False)
-    assert accept(tree, recording).clocks == ()  # what was accepted is not held again
+    assert check_recording(tree, recording).offsets == ()  # what was accepted is not held again

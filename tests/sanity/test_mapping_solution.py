@@ -14,7 +14,7 @@ import pytest
 import testbed as tb
 from benchmarks.inverse_recordings import truth
 from testbed.recordings.importing.guess import guessed
-from testbed.sanity.solved_mapping import ASSUMED, missing, solved
+from testbed.sanity.mapping_solution import ASSUMED, missing, solve_mapping
 from tests.helpers.riding import riding
 from tests.scenarios.scenarios import result
 
@@ -45,7 +45,7 @@ def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
         np.savez(tmp_path / "log.npz", **columns)  # type: ignore[arg-type]
         folder = tmp_path / "not/yet"
         draft = guessed([tmp_path / "log.npz"], folder, made.tree.names)
-        found = solved(draft, folder / "mapping.toml", made.tree)
+        found = solve_mapping(draft, folder / "mapping.toml", made.tree)
         if moving:
             np.testing.assert_allclose(found.draft.tables["torque"]["gain"], constants, rtol=0.1)
         else:
@@ -70,7 +70,7 @@ def test_a_bases_unit_and_quaternion_are_solved_and_places_of_several_plates_are
         }
     np.savez(tmp_path / "log.npz", **columns)
     draft = guessed([tmp_path / "log.npz"], tmp_path, made.names)
-    found = solved(draft, tmp_path / "mapping.toml", tree).draft
+    found = solve_mapping(draft, tmp_path / "mapping.toml", tree).draft
     if plates == 2:
         assert missing(found) == [f"plates.plate_{k}.place" for k in range(2)]
         return

@@ -22,8 +22,8 @@ from benchmarks.inverse_recordings import RATE, truth
 from testbed.errors import RecordingError
 from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import FREE, coordinates, poses
-from testbed.sanity.accept import UNCHECKED, accept
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.assessment import assess
+from testbed.sanity.check import UNCHECKED, check_recording
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.riding import riding
@@ -130,8 +130,8 @@ def near(said: Any, wanted: Any) -> bool:
 def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) -> None:
     name, lacks, spoil, wanted = WRONG[mistake]
     tree, recording = right(name, lacks)
-    found = check_sanity(tree, spoil(recording))
-    lines = [line for cure in found.cures for line in cure.lines]
+    found = assess(tree, spoil(recording))
+    lines = [line for each in found.remedies for line in each.lines]
     assert [line[:2] for line in lines] == [line[:2] for line in wanted]
     for (_, _, value), (_, _, expected) in zip(lines, wanted, strict=True):
         if expected is None:  # a quarter turn less than the mapping of a real robot says
@@ -147,22 +147,34 @@ def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) ->
 
 
 @pytest.mark.slow
+def test_zeros_that_data_do_not_decide_are_named() -> None:
+    """Some of a wrist without a plate; with one, none."""
+    tree, recording = right("tx40")
+    for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
+        found = assess(tree, of_joint(joint, zero=angle)(recording))
+        assert (found.certain, found.remedies) == ((), ())
+        assert tree.names[joint] in found.undecided
+        assert tree.names[1] not in found.undecided
+    assert assess(*right("ur5")).undecided == ""
+
+
+@pytest.mark.slow
 def test_torques_that_are_none_and_exchanged_joints_are_refused() -> None:
     """On the motors' side, or currents; columns of other joints; a plate of another robot."""
     tree, recording = right("puma", "wrench")
     for factors in ((1 / 50, 1 / 80), (1 / 8, 1 / 11)):
-        (found,) = check_sanity(tree, torques(*factors)(recording)).certain
+        (found,) = assess(tree, torques(*factors)(recording)).certain
         assert "side" in found.remedy
         assert "gain" in found.remedy
-    (found,) = check_sanity(tree, torques(1000, 1000)(recording)).certain
+    (found,) = assess(tree, torques(1000, 1000)(recording)).certain
     assert "[torque] unit" in found.remedy
-    kinds = {each.kind for each in check_sanity(tree, exchanged(recording)).cures}
+    kinds = {each.kind for each in assess(tree, exchanged(recording)).remedies}
     assert kinds == {"position_order", "torque_order"}
     other = robot("random")
     alien = measured(other, 2, duration=12.0)
     both = replace(right("puma")[1], torque=None)
     with pytest.raises(RecordingError):
-        check_sanity(tree, replace(both, wrench=alien.measured("wrench"))).require()
+        assess(tree, replace(both, wrench=alien.measured("wrench"))).require()
 
 
 @pytest.mark.slow
@@ -178,8 +190,8 @@ def test_rough_masses_alone_refuse_nothing(seed: int, name: str) -> None:
         tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * (x if whole else 1))
         for i, x in zip(tree.inertias, factors, strict=True)
     )
-    assert check_sanity(replace(tree, inertias=tuple(scaled)), recording).certain == ()
-    sizes = check_sanity(tree, recording).sizes
+    assert assess(replace(tree, inertias=tuple(scaled)), recording).certain == ()
+    sizes = assess(tree, recording).sizes
     if name != "tx40":
         np.testing.assert_allclose(sizes[np.isfinite(sizes)], 1, atol=0.2)
 
@@ -191,9 +203,9 @@ def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: 
     tree, recording = right("ur5")
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
     wrench = recording.measured("wrench").reshape(-1, 2, 3) @ turn
-    cures = check_sanity(tree, replace(recording, wrench=sense * wrench.reshape(-1, 6))).cures
-    assert [each.kind for each in cures] == ["turn", *["sense"] * (sense < 0)]
-    told = Rotation.from_euler("xyz", cures[0].values).as_matrix()
+    remedies = assess(tree, replace(recording, wrench=sense * wrench.reshape(-1, 6))).remedies
+    assert [each.kind for each in remedies] == ["turn", *["sense"] * (sense < 0)]
+    told = Rotation.from_euler("xyz", remedies[0].values).as_matrix()
     np.testing.assert_allclose(told, turn, atol=5e-3)
 
 
@@ -203,8 +215,8 @@ def test_a_plate_that_mixes_its_channels_needs_a_matrix_and_no_cure() -> None:
     scale = np.repeat([1.0, 0.1], 3)
     mixing = np.eye(6) + 0.1 * np.random.default_rng(5).normal(size=(6, 6))
     mixed = recording.measured("wrench") @ (mixing * np.outer(scale, 1 / scale)).T
-    found = check_sanity(tree, replace(recording, wrench=mixed))
-    assert found.cures == ()
+    found = assess(tree, replace(recording, wrench=mixed))
+    assert found.remedies == ()
     assert [each.code for each in (*found.certain, *found.likely)] == ["plate.crosstalk"]
 
 
@@ -215,8 +227,8 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
 
     def checked(signals: dict[str, Any], lacks: str = "") -> Any:
         changed = replace(recording, **signals)
-        found = check_sanity(tree, without(changed, lacks) if lacks else changed)
-        assert found.cures == ()
+        found = assess(tree, without(changed, lacks) if lacks else changed)
+        assert found.remedies == ()
         return found
 
     for signal, channel in (("position", tree.names[2]), ("wrench", "Fz")):
@@ -254,9 +266,9 @@ def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
         (of_joint(6, position=-1), np.rad2deg(1.0), ["degrees", "position_sign"]),
     ):
         wrong = spoil(recording)
-        found = check_sanity(made.tree, replace(wrong, position=wrong.position * unit))
+        found = assess(made.tree, replace(wrong, position=wrong.position * unit))
         assert found.certain
-        assert [each.kind for each in found.cures] == kinds
+        assert [each.kind for each in found.remedies] == kinds
 
 
 def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
@@ -266,8 +278,8 @@ def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
     recording = tb.Recording(
         made.tree.names, time, made.position, made.torque, made.wrench, tare=np.zeros(6)
     )
-    found = check_sanity(made.tree, recording)
-    assert (found.certain, found.cures) == ((), ())
+    found = assess(made.tree, recording)
+    assert (found.certain, found.remedies) == ((), ())
     (rests,) = found.likely
     assert made.tree.names[3] in rests.subject
 
@@ -290,7 +302,7 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
     scaled = (tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * x)
               for i, x in zip(free.inertias, factors, strict=True))  # fmt: skip
     rough = replace(free, inertias=tuple(scaled))
-    assert check_sanity(rough, with_base_joints(recording)).certain == ()
+    assert assess(rough, with_base_joints(recording)).certain == ()
     sides = {f"plates.{name}": {"sense": "on_robot", "units": ["N", "N m"]} for name in "lr"}
     plates = {"plates": {name[7:]: said for name, said in sides.items()}}
     cases: list[tuple[Spoil, dict[str, Any], list[tuple[str, str, Any]]]] = [
@@ -301,8 +313,8 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
     ]
     for spoil, mapping, wanted in cases:
         told = {"mapping": {"joints": list(recording.names), **mapping}}
-        found = check_sanity(free, with_base_joints(replace(spoil(recording), facts=told)))
-        assert [line for cure in found.cures for line in cure.lines] == wanted
+        found = assess(free, with_base_joints(replace(spoil(recording), facts=told)))
+        assert [line for each in found.remedies for line in each.lines] == wanted
         assert found.certain
     welded = tb.Tree(
         free.name,
@@ -310,7 +322,7 @@ def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() 
         free.inertias[FREE:],
     )
     with pytest.raises(RecordingError) as refused:
-        accept(welded, recording)
+        check_recording(welded, recording)
     assert "robot.base=measured" in str(refused.value)
     turns = np.random.default_rng(0).uniform(-1.3, 1.3, (50, FREE))
     np.testing.assert_allclose(coordinates(poses(turns)), turns, atol=1e-12)
@@ -320,5 +332,5 @@ def test_unchecked_recordings_are_not_searched() -> None:
     tree, recording = right("puma", "wrench")
     wrong = torques(-1, -1)(recording)
     with pytest.raises(RecordingError):
-        accept(tree, wrong)
-    assert accept(tree, wrong, unchecked=True).warnings[0] == UNCHECKED
+        check_recording(tree, wrong)
+    assert check_recording(tree, wrong, unchecked=True).warnings[0] == UNCHECKED

@@ -13,22 +13,22 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import WrenchTable, read_mapping
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
-from testbed.sanity.alignment import aligned
-from testbed.sanity.clock_offset import ClockOffset
-from testbed.sanity.cure_words import gain_finding, position_finding
-from testbed.sanity.cures import cures_of, frame_of, lines_of, with_lines
-from testbed.sanity.mistakes import (
-    Mistake,
+from testbed.robot.rotations import to_rpy
+from testbed.sanity.findings import odd_sizes, out_of_range
+from testbed.sanity.hypotheses import (
+    Hypothesis,
     joint_map,
-    merged,
-    plain_hypotheses,
+    merge,
     position_hypotheses,
     rarer_hypotheses,
 )
-from testbed.sanity.plate_map import quarter_turns
+from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.sanity.remedies import remedies_for, with_lines
+from testbed.sanity.time_offset import TimeOffset, align_mapping
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
 from tests.helpers.strategies import few, rngs, trees
@@ -38,10 +38,10 @@ JOINTS = ("elbow", "waist", "shoulder")
 
 signs = st.tuples(*[st.sampled_from([1, -1])] * 3).map(list)
 offsets = st.tuples(*[st.sampled_from([0.0, 0.3, -1.5])] * 3).map(list)
-joint_mistakes = st.one_of(
-    st.builds(Mistake, st.just("position_sign"), st.integers(0, 2).map(lambda k: (k,))),
+joint_hypotheses = st.one_of(
+    st.builds(Hypothesis, st.just("position_sign"), st.integers(0, 2).map(lambda k: (k,))),
     st.builds(
-        Mistake,
+        Hypothesis,
         st.just("zero"),
         st.integers(0, 2).map(lambda k: (k,)),
         st.sampled_from([np.pi / 2, -np.pi / 2, 0.5]).map(lambda angle: (angle,)),
@@ -56,12 +56,12 @@ def mapped(raw: Array, table: dict[str, Any]) -> Array:
 
 
 @given(
-    mistakes=st.lists(joint_mistakes, min_size=1, max_size=4, unique=True),
+    mistakes=st.lists(joint_hypotheses, min_size=1, max_size=4, unique=True),
     sign=signs,
     offset=offsets,
 )
 def test_a_mapping_with_its_cures_makes_the_positions_right(
-    mistakes: list[Mistake], sign: list[int], offset: list[float]
+    mistakes: list[Hypothesis], sign: list[int], offset: list[float]
 ) -> None:
     """Signs and zeros one after the other, each building on what the last has left; merged, too."""
     raw = np.random.default_rng(0).normal(size=(4, 3))
@@ -72,11 +72,11 @@ def test_a_mapping_with_its_cures_makes_the_positions_right(
     for each in mistakes:
         scale, added = joint_map(each, 3, np.zeros(3))
         wanted = wanted @ scale.T + added
-    together = merged(mistakes)
+    together = merge(mistakes)
     assert len({each.kind for each in together}) == len(together)
     for said in (mistakes, together):
-        cures = cures_of(robot("puma"), list(said), np.ones(3), np.zeros(3), mapping, 3)
-        cured = with_lines(mapping, [line for cure in cures for line in cure.lines])
+        remedies = remedies_for(robot("puma"), list(said), np.ones(3), np.zeros(3), mapping, 3)
+        cured = with_lines(mapping, [line for each in remedies for line in each.lines])
         np.testing.assert_allclose(mapped(raw, cured["position"]), wanted, atol=1e-4)
 
 
@@ -96,12 +96,19 @@ def test_a_plates_lines_are_the_map_that_was_judged(rng: np.random.Generator, tu
         read = WrenchTable.model_validate(table)
         return bedplate_wrench(read, np.column_stack([by_name[name] for name in read.columns]))
 
-    several = plain_hypotheses(frame_of(mapping))
-    for k in rng.choice(len(several), 10, replace=False):
-        said = mapping
-        for lines in lines_of(robot("ur5"), several[k][0], mapping).values():
-            said = with_lines(said, lines)
-        wanted = made(given) @ several[k][1].T
+    frame, orders = frame_of(mapping), (AS_READ, *PLATE_ORDERS)
+    for _ in range(10):
+        turn = quarter_turns()[rng.integers(24)] @ frame.turn
+        units = (rng.choice([*FORCES]), rng.choice([*MOMENTS]))
+        order = orders[rng.integers(len(orders))]
+        hypotheses = (
+            Hypothesis("plate_order", (), order),
+            Hypothesis("units", (), units),
+            Hypothesis("turn", (), to_rpy(turn)),
+        )
+        remedies = remedies_for(robot("ur5"), hypotheses, np.ones(6), np.ones(6), mapping, 0)
+        said = with_lines(mapping, [line for each in remedies for line in each.lines])
+        wanted = made(given) @ frame.map(turn, units, order).T
         scale = np.abs(wanted).max()
         np.testing.assert_allclose(made(said["wrench"]), wanted, rtol=1e-4, atol=1e-4 * scale)
 
@@ -150,20 +157,21 @@ def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -
     ]
     for sizes, remedy, unit, number in cases:
         mapping = {"torque": {"unit": unit}}
-        found = gain_finding(tree, np.array(sizes), 0.2, 5.0, mapping)
+        ((_, found),) = odd_sizes(tree, np.array(sizes), mapping, certain=True)
         assert remedy in found.remedy
         assert found.number == number
         odd = [n for n, s in zip(tree.names, sizes, strict=True) if s < 0.2 or s > 5]
         assert [name in found.found for name in tree.names] == [n in odd for n in tree.names]
-    other = gain_finding(tree, np.full(3, 40.0), 0.2, 5.0, {"torque": {"unit": "N m"}})
+    mapping = {"torque": {"unit": "N m"}}
+    ((_, other),) = odd_sizes(tree, np.full(3, 40.0), mapping, certain=True)
     assert "=" not in other.remedy
     gantry = robot("gantry")  # three joints slide, three turn
     low, high = np.array([joint.position_range for joint in gantry.joints]).T
-    assert not list(position_finding(gantry, np.stack([low, high]) * 1.05, 0.1))
+    assert not list(out_of_range(gantry, np.stack([low, high]) * 1.05, 0.1))
     for joint, unit in ((1, '"mm"'), (4, '"deg"')):
         beyond = np.stack([low, high])
         beyond[1, joint] += 0.2 * (high - low)[joint]
-        (said,) = position_finding(gantry, beyond, 0.1)
+        ((_, said),) = out_of_range(gantry, beyond, 0.1)
         assert gantry.names[joint] in said.found
         assert unit in said.remedy
         assert said.number == 1.0
@@ -176,30 +184,30 @@ def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_pat
     two = f"{before}[plates.left]\ndelay = 0.004\n{wrench}\n[plates.right]\n{wrench}"
     report: Any = SimpleNamespace(clocks={"log": SimpleNamespace(lead=0.25)})
 
-    def offset(signal: str, delay: float, skew: float = 0.0) -> ClockOffset:
-        return ClockOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
+    def offset(signal: str, delay: float, skew: float = 0.0) -> TimeOffset:
+        return TimeOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
 
     (tmp_path / "map.toml").write_text(text)
     one = read_mapping(tmp_path / "map.toml")
-    found = aligned(one, report, [offset("wrench", 0.003, 1e-4)])
+    found = align_mapping(one, report, [offset("wrench", 0.003, 1e-4)])
     assert found.wrench is not None
     assert (found.torque, found.sources["log"].skew) == (one.torque, 0.0)
     assert found.wrench.delay == pytest.approx(0.003, abs=1e-15)
     (tmp_path / "map.toml").write_text(two)
     several = read_mapping(tmp_path / "map.toml")
-    found = aligned(several, report, [offset("wrench", 0.003)])
+    found = align_mapping(several, report, [offset("wrench", 0.003)])
     delays = {name: table.delay for name, table in found.plates.items()}
     assert delays == pytest.approx({"left": 0.007, "right": 0.003}, abs=1e-15)
-    found = aligned(several, report, [offset("torque", 0.003)])
+    found = align_mapping(several, report, [offset("torque", 0.003)])
     assert found.torque is not None
     assert found.torque.delay == pytest.approx(0.003, abs=1e-15)
     assert found.plates == several.plates
-    assert aligned(several, report, [offset("torque", 1e-6), offset("wrench", 0.0)]) == several
+    assert align_mapping(several, report, [offset("torque", 1e-6), offset("wrench", 0)]) == several
 
 
 def test_a_cure_of_a_plate_names_a_channel_of_the_plate() -> None:
     for torques in (0, 6):
         before, after = np.ones(torques + 6), np.ones(torques + 6)
         after[torques + 1] = 0.1
-        (cure,) = cures_of(robot("ur5"), [Mistake("sense")], before, after, {}, torques)
-        assert (cure.channel, cure.after) == ("Fy", 0.1)
+        (remedy,) = remedies_for(robot("ur5"), [Hypothesis("sense")], before, after, {}, torques)
+        assert (remedy.channel, remedy.after) == ("Fy", 0.1)
