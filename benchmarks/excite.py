@@ -201,7 +201,7 @@ def _in_the_loop(motion: Fourier, rules: Rules, experiment: tb.Experiment) -> tu
     clear = True
     if rules.collision is not None:
         meter = DistanceMeter(rules.collision)
-        clear = (meter.measure(truth.position[::20]).values > 0).all()
+        clear = bool((meter.measure(truth.position[::20]).values > 0).all())
     faster = float((np.abs(truth.velocity) - limits.velocity).max())
     return bool(inside and strong and clear), max(faster, 0.0)
 

@@ -103,8 +103,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     if rules.collision is None:
         return ()
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
-    near = meter.measure(tried_postures(rules.limits)).values
-    near = near <= rules.clearance
+    near = meter.measure(tried_postures(rules.limits)).values <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
     return tuple(
         pair for pair, is_near in zip(rules.collision.bodies, fewest, strict=True) if is_near
