@@ -93,6 +93,17 @@ def consistency(
         _print(line)
 
 
+@app.command("answer")
+def default_answer(
+    rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 2,
+) -> None:
+    """The default answer beside scripts on Pinocchio and iDynTree (extra `rivals`)."""
+    from benchmarks.answer import answers
+
+    for each in answers(rounds):
+        _print(each)
+
+
 @app.command()
 def identify(
     rounds: Annotated[int, typer.Option(help="Turns that each rival has.")] = 8,

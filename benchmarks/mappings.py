@@ -20,7 +20,7 @@ from benchmarks.inverse_recordings import ROBOTS, Truth
 from benchmarks.judged_mappings import GOALS, judged, marked
 from testbed.errors import TestbedError
 from testbed.recordings.importing.mapping import read_mapping
-from testbed.sanity.accept import accepted_import
+from testbed.sanity.check import import_and_check
 from tests.helpers.command import command_line
 
 SIX = ("ur5", "xarm7", "panda", "kinova", "puma562", "scara")
@@ -67,7 +67,7 @@ def guess(robot: str, files: Files) -> Guess:
 def accepted(made: Truth, path: Path) -> str:
     """What the check says against a mapping; empty if it takes the recording."""
     try:
-        accepted_import(path, made.tree)
+        import_and_check(path, made.tree)
     except TestbedError as error:
         return str(error)[:300]
     return ""

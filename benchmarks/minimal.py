@@ -15,7 +15,7 @@ from testbed.dynamics.witnesses import verify, verify_drives
 from testbed.parameters.barycentric import parameter_names
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.robot.friction import LAWS
-from testbed.robot.load import mimic_joints
+from testbed.robot.model_file import mimic_joints
 from testbed.robot.tree import Tree
 from tests.helpers.paths import REAL
 from tests.helpers.robots import random_robot, with_zeros

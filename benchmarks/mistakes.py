@@ -24,11 +24,11 @@ from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import SignalTable, WrenchTable
 from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
 from testbed.robot.rotations import from_vector, to_rpy
-from testbed.sanity.accept import accept
-from testbed.sanity.cures import Cure, with_lines
-from testbed.sanity.mistakes import PLATE_ORDERS
-from testbed.sanity.plate_map import placed, quarter_turns
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.assessment import assess
+from testbed.sanity.check import check_recording
+from testbed.sanity.plate import PLATE_ORDERS, quarter_turns
+from testbed.sanity.plate_map import transform
+from testbed.sanity.remedies import Remedy, with_lines
 
 ARMS = ("puma562", "ur5", "xarm7", "panda")
 """Of the robots."""
@@ -114,7 +114,7 @@ def _columns(made: Truth, mapping: dict[str, Any], turn: Array, place: Array, ze
     if late:
         wrench = make_interp_spline(t, wrench, k=3)(np.clip(t - late, t[0], t[-1]))
     table = mapping["wrench"]
-    sensed = wrench @ np.linalg.inv(placed(turn, place)).T
+    sensed = wrench @ np.linalg.inv(transform(turn, place)).T
     sensed = sensed * (1 if table["sense"] == "on_robot" else -1)
     sensed = sensed / np.repeat([FORCES[table["units"][0]], MOMENTS[table["units"][1]]], 3)
     found = dict(zip(table["columns"], sensed.T, strict=True))
@@ -180,30 +180,30 @@ class Outcome:
 def tried(made: Truth, case: Case) -> Outcome:
     """A case held against its robot, cured, and held against it again."""
     begun = time.process_time()
-    found = check_sanity(made.tree, recorded(made, case.columns, case.wrong))
+    found = assess(made.tree, recorded(made, case.columns, case.wrong))
     cpu = time.process_time() - begun
     refused = bool(found.certain)
-    lines = [line for cure in found.cures for line in cure.lines]
+    lines = [line for remedy in found.remedies for line in remedy.lines]
     mapping = with_lines(case.wrong, lines)
     apart = difference(case, made, mapping)
     same = {**SAME, "wrench": SAME["wrench"] if not case.late else 1.0}
     right = all(apart[signal] < same[signal] for signal in SAME)
     cured = recorded(made, case.columns, mapping)
     try:
-        accepted = accept(made.tree, cured)
+        accepted = check_recording(made.tree, cured)
     except RecordingError:
-        return Outcome(cpu, _kinds(found.cures), refused, False, False)
-    delays = [clock.delay for clock in accepted.clocks if clock.signal == "wrench" and clock.late]
+        return Outcome(cpu, _kinds(found.remedies), refused, False, False)
+    delays = [clock.delay for clock in accepted.offsets if clock.signal == "wrench" and clock.late]
     told = float(case.wrong["wrench"].get("delay", 0.0)) if not delays else delays[0]
     right &= abs(told - case.late) < 2e-3
     if "tare" in case.kinds:
         zero = np.array(mapping["wrench"].get("tare") or np.zeros(6)) - case.right["wrench"]["tare"]
         right &= bool(np.abs(zero[:2]).max() < 0.01 * made.weight)
-    return Outcome(cpu, _kinds(found.cures), refused, right, True)
+    return Outcome(cpu, _kinds(found.remedies), refused, right, True)
 
 
-def _kinds(cures: tuple[Cure, ...]) -> tuple[str, ...]:
-    return tuple(cure.kind for cure in cures)
+def _kinds(remedies: tuple[Remedy, ...]) -> tuple[str, ...]:
+    return tuple(remedy.kind for remedy in remedies)
 
 
 def study(count: int, seed: int, only: str = "") -> Iterator[dict[str, Any]]:

@@ -26,9 +26,9 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError
 from testbed.identification.finding import in_lines
 from testbed.recordings.importing.pieces import pieces
-from testbed.sanity.accept import accepted_import
-from testbed.sanity.cures import with_lines
-from testbed.sanity.sanity import check_sanity
+from testbed.sanity.assessment import assess
+from testbed.sanity.check import import_and_check
+from testbed.sanity.remedies import with_lines
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"
@@ -36,7 +36,7 @@ ROBOT = "ur5"
 CROSSTALK, DRIFT, LOAD = 0.1, 30.0, 3.0
 """Of one channel on another, relative; of forces [N]; a mass that the file lacks [kg]."""
 
-OPEN = ("cannot tell", *MARKS)
+OPEN = ("cannot tell", "do not decide", *MARKS)
 """What is said of explanations that are equal."""
 
 QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)
@@ -109,7 +109,7 @@ def _scenario(name: str, made: Truth, told: Planted, seed: int) -> dict[str, Any
         path = Path(folder) / "right.toml"
         path.write_text(right_mapping(made, files, told))
         try:
-            says, refused = accepted_import(path, made.tree)[2].warnings, False
+            says, refused = import_and_check(path, made.tree)[2].warnings, False
         except RecordingError as error:
             says, refused = (str(error),), True
         line, text = asked(ROBOT, files, made, told)
@@ -174,20 +174,21 @@ def _held_against(
     made: Truth, columns: dict[str, Array], words: str, right: dict[str, Any], wrong: dict[str, Any]
 ) -> dict[str, Any]:
     """What the check says first, and whether the recording is right with what it proposes."""
-    found = check_sanity(made.tree, recorded(made, columns, wrong))
-    lines = [line for cure in found.cures for line in cure.lines]
+    found = assess(made.tree, recorded(made, columns, wrong))
+    lines = [line for remedy in found.remedies for line in remedy.lines]
     one, other = (recorded(made, columns, each) for each in (right, with_lines(wrong, lines)))
     rest = np.asarray(other.position) - np.asarray(one.position)
     zero = (rest.mean(axis=0) + np.pi) % (2 * np.pi) - np.pi
     zero[[0, -1]] = 0  # no data tell
     same = not (np.abs(zero) > 1e-3).any() and np.ptp(rest, axis=0).max() < 1e-4
     same = same and bool(np.allclose(other.measured("torque"), one.measured("torque")))
-    text = " ".join(in_lines([*found.certain, *found.likely]))
+    text = " ".join(in_lines([*found.certain, *found.likely])) if lines else found.undecided
     told_open = any(word in text for word in OPEN)
-    result = "right" if same else "no word" if not lines else "open" if told_open else "wrong"
+    result = "right" if same else "open" if told_open else "wrong" if lines else "no word"
     return {
         "tx40": words, "result": result, "certain": bool(found.certain),
-        "said": [cure.kind + " " + ", ".join(cure.joints) for cure in found.cures],
+        "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
+        "undecided": found.undecided,
         "held": result != "wrong",
     }  # fmt: skip
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from testbed.instruments.catalogue import as_markdown
+from testbed.instruments.faults import as_markdown
 
 DOCUMENT = Path(__file__).with_suffix(".md")
 BEGIN = "<!-- written by python -m docs.instruments -->\n"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from docs.instruments import between_marks
-from testbed.kind_words import in_words, rows
+from testbed.kind_table import in_words, rows
 from testbed.simulation.effects import EFFECTS
 
 DOCUMENT = Path(__file__).with_suffix(".md")

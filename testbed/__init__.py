@@ -52,9 +52,9 @@ if TYPE_CHECKING:
     from testbed.reporting.html import report as report
     from testbed.reporting.plot import plot as plot
     from testbed.robot.inertia import Inertia as Inertia
-    from testbed.robot.load import load_tree as load_tree
     from testbed.robot.model_file import ModelFile as ModelFile
-    from testbed.robot.shafts import with_shafts as with_shafts
+    from testbed.robot.model_file import load_tree as load_tree
+    from testbed.robot.transmission import with_shafts as with_shafts
     from testbed.robot.tree import Joint as Joint
     from testbed.robot.tree import Tree as Tree
     from testbed.robot.write_model import write_model as write_model
@@ -95,8 +95,7 @@ _HOMES = {
     "testbed.symbolic.equations": ("Listing", "equations"),
     "testbed.symbolic.languages": ("write_equations",),
     "testbed.robot.inertia": ("Inertia",),
-    "testbed.robot.load": ("load_tree",),
-    "testbed.robot.shafts": ("with_shafts",),
+    "testbed.robot.transmission": ("with_shafts",),
     "testbed.robot.tree": ("Joint", "Tree"),
     "testbed.experiment.comparison": (
         "Comparison",
@@ -118,7 +117,7 @@ _HOMES = {
         "robot_of",
     ),
     "testbed.parameters.prior": ("prior_of",),
-    "testbed.robot.model_file": ("ModelFile",),
+    "testbed.robot.model_file": ("ModelFile", "load_tree"),
     "testbed.robot.write_model": ("write_model",),
 }
 

@@ -40,6 +40,20 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
     return array
 
 
+def freeze(value: object, **shapes: tuple[int | None, ...]) -> None:
+    """Arrays of a frozen value made read-only, as it is made; for `__post_init__`.
+
+    Args:
+        value: The value.
+        shapes: By the array's name, as for `readonly`.
+
+    Raises:
+        ValueError: A shape differs.
+    """
+    for name, shape in shapes.items():
+        object.__setattr__(value, name, readonly(getattr(value, name), shape, name))
+
+
 def skew(v: AnyArray) -> AnyArray:
     """The matrix v~ with v~ u = v x u.  v: (..., 3); returns (..., 3, 3)."""
     x, y, z = v[..., 0], v[..., 1], v[..., 2]

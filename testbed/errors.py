@@ -35,7 +35,8 @@ def printable(text: str, limit: int = LONGEST_MESSAGE) -> str:
         Blanks and line ends of every kind as single spaces; what a terminal would obey and not
         show (escape sequences, C1 controls, bidirectional marks) spelled out, as \x1b.
     """
-    shown = [c if c.isprintable() else _spelled(c) for c in " ".join(text.split())]
+    plain = " ".join(text.split())
+    shown = [c if c.isprintable() else c.encode("unicode_escape").decode() for c in plain]
     count = sum(map(len, shown))
     if count <= limit:
         return "".join(shown)
@@ -76,8 +77,9 @@ def few(names: Sequence[str], width: int | None = None, by: str = ", ") -> str:
     return by.join(told) + more
 
 
-def _spelled(character: str) -> str:
-    return character.encode("unicode_escape").decode()
+def quoted(names: Iterable[str]) -> str:
+    """The first names of a list, each in quotes, and how many there are more."""
+    return few([f"'{name}'" for name in names], WIDTH)
 
 
 def _start(pieces: Sequence[str], limit: int, *, backwards: bool = False) -> str:

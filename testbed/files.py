@@ -16,7 +16,6 @@ import platform
 import re
 import shutil
 import stat
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -24,6 +23,9 @@ from pathlib import Path
 
 NEST = f".testbed-{re.sub('[^A-Za-z0-9]', '_', platform.node())[:64]}-"
 """How nests begin: with this machine's name, since not every file system shares its locks."""
+
+AT_FDCWD, EXCHANGE = -100, 2
+"""Of Linux' renameat2, and of renamex_np of macOS."""
 
 
 @contextmanager
@@ -80,19 +82,22 @@ def _nest_beside(place: Path, path: Path) -> Iterator[Path]:
     Raises:
         OSError: It cannot be made there; in the words of `path`.
     """
-    made: list[Path] = []
+    missing = [each for each in place.parents if not each.exists()]
     try:
-        _make_folders(place.parent, made)
-        _sweep(place.parent)
-        nest, lock = _new_nest(place.parent)
-    except OSError as error:
-        _remove_empty(made)
-        raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
-    try:
-        yield nest
+        try:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            _sweep(place.parent)
+            nest, lock = _new_nest(place.parent)
+        except OSError as error:
+            raise OSError(f"'{path}' may not be written there: {error.strerror}") from None
+        try:
+            yield nest
+        finally:
+            _remove(nest, lock)
     finally:
-        _remove(nest, lock)
-        _remove_empty(made)
+        for each in missing:
+            with suppress(OSError):  # what was written stands there
+                each.rmdir()
 
 
 def read_text(path: Path, most: int) -> str:
@@ -123,49 +128,20 @@ def _place(path: Path, folder: bool) -> Path:
     """Where to write: a link stays, what it points to is replaced."""
     try:
         place = path.resolve()
-    except FileNotFoundError:
-        raise OSError(f"'{path}' cannot be written: the working folder was removed") from None
-    except OSError as error:
+        with suppress(FileNotFoundError):
+            mode = place.stat().st_mode
+            if stat.S_ISDIR(mode) is not folder:
+                kind = "folder" if stat.S_ISDIR(mode) else "file"
+                raise ValueError(f"there is a {kind}; choose another name")
+            if not folder and not stat.S_ISREG(mode):
+                raise ValueError("it is a device or pipe, no file; choose another name")
+            if folder and Path.cwd().is_relative_to(place):  # we would be left in one that is none
+                raise ValueError("it is the working folder or above it; choose another name")
+    except OSError as error:  # a name that is too long, a file among the folders above it
         raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
-    except (RuntimeError, ValueError) as error:  # links in a circle; a zero byte
+    except (RuntimeError, ValueError) as error:  # of Python: links in a circle, a zero byte
         raise OSError(f"'{path}' cannot be written: {error}") from None
-    try:
-        mode = place.stat().st_mode
-    except FileNotFoundError:
-        return place
-    except OSError as error:  # a file among the folders above it; a name that is too long
-        raise OSError(f"'{path}' cannot be written: {error.strerror}") from None
-    if stat.S_ISDIR(mode) is not folder:
-        kind = "folder" if stat.S_ISDIR(mode) else "file"
-        raise OSError(f"'{path}' is a {kind}; choose another name")
-    if folder and _holds_us(place):  # we would be left in a folder that is none
-        raise OSError(f"'{path}' is the working folder or above it; choose another name")
-    if not folder and not stat.S_ISREG(mode):
-        raise OSError(f"'{path}' is a device or pipe, not a file; choose another name")
     return place
-
-
-def _holds_us(place: Path) -> bool:
-    """Whether a folder is the working folder or above it."""
-    try:
-        return Path.cwd().is_relative_to(place)
-    except FileNotFoundError:  # it was removed
-        return False
-
-
-def _make_folders(folder: Path, made: list[Path]) -> None:
-    """Make a folder and those above it; `made` tells which were not there, the outermost first."""
-    if not folder.is_dir():
-        _make_folders(folder.parent, made)
-        with suppress(FileExistsError):
-            folder.mkdir()
-            made.append(folder)
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in reversed(folders):
-        with suppress(OSError):  # somebody else writes there by now
-            folder.rmdir()
 
 
 def _new_nest(parent: Path) -> tuple[Path, int]:
@@ -221,42 +197,38 @@ def _put(nest: Path, place: Path) -> None:
     """Put what is fresh in its place."""
     fresh = nest / "fresh"
     while True:
-        try:
+        with _passing(errno.ENOTEMPTY, errno.EEXIST):  # a folder cannot replace a full one
             fresh.replace(place)
             return
-        except OSError as error:  # a folder cannot take the place of a full one
-            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
-                raise
-        try:
+        with _passing(errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST):  # another writer moved it away
             if not _exchanged(fresh, place):
                 _in_two_steps(nest, place)
             return
-        except OSError as error:  # another writer may have moved what stood there
-            if error.errno not in (errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST):
-                raise
+
+
+@contextmanager
+def _passing(*codes: int) -> Iterator[None]:
+    """Errors of the system with these codes are none."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in codes:
+            raise
 
 
 def _exchanged(a: Path, b: Path) -> bool:
     """Let two paths change places in one step; False if this system cannot."""
-    library = ctypes.CDLL(None, use_errno=True)
-    ends = (os.fsencode(a), os.fsencode(b))
-    if sys.platform == "darwin":
-        function, arguments = getattr(library, "renamex_np", None), (*ends, RENAME_SWAP)
+    library, ends = ctypes.CDLL(None, use_errno=True), (os.fsencode(a), os.fsencode(b))
+    if hasattr(library, "renameat2"):  # of Linux
+        failed = library.renameat2(AT_FDCWD, ends[0], AT_FDCWD, ends[1], EXCHANGE)
+    elif hasattr(library, "renamex_np"):  # of macOS
+        failed = library.renamex_np(*ends, EXCHANGE)
     else:
-        function = getattr(library, "renameat2", None)
-        arguments = (AT_FDCWD, ends[0], AT_FDCWD, ends[1], RENAME_EXCHANGE)
-    if function is None:
         return False
-    if function(*arguments) == 0:
-        return True
     code = ctypes.get_errno()
-    if code in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
-        return False
-    raise OSError(code, os.strerror(code), str(b))
-
-
-AT_FDCWD, RENAME_EXCHANGE, RENAME_SWAP = -100, 2, 2
-"""Of Linux' renameat2 and of renamex_np of macOS."""
+    if failed and code not in (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP):
+        raise OSError(code, os.strerror(code), str(b))
+    return not failed
 
 
 def _in_two_steps(nest: Path, place: Path) -> None:

@@ -167,24 +167,15 @@ def complaints(error: ValidationError, model: type[BaseModel]) -> str:
             *tables, key = where
             unknown.append(_unknown(model, tables, key))
         else:
-            said = _in_toml(fault["msg"].removeprefix("Value error, "))
-            found = "" if fault["type"] == "missing" else f", found {_short(fault['input'])}"
+            said = fault["msg"].removeprefix("Value error, ")
+            for json_words, toml_words in IN_TOML.items():
+                said = said.replace(json_words, toml_words)
+            value = repr(fault["input"])
+            value = value if len(value) <= LONGEST_SHOWN else f"{value[:LONGEST_SHOWN]}..."
+            found = "" if fault["type"] in ("missing", "value_error") else f", found {value}"
             label = ".".join(part for part in where if "[" not in part)
-            found = "" if fault["type"] == "value_error" else found
             lines.append(f"{label}: {said}{found}" if label else said)
     return few(list(dict.fromkeys([*unknown[:1], *lines, *unknown])), FAULTS, "; ")
-
-
-def _in_toml(said: str) -> str:
-    """A complaint in the words of TOML, where pydantic has those of JSON."""
-    for json_words, toml_words in IN_TOML.items():
-        said = said.replace(json_words, toml_words)
-    return said
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 def _unknown(model: type[BaseModel], tables: list[str], key: str) -> str:

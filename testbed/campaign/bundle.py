@@ -1,35 +1,104 @@
-"""A bundle of runs, carried out where the worker is: plain values in, plain values out.
+"""Runs of a campaign: what each is known by, and how a bundle of them is carried out by a worker.
 
-A run that fails is an outcome like any other. What a run gives does not depend on the runs beside
-it, to the bit: they only share what they would all compute.
+Plain values in, plain values out. A run that fails is an outcome like any other. What a run gives
+does not depend on the runs beside it, to the bit: they only share what they would all compute.
 """
 
 from __future__ import annotations
 
+import hashlib
 import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from testbed.arrays import Array
+import testbed
 from testbed.blas import one_blas_thread
 from testbed.campaign.campaign import experiment_of
-from testbed.campaign.run_identity import code_version, run_hash
 from testbed.errors import ExperimentError, TestbedError, printable
 from testbed.experiment.experiment import Experiment
+from testbed.experiment.versions import versions
+from testbed.files import fingerprint
 from testbed.identification.estimate import Method
+from testbed.robot.model_file import model_format, references
+
+LENGTH = 32
+"""Hexadecimal digits of a hash."""
+
+ONLY_SHOWN = ("cli", "reporting", "viewer", "symbolic")
+"""Rooms that no result depends on."""
+
+_MODELS = (".xml", ".mjcf", ".urdf")
+Status = Literal["done", "failed", "killed"]
+"""Of a run: killed ones are made again by the next command, since nobody knows why."""
+
+
+def run_hash(experiment: Experiment, methods: Sequence[str]) -> str:
+    """The hash of a run: its experiment, its model files (meshes aside), the version of the code.
+
+    Args:
+        experiment: Of the run, resolved.
+        methods: Which estimates are made.
+
+    Raises:
+        ModelError: There is no such model file.
+    """
+    left_out: Any = {"model": True, "name": True, "claim": True, "motion": {"file"}}
+    said = [experiment.model_dump_json(exclude=left_out), ",".join(methods), code_version()]
+    said.append(_model_digest(experiment.model, _stamp(experiment.model)))
+    if experiment.motion.file:
+        said.append(_digest(experiment.motion.file, _stamp(experiment.motion.file)))
+    return hashlib.sha256("\n".join(said).encode()).hexdigest()[:LENGTH]
+
+
+@cache
+def code_version() -> str:
+    """A digest of the modules that make results, and of the packages that they use."""
+    home = Path(testbed.__file__).parent
+    made_by = versions() | {"numba": version("numba")}
+    digest = hashlib.sha256(repr(sorted(made_by.items())).encode())
+    for path in sorted(home.rglob("*.py")):
+        place = path.relative_to(home)
+        if place.parts[0] not in ONLY_SHOWN:
+            digest.update(place.as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()
+
+
+def _stamp(path: str) -> tuple[int, int]:
+    """What tells that a file has changed."""
+    try:
+        found = Path(path).stat()
+    except OSError:
+        return 0, 0
+    return found.st_mtime_ns, found.st_size
+
+
+@lru_cache(maxsize=256)
+def _model_digest(path: str, stamp: tuple[int, int]) -> str:
+    del stamp
+    model = Path(path)
+    parts = [model_format(model), fingerprint(model)]
+    held = sorted(file for file in references(model) if file.suffix.lower() in _MODELS)
+    parts += [fingerprint(file) for file in held if file != model.resolve()]
+    return hashlib.sha256(" ".join(parts).encode()).hexdigest()
+
+
+@lru_cache(maxsize=256)
+def _digest(path: str, stamp: tuple[int, int]) -> str:
+    del stamp
+    return fingerprint(Path(path))
+
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.recordings.recording import Recording
-
-Status = Literal["done", "failed", "killed"]
-"""Of a run: killed ones are made again by the next command, since nobody knows why."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +147,6 @@ class Outcome:
 
 def carry_out_bundle(bundle: Bundle) -> tuple[list[Outcome], float]:
     """Carry out the runs of a bundle.
-
-    Args:
-        bundle: The runs.
 
     Returns:
         An outcome each, in their order, and the seconds that all took.
@@ -163,13 +229,9 @@ def _estimates(run: Run) -> dict[str, dict[str, Any]]:
             "truth": errors.truth.tolist(),
             "values": estimate.values.tolist(),
             "sigma": estimate.sigma.tolist(),
-            "relative_error": _numbers(errors.relative),
+            "relative_error": [x if np.isfinite(x) else None for x in errors.relative.tolist()],
         }
     return found
-
-
-def _numbers(values: Array) -> Sequence[float | None]:
-    return [x if np.isfinite(x) else None for x in values.tolist()]
 
 
 def _file_of(recording: Recording) -> bytes:

@@ -1,18 +1,23 @@
-"""A campaign: a TOML file that varies an experiment, as a frozen value, every key checked."""
+"""A campaign: a TOML file that varies an experiment, as a frozen value, every key checked.
+
+Levels of its factors are crossed and sampled: a cell is one combination of them.
+"""
 
 from __future__ import annotations
 
 import copy
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 from pydantic import Field, model_validator
 
-from testbed.campaign.points import Cell, Choice, cells_of, sampled
+from testbed.arrays import Array
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import METRICS, Table
@@ -118,6 +123,41 @@ class CampaignTables(VariedTables):
 
 
 @dataclass(frozen=True)
+class Choice:
+    """One level of one factor.
+
+    Attributes:
+        factor: Its number.
+        level: A number, or a name.
+        words: What it changes, as `--set` takes it.
+    """
+
+    factor: int
+    level: float | str
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One combination of levels.
+
+    Attributes:
+        levels: Of every factor, in the order of the file.
+        words: What they change, as `--set` takes it.
+    """
+
+    levels: tuple[float | str, ...]
+    words: tuple[str, ...]
+
+
+class Place(NamedTuple):
+    """Where a run stands in its campaign: numbers of its cell and of its replicate there."""
+
+    cell: int
+    replicate: int
+
+
+@dataclass(frozen=True)
 class Campaign:
     """An experiment, what is varied of it, and how often each is repeated.
 
@@ -157,7 +197,7 @@ class Campaign:
         names = [factor.name for factor in tables.factor]
         if len(set(names)) < len(names):
             raise ExperimentError(f"{path}: two factors have one name: {', '.join(names)}")
-        cells = cells_of(_crossed(tables), _sampled(tables))
+        cells = cells_of(_cross(tables), _sample(tables))
         if len(cells) * tables.replicates > MOST_RUNS:
             raise ExperimentError(
                 f"{path}: {len(cells)} cells of {tables.replicates} replicates are more than "
@@ -243,7 +283,7 @@ def experiment_of(content: Mapping[str, Any], base: Path, words: Iterable[str]) 
     return Experiment.of_content(copy.deepcopy(dict(content)), base, words)
 
 
-def _crossed(tables: CampaignTables) -> list[list[Choice]]:
+def _cross(tables: CampaignTables) -> list[list[Choice]]:
     """Levels of the factors with values or names, in the order of the file."""
     found = []
     for number, factor in enumerate(tables.factor):
@@ -254,14 +294,14 @@ def _crossed(tables: CampaignTables) -> list[list[Choice]]:
     return found
 
 
-def _sampled(tables: CampaignTables) -> list[list[Choice]]:
+def _sample(tables: CampaignTables) -> list[list[Choice]]:
     """Points of all ranges together, each a level of every such factor."""
     ranges = [(k, factor) for k, factor in enumerate(tables.factor) if factor.range]
     if not ranges:
         return []
     asked = tables.sampling
     spans = [(*factor.range, factor.log) for _, factor in ranges if factor.range]
-    points = sampled(asked.method, spans, asked.points, asked.seed)
+    points = sample(asked.method, spans, asked.points, asked.seed)
     return [
         [_choice(k, factor, level) for (k, factor), level in zip(ranges, point, strict=True)]
         for point in points.tolist()
@@ -285,3 +325,49 @@ def _filled(word: str, level: float | str, name: str) -> str:
         return repr(level * float(found[1]))
 
     return re.sub(r"\$(?:\*([-+]?\d[\d.]*(?:e[-+]?\d+)?))?", put, word)
+
+
+def cells_of(
+    crossed: Sequence[Sequence[Choice]], points: Sequence[Sequence[Choice]]
+) -> tuple[Cell, ...]:
+    """All combinations of the crossed factors, each with every point of the sampled ones.
+
+    Args:
+        crossed: Levels of each factor that has all of them.
+        points: Levels of all sampled factors together, by point; [] for none.
+    """
+    found = []
+    for chosen in product(*crossed):
+        for point in points or [()]:
+            every = sorted((*chosen, *point), key=lambda choice: choice.factor)
+            words = tuple(word for choice in every for word in choice.words)
+            found.append(Cell(tuple(choice.level for choice in every), words))
+    return tuple(found)
+
+
+def sample(
+    method: str, spans: Sequence[tuple[float, float, bool]], points: int, seed: int
+) -> Array:
+    """Points in a box, (points, factors).
+
+    Args:
+        method: "random", "latin_hypercube" or "sobol".
+        spans: Least and greatest level of each factor, and whether even in the logarithm.
+        points: How many.
+        seed: Of the points.
+    """
+    from scipy.stats import qmc
+
+    rng = np.random.default_rng(seed)
+    if method == "random":
+        unit = rng.random((points, len(spans)))
+    elif method == "latin_hypercube":
+        unit = qmc.LatinHypercube(len(spans), rng=rng).random(points)
+    else:
+        power = max(points - 1, 0).bit_length()  # whole powers of two keep the balance
+        unit = qmc.Sobol(len(spans), rng=rng).random_base2(power)[:points]
+    found = np.empty_like(unit)
+    for k, (low, high, log) in enumerate(spans):
+        part = unit[:, k]
+        found[:, k] = low * (high / low) ** part if log else low + (high - low) * part
+    return found

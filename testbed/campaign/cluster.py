@@ -3,6 +3,7 @@
 Guest    `distributed` and `dask`, of the extra "cluster"
 Memory   few bundles are in flight, and their outcomes are let go as they come: the number of runs
          does not matter
+Workers  import this module first, so that it leaves alone what only the command needs
 """
 
 from __future__ import annotations
@@ -12,13 +13,17 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
-from testbed.campaign.conduct import Answers, Supply
 from testbed.errors import ExperimentError, TestbedError
+
+if TYPE_CHECKING:
+    from testbed.campaign.conduct import Answers, Supply
+import signal
+import warnings
 
 Work: TypeAlias = Callable[[Bundle], tuple[list[Outcome], float]]
 """What is done with a bundle."""
@@ -43,7 +48,7 @@ _CONFIG: dict[str, Any] = {
     "distributed.comm.timeouts.connect": "60s",
     "distributed.deploy.lost-worker-timeout": "1s",
     "distributed.nanny.pre-spawn-environ": _ONE_THREAD,
-    "distributed.worker.preload": ["testbed.campaign.worker_setup"],
+    "distributed.worker.preload": ["testbed.campaign.cluster"],
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.target": False,
 }
@@ -203,7 +208,7 @@ class DaskEngine:
             found: tuple[list[Outcome], float] = future.result()
         except _libraries()[1].KilledWorker:
             if len(bundle.runs) > 1:
-                apart.extend(_taken_apart(bundle))
+                apart.extend(replace(bundle, runs=(run,)) for run in bundle.runs)
                 return None
             (run, _) = bundle.runs[0]
             said = f"{ALLOWED_DEATHS + 1} workers died with it, perhaps for lack of memory"
@@ -218,14 +223,6 @@ class DaskEngine:
         finally:
             future.release()
         return found
-
-
-def _taken_apart(bundle: Bundle) -> list[Bundle]:
-    """A bundle for each run."""
-    return [
-        Bundle(bundle.base, bundle.content, bundle.methods, bundle.keeps, bundle.code, (run,))
-        for run in bundle.runs
-    ]
 
 
 def _lost() -> SchedulerLost:
@@ -263,3 +260,10 @@ def _quiet() -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, before, strict=True):
             logger.setLevel(level)
+
+
+def dask_setup(worker: object) -> None:
+    """Leave Ctrl-C to the command, and load what every run needs."""
+    del worker
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    warnings.simplefilter("ignore")

@@ -6,22 +6,18 @@ import errno
 import math
 import time
 from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-import pyarrow as pa
 
-from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle
-from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_folder import CampaignFolder, own_folder
-from testbed.campaign.estimated_cost import seconds_of
-from testbed.campaign.results_table import Place, Said, schema_of
-from testbed.campaign.run_identity import code_version, run_hash
+from testbed.campaign.bundle import Bundle, Outcome, carry_out_bundle, code_version, run_hash
+from testbed.campaign.campaign import Campaign, Place
+from testbed.campaign.results import CampaignFolder, own_folder
 from testbed.errors import ExperimentError
+from testbed.experiment.experiment import Experiment
 
 WHOLE = 5.0
 """Seconds that a bundle is meant to take; where little is left, bundles are smaller."""
@@ -31,6 +27,19 @@ LEAST = 0.5
 
 MOST = 200
 """Runs of a bundle."""
+
+
+FIXED = 0.3
+"""Seconds of reading the robot, choosing a motion, building the plant."""
+
+PER_SAMPLE, PER_STEP, PER_CANDIDATE = 30e-6, 12e-6, 0.004
+"""Seconds of a sample, an integration step (three joints), a random motion that is drawn."""
+
+ROW_BYTES = 1500
+"""Of a run in the table."""
+
+SAMPLE_BYTES = 250
+"""Of a sample in a recording of three joints that is kept."""
 
 
 @dataclass(frozen=True)
@@ -112,9 +121,6 @@ class InThisProcess:
 def places_of(campaign: Campaign) -> dict[str, Place]:
     """Every run of a campaign by its hash, in the order of replicates and cells.
 
-    Args:
-        campaign: The campaign.
-
     Raises:
         TestbedError: The experiment of a run cannot be read.
     """
@@ -148,113 +154,50 @@ def conduct(
         TestbedError: The campaign cannot be carried out as written, or its folder not be written.
     """
     with own_folder(path, campaign.tables):
-        places = places_of(campaign)
-        stop = campaign.tables.stop
-        figure = None if stop is None else f"metric/{stop.figure}"
-        schema, said = schema_of_campaign(campaign), _sayer(campaign)
-        folder = CampaignFolder(path, schema, places, said, figure)
-        with _full_disk_said(path):
+        folder = CampaignFolder(path, campaign, places_of(campaign))
+        try:
             try:
-                for runs in _rounds(campaign, places, folder, limit):
+                for runs in _rounds(campaign, folder, limit):
                     _make(campaign, runs, folder, engine, progress)
             finally:
                 folder.compact()
+        except OSError as error:
+            if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+                raise
+            raise ExperimentError(
+                f"'{path}': {error.strerror}; what was written is kept and whole: make room, and "
+                "the same command goes on"
+            ) from None
     return folder
 
 
-@contextmanager
-def _full_disk_said(path: Path) -> Iterator[None]:
-    """A disk without room, as an error for the person.
-
-    Raises:
-        ExperimentError: Says what to do.
-    """
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            raise
-        raise ExperimentError(
-            f"'{path}': {error.strerror}; what was written is kept and whole: make room, and the "
-            "same command goes on"
-        ) from None
-
-
-def schema_of_campaign(campaign: Campaign) -> pa.Schema:
-    """The columns of its table, and what is said of it there."""
-    levels = {
-        name: [cell.levels[k] for cell in campaign.cells] for k, name in enumerate(campaign.factors)
-    }
-    about = {
-        "name": campaign.tables.name,
-        "claim": campaign.tables.claim,
-        "experiment": campaign.base.name,
-        "cells": len(campaign.cells),
-        "methods": list(campaign.tables.methods),
-        "logarithmic": [f.name for f in campaign.tables.factor if f.log],
-    }
-    return schema_of(levels, about)
-
-
-def _sayer(campaign: Campaign) -> Said:
-    """Columns that a campaign knows of a run."""
-    named = {
-        k
-        for k in range(len(campaign.factors))
-        if any(isinstance(cell.levels[k], str) for cell in campaign.cells)
-    }
-
-    def said(place: Place, status: str) -> dict[str, object]:
-        levels = enumerate(zip(campaign.factors, campaign.cells[place.cell].levels, strict=True))
-        return {
-            "cell": place.cell,
-            "replicate": place.replicate,
-            "seed": campaign.seed(*place),
-            "command": "" if status == "done" else campaign.command(*place),
-            **{f"factor/{name}": str(x) if k in named else float(x) for k, (name, x) in levels},
-        }
-
-    return said
-
-
-def _rounds(
-    campaign: Campaign,
-    places: dict[str, Place],
-    folder: CampaignFolder,
-    limit: int | None,
-) -> Iterator[list[str]]:
+def _rounds(campaign: Campaign, folder: CampaignFolder, limit: int | None) -> Iterator[list[str]]:
     """The runs of each round; which ones they are depends on results alone, not on the route."""
     open_cells = set(range(len(campaign.cells)))
-    left = limit
     for replicates in campaign.rounds():
         runs = [
             run
-            for run, place in places.items()
+            for run, place in folder.places.items()
             if place.replicate in replicates and place.cell in open_cells
-        ]
-        runs = runs if left is None else runs[:left]
+        ][:limit]
         yield runs
-        if left is not None:
-            left -= len(runs)
-        open_cells = _unsure(campaign, places, folder, open_cells)
+        if limit is not None:
+            limit -= len(runs)
+        if campaign.tables.stop is not None:
+            open_cells = _unsure(campaign.tables.stop.standard_error, folder, open_cells)
 
 
-def _unsure(
-    campaign: Campaign, places: dict[str, Place], folder: CampaignFolder, cells: Collection[int]
-) -> set[int]:
-    """Cells that have not enough replicates yet."""
-    stop = campaign.tables.stop
-    if stop is None:
-        return set(cells)
+def _unsure(enough: float, folder: CampaignFolder, cells: Collection[int]) -> set[int]:
+    """Cells whose mean has a standard error above what is enough."""
     values: dict[int, list[float]] = {cell: [] for cell in cells}
-    for run, place in places.items():
+    for run, place in folder.places.items():
         value = folder.figures.get(run)
         if place.cell in values and value is not None:
             values[place.cell].append(value)
     return {
         cell
         for cell, found in values.items()
-        if len(found) < 2 or np.std(found, ddof=1) / math.sqrt(len(found)) > stop.standard_error
+        if len(found) < 2 or np.std(found, ddof=1) / math.sqrt(len(found)) > enough
     }
 
 
@@ -280,3 +223,24 @@ def _make(
         failed = sum(status != "done" for status in folder.status.values())
         rate = came / max(time.monotonic() - start, 1e-9)
         progress(Standing(len(runs) - len(missing) + came, len(runs), failed, rate))
+
+
+def seconds_of(experiment: Experiment) -> float:
+    """CPU time of a run [s], simulation and identification."""
+    motion, measurement = experiment.motion, experiment.measurement
+    time = motion.duration + experiment.simulation.warm_up
+    steps = time / experiment.simulation.step
+    drawn = 0 if motion.file else motion.candidates
+    work = PER_SAMPLE * time * measurement.rate + PER_STEP * steps
+    return FIXED + work + PER_CANDIDATE * drawn
+
+
+def bytes_of(experiment: Experiment, *, keeps: bool) -> float:
+    """Place on disk that a run takes.
+
+    Args:
+        experiment: Of the run.
+        keeps: Whether its recording is kept.
+    """
+    samples = experiment.motion.duration * experiment.measurement.rate
+    return ROW_BYTES + (SAMPLE_BYTES * samples if keeps else 0.0)

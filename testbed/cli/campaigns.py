@@ -69,8 +69,8 @@ def campaign(
         _summary(file, against, rrd)
         return
     from testbed.campaign.campaign import Campaign
-    from testbed.campaign.campaign_folder import CAMPAIGN, LOCK
     from testbed.campaign.conduct import conduct
+    from testbed.campaign.results import CAMPAIGN, LOCK
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign_lines import Throughput, print_conducted, print_plan
@@ -91,8 +91,7 @@ def campaign(
 
 def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     """Print what a campaign says, and write it beside its table."""
-    from testbed.campaign.campaign_summary import read_campaign, summarise
-    from testbed.campaign.summary_files import changes, write_summary
+    from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.campaign_lines import print_changes, print_summary

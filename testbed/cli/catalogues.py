@@ -10,7 +10,7 @@ import typer
 from testbed.cli.options import app
 
 if TYPE_CHECKING:
-    from testbed.kind_words import Entry
+    from testbed.kind_table import Entry
 
 Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
 
@@ -21,12 +21,13 @@ def faults(kind: Kind = None) -> None:
 
     Example: testbed faults plate_pose
     """
-    from testbed.instruments.catalogue import catalogue, entry_of
+    from testbed.instruments.faults import KINDS, fault_named
+    from testbed.kind_table import in_words
 
     if kind is None:
-        _list(catalogue(), "faults")
+        _list(map(in_words, KINDS.values()), "faults")
     else:
-        _describe(entry_of(kind), "[measurement] fault")
+        _describe(in_words(fault_named(kind)), "[measurement] fault")
 
 
 @app.command()
@@ -35,7 +36,7 @@ def effects(kind: Kind = None) -> None:
 
     Example: testbed effects lugre_friction
     """
-    from testbed.kind_words import in_words
+    from testbed.kind_table import in_words
     from testbed.simulation.effects import EFFECTS, effect_named
 
     if kind is None:

@@ -108,7 +108,7 @@ def _kernel() -> Check:
         return Check("compiled kernel", f"kept in {folder}, for now", False, False, cure)
     if any(folder.glob("**/*.nbi")):
         return Check("compiled kernel", f"ready, in {folder}")
-    return Check("compiled kernel", f"not yet: the first estimate compiles it into {folder}")
+    return Check("compiled kernel", f"not yet: the first run or estimate compiles it into {folder}")
 
 
 def _viewer() -> Check:

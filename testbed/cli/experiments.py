@@ -147,15 +147,20 @@ def simulate(
 
 @app.command()
 def warmup() -> None:
-    """Compile the fast kernel ahead of its first use.
+    """Compile the fast kernel and the simulation's loop ahead of their first use.
 
     Example: testbed warmup
     """
+    from testbed.experiment.experiment import Experiment
+    from testbed.experiment.simulate import simulate as simulated
+    from testbed.experiment.trial import SECOND
+    from testbed.installation import shipped
     from testbed.kernel.numba_engine import warm_up
     from testbed.reporting import output
 
     with output.Progress("compiling"):
         folder = warm_up()
+        simulated(Experiment.of_model(shipped("models/puma562.xml"), SECOND))
     output.console().print(f"compiled; kept in {folder}", soft_wrap=True)
 
 

@@ -39,8 +39,8 @@ def write_mapping(
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
-    from testbed.sanity.mistakes import own_joints
-    from testbed.sanity.solved_mapping import missing, solved
+    from testbed.sanity.hypotheses import own_joints
+    from testbed.sanity.mapping_solution import missing, solve_mapping
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
@@ -51,7 +51,7 @@ def write_mapping(
         )
     if tree is not None:
         with output.Progress("solving for what names do not tell") as bar:
-            found = solved(draft, out or folder / "mapping.toml", tree, bar)
+            found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
         output.print_lines((), found.warnings)
         if page is not None:

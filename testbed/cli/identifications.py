@@ -27,6 +27,7 @@ from testbed.cli.options import (
     RobotModel,
     Terms,
     Threads,
+    Timings,
     Unchecked,
     Weld,
     Zeros,
@@ -67,6 +68,7 @@ def identify(
     in_place: InPlace = False,
     unchecked: Unchecked = False,
     threads: Threads = None,
+    timings: Timings = False,
     everything: Everything = False,
     as_json: Json = False,
 ) -> None:

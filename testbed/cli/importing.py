@@ -69,7 +69,7 @@ def import_(
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.importing.pieces import pieces
     from testbed.reporting import output
-    from testbed.sanity.accept import accepted_import
+    from testbed.sanity.check import import_and_check
 
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))
@@ -86,16 +86,17 @@ def import_(
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines, warnings = [], []
+    notes: tuple[str, ...] = ()
     if tree is None:
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
     else:
         with output.Progress("importing, holding it against the robot") as bar:
             options = {"align": align, "unchecked": unchecked}
-            made, cuts, found = accepted_import(mapping, tree, **options, progress=bar)
+            made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
         taken = " (taken back)" if align else ""
-        lines = [each.text + taken * (each.late or each.drifts) for each in found.clocks]
-        warnings = [*tree.warnings, *found.warnings]
+        lines = [each.text + taken * each.matters for each in found.offsets]
+        notes, warnings = found.notes, [*tree.warnings, *found.warnings]
     paths = _paths(out, len(made))
     for recording, path in zip(made, paths, strict=True):
         recording.save(path)
@@ -104,13 +105,13 @@ def import_(
     if as_json:
         several = {"recordings": [str(path) for path in paths], "cuts": cuts} if cuts else {}
         found_in = [report.as_dict() for report in reports]
-        said = {"import": found_in if cuts else found_in[0], "clocks": lines, "warnings": warnings}
-        output.print_json(said | several)
+        said = {"import": found_in if cuts else found_in[0], "clocks": lines, "notes": notes}
+        output.print_json(said | {"warnings": warnings} | several)
         return
     told = [line for report in reports for line in report.lines()]
     names = ", ".join(map(str, paths))
     last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
-    output.print_lines([*cuts, *told, *lines, last], doubts)
+    output.print_lines([*cuts, *told, *lines, *notes, last], doubts)
 
 
 def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:

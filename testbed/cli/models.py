@@ -174,11 +174,11 @@ def equations(
     """
     from testbed.files import check_writable, fingerprint, replacing
     from testbed.reporting import output
-    from testbed.symbolic.angles import right_angles
-    from testbed.symbolic.budget import MAX_TERMS
+    from testbed.symbolic.equations import KINDS
     from testbed.symbolic.equations import equations as derived
-    from testbed.symbolic.kinds import KINDS
+    from testbed.symbolic.expression import MAX_TERMS
     from testbed.symbolic.languages import as_document, write_equations
+    from testbed.symbolic.robot import right_angles
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     tree = right_angles(tree) if square else tree
@@ -231,9 +231,8 @@ def _compare(
     """Say where a listing differs; exit code 1 if it does."""
     from testbed.files import read_text
     from testbed.reporting import output
-    from testbed.symbolic.compare import compare_equations
+    from testbed.symbolic.compare import TERM_LENGTH, compare_equations
     from testbed.symbolic.languages.paper import line
-    from testbed.symbolic.parse import TERM_LENGTH
 
     text = read_text(path, 4 * TERM_LENGTH * max_terms)  # a character has up to four bytes
     with output.Progress("deriving"):

@@ -87,6 +87,19 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 Everything = Annotated[
     bool, typer.Option("--all", help="Print all parameters and warnings, and how well data fit.")
 ]
+
+
+def _timed(context: typer.Context, wanted: bool) -> bool:
+    if wanted:
+        from testbed.reporting.output import printed_stages
+
+        context.with_resource(printed_stages())
+    return wanted
+
+
+Timings = Annotated[
+    bool, typer.Option(callback=_timed, help="Print the seconds of each stage on standard error.")
+]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as motion.duration=20."),

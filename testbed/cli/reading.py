@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from testbed.errors import RecordingError
+from testbed.stages import stage
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
@@ -65,9 +66,8 @@ class Reading:
 
     def model_file(self, path: Path) -> ModelFile:
         """A model file, and how to read it."""
-        from testbed.robot.load import mimic_joints
         from testbed.robot.locks import parse_lock
-        from testbed.robot.model_file import ModelFile
+        from testbed.robot.model_file import ModelFile, mimic_joints
 
         held: dict[str, float | None] = parse_lock(self.lock or ())
         welded, follow, bodies = self.weld_root, self.lock_mimic, None
@@ -86,6 +86,7 @@ class Reading:
         with output.Progress("reading"):
             return corrected_source(on_its_base(opened(path), tree), tree, self.plate)
 
+    @stage("reading and plausibility")
     def joined(
         self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
     ) -> tuple[Source, list[str]]:
@@ -119,12 +120,12 @@ class Reading:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.reporting.output import Progress
-        from testbed.sanity.accept import accept
+        from testbed.sanity.check import check_recording
 
         if "mapping" not in source.facts:
             return ()
         with Progress("looking for mistakes") as bar:
-            return accept(tree, source, unchecked=unchecked, progress=bar).warnings
+            return check_recording(tree, source, unchecked=unchecked, progress=bar).warnings
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""

@@ -72,7 +72,7 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     from testbed.cli.reading import Reading
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.sanity.accept import accepted_import
+    from testbed.sanity.check import import_and_check
 
     made = mapping.with_suffix(".parquet")
     for path in (mapping, made):
@@ -82,9 +82,10 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     if not write_mapping(files, mapping, robot, tree) or tree is None:
         return
     with output.Progress("importing, holding it against the robot") as bar:
-        several, _, found = accepted_import(mapping, tree, progress=bar)
+        several, _, found = import_and_check(mapping, tree, progress=bar)
     max(several, key=lambda each: each.samples).save(made)
-    output.print_lines([f"{made}: testbed identify {made} --model {robot}"], found.warnings)
+    last = f"{made}: testbed identify {made} --model {robot}"
+    output.print_lines([*found.notes, last], found.warnings)
 
 
 def _check_free(path: Path) -> None:

@@ -101,16 +101,6 @@ def motor_efforts(tree: Tree, motion: Motion) -> Array:
     return joint_forces(tree, motion) + drive_torque(tree, motion.qd, motion.qdd)
 
 
-def usage(tree: Tree, motion: Motion, limits: Limits) -> dict[str, Array]:
-    """Share of each limit that a motion uses, (n,) each; above 1 it is exceeded."""
-    return {
-        "position": np.abs(motion.q - limits.middle).max(axis=0) / limits.half,
-        "velocity": np.abs(motion.qd).max(axis=0) / limits.velocity,
-        "acceleration": np.abs(motion.qdd).max(axis=0) / limits.acceleration,
-        "effort": np.abs(motor_efforts(tree, motion)).max(axis=0) / limits.effort,
-    }
-
-
 def _range(joint: Joint) -> tuple[float, float]:
     half = CALM[joint.kind][0]
     low, high = (

@@ -158,15 +158,22 @@ def prove(motion: Fourier, rules: Rules) -> Proof:
 
 
 def seems_to_hold(motion: Fourier, rules: Rules, instants: int = GLANCE) -> bool:
-    """Whether forces and distances are allowed at some instants: no proof, but quick."""
-    times = np.arange(instants) * motion.period / instants
+    """Whether all limits are kept at some instants: no proof, but quick."""
+    times, limits = np.arange(instants) * motion.period / instants, rules.limits
     here = Computed(rules.tree, motion.at(times))
+    shares = (
+        (here.q - limits.middle) / limits.half,
+        here.qd / limits.velocity,
+        here.qdd / limits.acceleration,
+    )
+    if any((np.abs(share) > rules.margin).any() for share in shares):
+        return False
     if any((term.values(here) > 0).any() for term in rules.terms):
         return False
     if rules.collision is None:
         return True
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) + TOUCH)
-    return all((meter.measure(q).values > rules.clearance).all() for q in here.q)
+    return bool((meter.measure(here.q).values > rules.clearance).all())
 
 
 def _linear(motion: Fourier, rules: Rules) -> list[Margin]:

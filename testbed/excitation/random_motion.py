@@ -16,7 +16,7 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import relative_scale
-from testbed.excitation.limits import Limits, limits_of, usage
+from testbed.excitation.limits import Limits, limits_of, motor_efforts
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
 from testbed.excitation.rest_posture import easiest_posture, rest_posture
 from testbed.parameters.barycentric import barycentric
@@ -134,7 +134,7 @@ def _within_efforts(tree: Tree, draw: Draw) -> tuple[Fourier | None, Array]:
     times = _times(motion, *_CHECK)
     for share in 0.9 ** np.arange(30):
         motion = draw.sized(float(share))
-        effort = usage(tree, motion.at(times), draw.limits)["effort"]
+        effort = np.abs(motor_efforts(tree, motion.at(times))).max(axis=0) / draw.limits.effort
         if (effort <= MARGIN).all():
             return motion, effort
     return None, effort

@@ -49,7 +49,7 @@ def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
         meter = DistanceMeter(rules.collision)
         wanted = rules.clearance.max()
         whole = rules.clearance == wanted  # others are built nearer, and would hide all else
-        nearest = np.array([meter.measure(q).values[whole].min() for q in here.q])
+        nearest = meter.measure(here.q).values[:, whole].min(axis=1)
         if (nearest < FAR).any():  # else nothing ever comes near
             found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
     return found

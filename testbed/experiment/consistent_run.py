@@ -18,15 +18,15 @@ from testbed.identification.identify import identify
 from testbed.identification.open_counted import open_counted
 from testbed.identification.prior_choice import consistent_by_held_out
 from testbed.identification.wishes import Wishes
-from testbed.instruments.stage import stream
+from testbed.instruments.fault import stream
 from testbed.parameters.barycentric import standard
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.prior import Prior, prior_of
 from testbed.recordings.source import Source
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.extents import extents
-from testbed.robot.visuals.load_shapes import load_shapes
+from testbed.robot.visuals.appearance import load_shapes
+from testbed.robot.visuals.shapes import extents
 
 
 def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:

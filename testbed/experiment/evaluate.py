@@ -14,9 +14,8 @@ from testbed.experiment.step_floor import with_floor
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.passes import Progress
 from testbed.recordings.recording import Recording
-from testbed.robot.load import mimic_joints, nearest_bodies
-from testbed.robot.model_file import ModelFile
-from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
+from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 

@@ -15,7 +15,7 @@ from testbed.errors import UnknownName
 from testbed.kind_table import AsTable
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import Inertia
-from testbed.robot.shafts import with_shafts
+from testbed.robot.transmission import with_shafts
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.effects import effect_of
@@ -236,7 +236,7 @@ class SimulationTable(Table):
     """The plant and its controller."""
 
     step: Positive = 2.5e-4
-    """Of the integration [s]."""
+    """Of the integration where a joint sticks or turns round; else it may be up to 1 ms [s]."""
     friction: bool = True
     """Keep the joints' friction."""
     bandwidth: Positive = 60.0

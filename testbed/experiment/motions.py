@@ -24,9 +24,8 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.motion_file import read_motion
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.appearance import bounds
-from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import Shape, poses_at_zero
+from testbed.robot.visuals.appearance import load_shapes
+from testbed.robot.visuals.shapes import Shape, bounds, poses_at_zero
 
 QUIET_PLATE = np.repeat([0.5, 0.1], 3)
 """Noise assumed for choosing a motion when the plate has none [N, N m]."""

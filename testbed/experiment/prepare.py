@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
@@ -15,7 +15,7 @@ from testbed.excitation.rest_to_rest import rest_to_rest
 from testbed.experiment.evaluate import effects_of, model_of, robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import FAST, motion_of, rules_of
-from testbed.instruments.stage import stream
+from testbed.instruments.fault import stream
 from testbed.recordings.checks import COUNTED
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
@@ -23,7 +23,7 @@ from testbed.simulation.controller import Reference
 from testbed.simulation.drive_model import believed
 from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant
-from testbed.simulation.rollout import Task
+from testbed.simulation.rollout import Rollout, Watch, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 
 MOST_SAMPLES = 2e6
@@ -46,8 +46,10 @@ class Prepared:
     Attributes:
         experiment: What is to be done.
         tree: Its robot.
-        task: Plant, drive and motion.
+        plant: The robot on its bedplate.
+        model: The robot as its drive believes it to be.
         path: The periodic motion, under way or part of one from rest to rest.
+        reference: What the drive follows.
         end: Of the recording [s].
         facts: What the recording says of its motion.
         sampling: How the run is cut into samples.
@@ -56,22 +58,14 @@ class Prepared:
 
     experiment: Experiment
     tree: Tree
-    task: Task
+    plant: Plant
+    model: Tree
     path: Fourier
+    reference: Reference
     end: float
     facts: Mapping[str, Any]
     sampling: Sampling
     forces: StepForces | None
-
-    @property
-    def shares(self) -> Hashable:
-        """What runs that go side by side have in common: the layout of the plant, the clock."""
-        said = self.experiment
-        held = (said.model, said.weld_root, tuple(said.robot.lock), said.robot.lock_mimic)
-        effects = tuple(effect.kind for effect in said.simulation.effect)
-        plant = self.task.plant.model
-        sizes = (plant.nq, plant.nv, plant.nsensordata, plant.ngeom, plant.nM)
-        return held, effects, sizes, self.end, self.sampling
 
     @property
     def happens(self) -> Hashable:
@@ -79,7 +73,34 @@ class Prepared:
         said, motion = self.experiment, self.path
         drawn = said.seed if said.simulation.drive_model_error else None
         shapes = motion.offset.tobytes(), motion.sine.tobytes(), motion.cosine.tobytes()
-        return self.shares, _plant_words(said), motion.fundamental, shapes, drawn
+        clock = self.end, self.sampling
+        return clock, _plant_words(said), motion.fundamental, shapes, drawn
+
+    def rollout(
+        self,
+        progress: Callable[[int, int], None] = lambda done, total: None,
+        watch: Watch = lambda time, truth: None,
+    ) -> Rollout:
+        """Simulate it.
+
+        Args:
+            progress: Called with samples done and samples in all.
+            watch: Called with what happens while it is simulated, a second or so at a time.
+
+        Raises:
+            SimulationDiverged: The robot did not follow.
+        """
+        return simulate_motion(
+            self.plant,
+            self.model,
+            self.reference,
+            self.end,
+            self.experiment.simulation.bandwidth,
+            self.sampling,
+            progress,
+            watch,
+            self.forces,
+        )
 
 
 def prepare(
@@ -115,10 +136,18 @@ def prepare(
             friction=simulation.friction,
             effects=effects_of(experiment, tree),
         )
-    task = Task(known[words], _drives_model(experiment, tree), reference, simulation.bandwidth)
-    sampling = replace(sampling, begin=begin)
-    pushes = _forces(experiment, tree, forces)
-    return Prepared(experiment, tree, task, path, end, facts, sampling, pushes)
+    return Prepared(
+        experiment,
+        tree,
+        known[words],
+        _drives_model(experiment, tree),
+        path,
+        reference,
+        end,
+        facts,
+        replace(sampling, begin=begin),
+        _forces(experiment, tree, forces),
+    )
 
 
 def _course(

@@ -12,9 +12,8 @@ from testbed.errors import FreeRootError, LoopError, MimicError, ModelError, rou
 from testbed.experiment.assumptions import calm_speeds, size
 from testbed.identification.settings import Settings
 from testbed.robot.friction import VISCOUS
-from testbed.robot.load import mimic_joints, nearest_bodies
 from testbed.robot.locks import Travel
-from testbed.robot.model_file import ModelFile
+from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.robot.repair import Bodies, Repair
 from testbed.robot.tree import Tree
 

@@ -26,8 +26,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
 from testbed.recordings.recording import Recording
-from testbed.robot.load import model_format
-from testbed.robot.model_files import copy_model
+from testbed.robot.model_file import copy_model, model_format
 
 EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
 MOTION, UNSEEN, ESTIMATES = "motion.toml", "unseen.parquet", "estimates.zip"

@@ -14,7 +14,7 @@ from testbed.identification.estimate import Estimate, Method
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import minimal_set, selection
 from testbed.robot.friction import term_torque
-from testbed.robot.shafts import shares
+from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
 
 SMALL = 0.01

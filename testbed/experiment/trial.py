@@ -7,8 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.clearance import DistanceMeter
 from testbed.excitation.rest_posture import tried_postures
@@ -105,7 +103,7 @@ def _touching(experiment: Experiment) -> tuple[tuple[str, str], ...]:
     if rules.collision is None:
         return ()
     meter = DistanceMeter(rules.collision, float(rules.clearance.max(initial=0)) * 2)
-    near = np.array([meter.measure(q).values for q in tried_postures(rules.limits)])
+    near = meter.measure(tried_postures(rules.limits)).values
     near = near <= rules.clearance
     fewest = near[near.sum(axis=1).argmin()]
     return tuple(

@@ -15,10 +15,9 @@ from scipy import linalg, special
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.average import Answer, averaged_fit
-from testbed.identification.noise.biases import carrying_constants
 from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
-from testbed.identification.noise.fits import whitened_fit
+from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.noise.lagged_products import LaggedProducts
 from testbed.identification.noise.late import Lateness, lateness
@@ -32,6 +31,7 @@ from testbed.identification.passes import Passes
 from testbed.identification.period import period_of
 from testbed.identification.solvers import least_squares
 from testbed.identification.windows import Plan
+from testbed.stages import stage
 
 ROUNDING = 1e-9
 """Part of a channel in a constant that is none but for rounding."""
@@ -67,6 +67,7 @@ class Refined:
     traces: tuple[tuple[Trace, float], ...] = ()
 
 
+@stage("residuals and replicas of noise")
 def under_coloured_noise(
     start: least_squares.Fit, passes: Passes, names: tuple[str, ...], beside: Beside = NOTHING
 ) -> Refined:
@@ -88,7 +89,7 @@ def under_coloured_noise(
     step = units.fixed + units.lead @ found.values[:m]
     values, further = start.values + step[:p], step[p:]
     clues = Clues(units.as_free(given.looked_at), Question(m + beside.trends, beside.tested))
-    replicas = Replicas(found.noise, carrying_constants(every, directions))
+    replicas = Replicas(found.noise, every.with_constants(directions))
     back = _in_channels(units, directions)
     bias, left = back @ found.values[m:], _Left(back)
     repeated = _repetition_sums(passes, found.noise)
@@ -104,7 +105,7 @@ def under_coloured_noise(
         if repeated:
             repeated.add(units.root.T @ far)
     told = units.lead[:p][units.lead[:p].any(axis=1)]
-    factor = replicas.factor(answer.fit, told)
+    factor = replicas.factor(answer.fits, told)
     by_counts, share = doubt.found()
     spread = factor**2 * found.covariance[:m, :m] + by_counts
     covariance = units.lead @ spread @ units.lead.T
@@ -138,7 +139,7 @@ def further_values(
     """
     units, p = units_of(start, beside), len(start.values)
     given = units.products(passes, start.values, 0).every
-    found = whitened_fit(units.as_free(given), 0)
+    (found,) = whitened_fits(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)
     squares = np.einsum("c,cii->i", found.noise.sigma**-2.0, given.products[0])[own]
     lead = units.lead[own]

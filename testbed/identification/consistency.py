@@ -27,7 +27,7 @@ from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import matrices
 from testbed.robot.friction import LAWS, JointTerm
-from testbed.robot.shafts import places
+from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
 
 CLOSE = 1e-6

@@ -16,7 +16,7 @@ from testbed.arrays import Array
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.finding import Finding
 from testbed.parameters.minimal_set import selection
-from testbed.robot.shafts import shares
+from testbed.robot.transmission import shares
 
 LEAST, MOST = 0.77, 1.3
 """Factors between which it is a torque constant that is wrong."""

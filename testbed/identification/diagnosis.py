@@ -20,8 +20,9 @@ from testbed.identification.raw_signals import signal_findings
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
 from testbed.identification.trace_findings import noisy, trace_findings
-from testbed.robot.shafts import shares
+from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
+from testbed.stages import stage
 
 SIGNIFICANT = 0.3
 """Relative sigma above which a parameter is reported as poorly determined."""
@@ -86,6 +87,7 @@ OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
 """Of signals that do not follow their predictions."""
 
 
+@stage("what the residuals say")
 def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tuple[Finding, ...]:
     """What is wrong with a recording, as far as one method's data show it.
 

@@ -20,7 +20,7 @@ from testbed.identification.bodies_doubt import TINY, doubt_about, undiluted
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.noise.autoregression import HIGHEST
-from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fit
+from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
@@ -244,13 +244,13 @@ def _fits(passes: Passes, combined: Array, own: Sequence[Array]) -> list[tuple[N
     given = [each.finish() for each in sums]
     sizes = [_left(each.products[0, 0]) for each in given]
     scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
-    found = [weighted_fit(each) for each in scaled]
+    found = [weighted_fits(each)[0] for each in scaled]
     replicas = [Replicas(fit.noise, each) for fit, each in zip(found, scaled, strict=True)]
     for joint, part in _parts(passes, combined, own):
         replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
     corrected = []
     for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
-        factor = made.factor(weighted_fit, np.eye(len(fit.values)))
+        factor = made.factor(weighted_fits, np.eye(len(fit.values)))
         squares = _square(each.products[0, 0], fit.values) * size**2
         corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
     return corrected

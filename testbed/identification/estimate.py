@@ -23,7 +23,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.friction import JointLaw
-from testbed.robot.shafts import places
+from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
 
 Method = Literal["external", "internal"]

@@ -64,6 +64,7 @@ from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
+from testbed.stages import stage
 
 
 def identify(
@@ -119,6 +120,7 @@ def identify(
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
     channels, tare = channels_of(tree, method), tare_of(tree, source)
 
+    @stage("rows and their products")
     def begin(source: Source) -> Start:
         plan = make_plan(source, rows, tare, settings)
         passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
@@ -149,6 +151,7 @@ def identify(
     return made.without([name for name in made.names if name in open_zero])
 
 
+@stage("minimal set")
 def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
     """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
 

@@ -12,11 +12,18 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
 from testbed.instruments.drives import TorqueConstantError, TorqueNoise
 from testbed.instruments.encoders import EncoderInstantSampling, EncoderNoise, EncoderResolution
-from testbed.instruments.fault import FULL_SCALE, Fault, Rig, Signal
+from testbed.instruments.fault import (
+    FULL_SCALE,
+    Fault,
+    Rig,
+    Signal,
+    apply_chain,
+    number_kinds,
+    stream,
+)
 from testbed.instruments.faults import fault_of
+from testbed.instruments.plate import MeasuredTare
 from testbed.instruments.plate_noise import PlateNoise
-from testbed.instruments.stage import applied, numbered, stream
-from testbed.instruments.tare import MeasuredTare
 from testbed.kind_table import AsTable
 from testbed.recordings.recording import Recording, Truth
 
@@ -91,9 +98,6 @@ class Instrument:
     def stages(self, names: tuple[str, ...]) -> dict[Signal, tuple[Fault, ...]]:
         """What happens to each signal, in order: by place, then as asked for.
 
-        Args:
-            names: Joint names.
-
         Raises:
             SettingsError: A fault speaks of a joint that is not there, or not of all.
         """
@@ -106,7 +110,9 @@ class Instrument:
             PlateNoise(self.force_noise, self.moment_noise),
         )
         rig = Rig(names, self.full_scale)
-        every = sorted((fault.on(rig) for fault in (*always, *self.fault)), key=_place)
+        every = sorted(
+            (fault.on(rig) for fault in (*always, *self.fault)), key=lambda fault: fault.place
+        )
         return {s: tuple(fault for fault in every if fault.signal == s) for s in _SIGNALS}
 
     def installed(
@@ -123,14 +129,10 @@ class Instrument:
         return {
             signal: tuple(
                 fault.on(rig).drawn(rig, stream(fault.kind, seed, number, "once"))
-                for fault, number in numbered(stages)
+                for fault, number in number_kinds(stages)
             )
             for signal, stages in self.stages(names).items()
         }
-
-
-def _place(fault: Fault) -> int:
-    return fault.place
 
 
 def measure(
@@ -171,21 +173,16 @@ def measure(
     once = seed if installed is None else installed
     chains = instrument.installed(names, truth.position, once)
     seen: dict[str, Any] = {
-        signal: applied(chains[signal], exact.measured(signal), time, seed)
+        signal: apply_chain(chains[signal], exact.measured(signal), time, seed)
         for signal in ("position", "torque", "wrench")
     }
     for fault in chains["tare"]:
-        seen["tare"] = _at_rest(fault, chains["wrench"], tare, instrument.rate, seed)
+        assert isinstance(fault, MeasuredTare)
+        instants = fault.instants(instrument.rate)
+        still = np.tile(tare, (len(instants), 1))
+        shown = apply_chain(chains["wrench"], still, instants, seed, _TARE)
+        seen["tare"] = fault.apply(shown, instants, stream(fault.kind, seed))[0]
     return replace(exact, **seen)
-
-
-def _at_rest(fault: Fault, plate: tuple[Fault, ...], tare: Array, rate: float, seed: int) -> Array:
-    """The tare as the plate shows it, (6,) [N, N m]."""
-    assert isinstance(fault, MeasuredTare)
-    time = fault.instants(rate)
-    shown = applied(plate, np.tile(tare, (len(time), 1)), time, seed, _TARE)
-    found: Array = fault.apply(shown, time, stream(fault.kind, seed))[0]
-    return found
 
 
 def measured_again(recording: Recording, instrument: Instrument, seed: int) -> Recording:

@@ -9,8 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.instruments.fault import Fault, Place, Signal
-from testbed.keys import hidden, key
-from testbed.kind_table import PerJoint, each_joint
+from testbed.kind_table import PerJoint, each_joint, hidden, key
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.instruments.fault import Fault, Place, Signal
-from testbed.instruments.interpolation import first_instants
-from testbed.keys import key
-from testbed.kind_table import PerJoint, each_joint
+from testbed.kind_table import PerJoint, each_joint, key
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class EncoderInstantSampling(Fault):
     """Positions at the first instant of each sample, while all else is the mean over it.
 
     What a controller's counter does: it latches. Against a plate that averages, positions are
-    half a sampling time early. Exact for smooth motions (`interpolation.first_instants`).
+    half a sampling time early. Exact for smooth motions (`first_instants`).
 
     Source    How counters work; no size.
     """
@@ -152,6 +150,27 @@ class EncoderEccentricity(Fault):
         turn = 2 * np.pi * signal / each_joint(self.period) + each_joint(self.phase or 0.0)
         wavy: Array = signal + each_joint(self.amplitude) * np.sin(turn)
         return wavy
+
+
+def first_instants(means: Array, time: Array) -> Array:
+    """A signal at the first instant of each sample, from its means over the samples.
+
+    The means' sum is the signal's integral at the samples' edges, exactly; the spline through
+    it is differentiated there.
+
+    Args:
+        means: (M, k).
+        time: Of the samples' first instants, uniform, (M,) [s].
+    """
+    from scipy.interpolate import make_interp_spline
+
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    middle = means.mean(axis=0)
+    edges = np.append(time, time[-1] + step)
+    sums = np.cumsum(np.vstack([np.zeros_like(middle), means - middle]), axis=0) * step
+    spline = make_interp_spline(edges, sums, k=min(5, len(time)))
+    found: Array = spline.derivative()(time) + middle
+    return found
 
 
 FAULTS: tuple[type[Fault], ...] = (

@@ -1,18 +1,25 @@
-"""A fault: a stage that an experiment file can ask for, and the keys of its table.
+"""A fault: a stage of an instrument that an experiment file can ask for.
 
-A fault is one frozen dataclass: `kind`, `signal` and `place` as class variables, a field a
-key with default and bounds, its formula in `apply`. What a key's value may be is checked
-here for all of them.
+What happens to a signal on its way from the truth to the recording is a chain of faults, in order.
+A fault is one frozen dataclass: `kind`, `signal` and `place` as class variables, a field a key with
+default and bounds, its formula in `apply`, in the module of the device that has it.
 
 A single number where a fault has one for every joint, axis or channel is the size; the
 signs (of errors) and the phases (of waves) are then drawn from the fault's own stream. A
 list gives each its own, sign included; in a table by joint name those left out have zero,
 or the default where zero makes no sense, as for a period.
+
+Random numbers come from a stream of the kind and the seed, so that adding, removing or changing a
+fault leaves the noise of all others as it was, to the bit. Several of one kind in a chain have a
+stream each, numbered in their order: one more goes last.
 """
 
 from __future__ import annotations
 
+import hashlib
 from abc import abstractmethod
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Literal, Self, TypeAlias
@@ -20,8 +27,7 @@ from typing import Any, ClassVar, Literal, Self, TypeAlias
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.keys import COUNTS
-from testbed.kind_table import KindTable
+from testbed.kind_table import COUNTS, KindTable
 
 Signal = Literal["position", "torque", "wrench", "tare"]
 """What a fault spoils; the tare is what the plate shows at rest without the robot."""
@@ -31,6 +37,9 @@ PerAxis: TypeAlias = float | tuple[float, ...]
 PerChannel: TypeAlias = float | tuple[float, ...]
 """One for all channels of the plate, or six: Fx, Fy, Fz, Mx, My, Mz."""
 Matrix: TypeAlias = tuple[tuple[float, ...], ...]
+
+_FIRST_STREAMS = {"encoder_noise": 0, "torque_noise": 1, "plate_noise": 2}
+"""Streams of the kinds that were there before kinds had names; their noise stays the same."""
 
 FULL_SCALE = (500.0, 500.0, 1000.0, 200.0, 200.0, 100.0)
 """Largest values that the plate's channels can show [N, N m]: a plate for loads of 100 kg."""
@@ -87,9 +96,6 @@ class Fault(KindTable):
     def on(self, rig: Rig) -> Self:
         """The same fault on a robot and a plate: a value a joint, in their order.
 
-        Args:
-            rig: What it is installed on.
-
         Raises:
             SettingsError: It speaks of a joint that is not there, or not of all.
         """
@@ -130,3 +136,47 @@ def each_channel(force: PerAxis, moment: PerAxis) -> Array:
     """Forces' and moments' values, channel by channel, (6,) [N, N m]."""
     three = [np.broadcast_to(np.asarray(part, dtype=float), 3) for part in (force, moment)]
     return np.concatenate(three)
+
+
+def stream(kind: str, seed: int, number: int = 0, use: str = "") -> np.random.Generator:
+    """Random numbers of a fault.
+
+    Args:
+        kind: Of the fault.
+        seed: Of the recording.
+        number: Of the fault among those of its kind in its chain.
+        use: What the numbers are for; by default the noise of a recording.
+    """
+
+    def code(word: str) -> int:
+        return int.from_bytes(hashlib.sha256(word.encode()).digest()[:4], "big")
+
+    key = [_FIRST_STREAMS.get(kind, code(kind))]
+    if number or use:
+        key += [number, code(use)]
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(key)))
+
+
+def number_kinds(chain: Iterable[Fault]) -> Iterator[tuple[Fault, int]]:
+    """Faults, each with its number among those of its kind."""
+    seen: Counter[str] = Counter()
+    for fault in chain:
+        yield fault, seen[fault.kind]
+        seen[fault.kind] += 1
+
+
+def apply_chain(
+    chain: Iterable[Fault], signal: Array, time: Array, seed: int, use: str = ""
+) -> Array:
+    """A signal through a chain of faults, in their order.
+
+    Args:
+        chain: What the instrument does to it.
+        signal: (M, k).
+        time: (M,) [s].
+        seed: Of the recording.
+        use: What is measured, where it is not a recording's signal: it has noise of its own.
+    """
+    for fault, number in number_kinds(chain):
+        signal = fault.apply(signal, time, stream(fault.kind, seed, number, use))
+    return signal

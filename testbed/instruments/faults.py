@@ -1,20 +1,23 @@
-"""All kinds of faults, and a fault of the table that an experiment file has for it."""
+"""All kinds of faults, a fault of its table in an experiment file, and all of them in words."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
 from testbed.errors import SettingsError, UnknownName
-from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise, tare
-from testbed.instruments.fault import Fault
-from testbed.kind_table import of_table
+from testbed.instruments import drives, encoders, plate, plate_clock, plate_noise
+from testbed.instruments.fault import Fault, Place
+from testbed.kind_table import in_words, of_table, rows
 
-_DEVICES = (encoders, drives, plate, plate_clock, plate_noise, tare)
+_DEVICES = (encoders, drives, plate, plate_clock, plate_noise)
 
 KINDS: Mapping[str, type[Fault]] = {
     fault.kind: fault for device in _DEVICES for fault in device.FAULTS
 }
 """Every fault that an experiment file can ask for, by kind."""
+
+
+_TITLES = {"position": "Encoders", "torque": "Drives", "wrench": "The plate", "tare": "The tare"}
 
 
 def fault_of(table: object) -> Fault:
@@ -34,12 +37,27 @@ def fault_of(table: object) -> Fault:
 def fault_named(kind: str) -> type[Fault]:
     """The faults of a kind.
 
-    Args:
-        kind: Its name.
-
     Raises:
         SettingsError: There is none.
     """
     if kind not in KINDS:
         raise SettingsError(f"{UnknownName('kind of fault', kind, KINDS)}; see `testbed faults`")
     return KINDS[kind]
+
+
+def as_markdown() -> str:
+    """The catalogue as the tables of a document: the places, then one a signal."""
+    kinds = tuple(KINDS.values())
+    lines = ["", "| place | " + " | ".join(_TITLES.values()) + " |"]
+    lines += ["| --- " * (1 + len(_TITLES)) + "|"]
+    for place in Place:
+        here = [fault for fault in kinds if fault.place == place]
+        cells = [", ".join(f"`{f.kind}`" for f in here if f.signal == s) for s in _TITLES]
+        lines.append(f"| {place.name.lower()} | {' | '.join(cells)} |")
+    for signal, title in _TITLES.items():
+        own = [in_words(fault) for fault in kinds if fault.signal == signal]
+        lines += ["", f"### {title}", "", *rows(own)]
+    examples = "\n".join(f"    {in_words(fault).example}," for fault in kinds)
+    lines += ["", "### All of them, as they may be written", ""]
+    lines += ["```toml", "[measurement]", "fault = [", examples, "]", "```", ""]
+    return "\n".join(lines)

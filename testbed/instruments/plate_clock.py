@@ -10,8 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import SettingsError
 from testbed.instruments.fault import Fault, Place, Signal
-from testbed.instruments.interpolation import at_times
-from testbed.keys import key
+from testbed.kind_table import key
 
 _LEAST_CUTOFF = 1e-5
 """Of a filter, in sampling rates: below, its coefficients drown in rounding."""
@@ -152,6 +151,21 @@ class PlateDroppedSamples(Fault):
         last = np.maximum.accumulate(np.where(lost, 0, np.arange(len(signal))))
         repeated: Array = signal[last]
         return repeated
+
+
+def at_times(signal: Array, time: Array, wanted: Array) -> Array:
+    """A signal at other instants; before the first and after the last sample it is held.
+
+    Args:
+        signal: (M, k).
+        time: Of its samples, (M,) [s].
+        wanted: (L,) [s].
+    """
+    from scipy.interpolate import make_interp_spline
+
+    spline = make_interp_spline(time, signal, k=min(5, len(time) - 1))
+    found: Array = spline(np.clip(wanted, time[0], time[-1]))
+    return found
 
 
 FAULTS: tuple[type[Fault], ...] = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.instruments.fault import Fault, PerAxis, PerChannel, Place, Signal, each_channel
-from testbed.keys import key
+from testbed.kind_table import key
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.rules import Model
 from testbed.robot.friction import LAWS, JointTerm
-from testbed.robot.shafts import shares
+from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
 
 TINY = 1e-13

@@ -10,7 +10,7 @@ from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Block, Question, Signals, Sums, blocks, sums_for
-from testbed.robot.shafts import at_places, shares
+from testbed.robot.transmission import at_places, shares
 
 SAMPLES = 1024
 """Samples taken at once."""

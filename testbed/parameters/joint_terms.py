@@ -27,7 +27,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
 from testbed.parameters.symbols import DriveSymbol, Formula, Label, Term
 from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm, joint_terms
-from testbed.robot.shafts import places
+from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
 
 

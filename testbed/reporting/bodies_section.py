@@ -16,8 +16,7 @@ from testbed.parameters.barycentric import with_standard
 from testbed.reporting.consistent_table import consistent_lines
 from testbed.reporting.portrait import view
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
-from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.shapes import Shape, equivalent_ellipsoids
 
 SIZE = 480
 """Pixels of a drawing's longer side."""

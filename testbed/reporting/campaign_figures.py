@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
+from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.identification.estimate import METHODS
 from testbed.reporting.figures import Panel
 from testbed.reporting.named_panels import named_panels

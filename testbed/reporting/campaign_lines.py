@@ -10,11 +10,9 @@ from rich.console import Console
 from rich.table import Table
 
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_folder import RESULTS, CampaignFolder
-from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
-from testbed.campaign.conduct import Standing
-from testbed.campaign.estimated_cost import bytes_of, seconds_of
-from testbed.campaign.summary_files import Change
+from testbed.campaign.conduct import Standing, bytes_of, seconds_of
+from testbed.campaign.results import RESULTS, CampaignFolder
+from testbed.campaign.summary import Change, ParameterErrors, Summary, pooled
 from testbed.errors import plural, printable, round_significant
 from testbed.identification.estimate import METHODS
 from testbed.reporting.output import Progress

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from testbed.campaign.campaign_summary import ParameterErrors, Summary, pooled
+from testbed.campaign.summary import ParameterErrors, Summary, pooled
 from testbed.files import replacing
 from testbed.identification.estimate import METHODS
 from testbed.reporting.campaign_figures import (

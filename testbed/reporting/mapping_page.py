@@ -16,8 +16,8 @@ from testbed.recordings.importing.draft import Draft
 from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
 from testbed.reporting.named_panels import named_panels
-from testbed.sanity.explained_wrench import ExplainedWrench
-from testbed.sanity.solved_mapping import Solved, table_of
+from testbed.sanity.mapping_solution import MappingSolution, table_of
+from testbed.sanity.plate import WrenchFit
 
 UNITS = ("N",) * 3 + ("N m",) * 3
 
@@ -25,7 +25,7 @@ LEAST = 1e-4
 """Where bars begin [%]."""
 
 
-def write_mapping_page(path: Path, solved: Solved) -> None:
+def write_mapping_page(path: Path, solved: MappingSolution) -> None:
     """Write the page of a mapping.
 
     Args:
@@ -49,7 +49,7 @@ def solved_table(draft: Draft) -> Table:
     return table
 
 
-def mapping_contents(title: str, solved: Solved) -> dict[str, Any]:
+def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     """All that the page shows.
 
     Args:
@@ -75,7 +75,7 @@ def mapping_contents(title: str, solved: Solved) -> dict[str, Any]:
     }
 
 
-def _channels(read: ExplainedWrench, place: str, how: str) -> dict[str, Any]:
+def _channels(read: WrenchFit, place: str, how: str) -> dict[str, Any]:
     panels = [
         Panel(
             f"{axis} [{unit}]",
@@ -93,11 +93,11 @@ def _channels(read: ExplainedWrench, place: str, how: str) -> dict[str, Any]:
         "panels": panels,
         "caption": "Through a low-pass of 8 Hz, in the bedplate's frame.",
         "heads": ["channel", "unexplained"],
-        "rows": [[axis, f"{left:.3%}"] for axis, left in zip(AXES, read.left, strict=True)],
+        "rows": [[axis, f"{left:.3%}"] for axis, left in zip(AXES, read.unexplained, strict=True)],
     }
 
 
-def _runner_ups(solved: Solved) -> dict[str, Any]:
+def _runner_ups(solved: MappingSolution) -> dict[str, Any]:
     words = [each for each, _ in solved.shares]
     shares = 100 * np.array([share for _, share in solved.shares])
     numbers = [str(k) for k in range(1, len(words) + 1)]

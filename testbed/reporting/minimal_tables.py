@@ -18,7 +18,7 @@ from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import REASONS, Model
 from testbed.parameters.symbols import Formula, Label, summands
-from testbed.robot.shafts import places
+from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
 
 if TYPE_CHECKING:

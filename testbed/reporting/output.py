@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from threading import Event, Thread
 from typing import Any, ClassVar, Self
 
@@ -15,6 +16,7 @@ from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
 from testbed.errors import printable
+from testbed.stages import stage, stages
 
 BETWEEN = 10.0
 """Seconds between two lines where no bar can be shown."""
@@ -102,6 +104,16 @@ def console() -> Console:
     if plain.is_terminal or "COLUMNS" in os.environ:
         return plain
     return Console(markup=False, highlight=False, width=120)
+
+
+@contextmanager
+def printed_stages() -> Iterator[None]:
+    """The block's seconds by stage, and those in which the program started, on standard error."""
+    started = time.process_time()
+    with stages() as seconds, stage("anything else"):
+        yield
+    for name, spent in {"start of the program": started, **seconds}.items():
+        print(f"{spent:8.3f} s  {name}", file=sys.stderr)
 
 
 def print_json(value: dict[str, Any]) -> None:

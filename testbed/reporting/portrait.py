@@ -13,7 +13,7 @@ from testbed.dynamics.kinematics import poses
 from testbed.errors import round_significant
 from testbed.reporting.raster import paint, png
 from testbed.robot.visuals.appearance import Appearance
-from testbed.robot.visuals.triangles import triangles
+from testbed.robot.visuals.shapes import triangles
 
 SIZE = 640
 """Pixels of the picture's longer side."""

@@ -20,7 +20,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import UnknownName
-from testbed.robot.shafts import places, shares
+from testbed.robot.transmission import places, shares
 from testbed.robot.tree import Joint, Tree
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly, skew
+from testbed.arrays import Array, freeze, skew
 
 HEAVIEST = 1e12
 """Masses, first moments and inertias beyond this are a mistake [kg, kg m, kg m^2]."""
@@ -43,8 +43,7 @@ class Inertia:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "mass", float(self.mass))
-        object.__setattr__(self, "first_moment", readonly(self.first_moment, (3,), "first_moment"))
-        object.__setattr__(self, "tensor", readonly(self.tensor, (3, 3), "tensor"))
+        freeze(self, first_moment=(3,), tensor=(3, 3))
 
     @staticmethod
     def about_centre(mass: float, com: ArrayLike, central: ArrayLike) -> Inertia:

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
 from typing import TypeAlias
 
 from testbed.errors import MimicError, ModelError, UnknownName
-from testbed.robot.decimals import decimals
+from testbed.robot.parsing import decimals
 
 Lock: TypeAlias = Mapping[str, float | None]
 """Positions of held joints by name [rad or m]; None: where a joint rests of itself."""
@@ -81,7 +82,7 @@ def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
     return lock
 
 
-def held_positions(
+def lock_positions(
     joints: Mapping[str, Travel], lock: Lock, source: str
 ) -> tuple[dict[str, float], tuple[str, ...]]:
     """Where which joints are held, followers of held joints included.
@@ -102,10 +103,18 @@ def held_positions(
     for name in lock:
         if name not in joints:
             raise UnknownName("joint to lock", name, joints)
+    graph: dict[str, list[str]] = {name: [] for name in joints}
+    for name, joint in joints.items():
+        if joint.coupling and joint.coupling.master and joint.coupling.master in joints:
+            graph[name] = [joint.coupling.master]
+    try:
+        order = tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        raise ModelError(f"{source}: joint '{error.args[1][0]}' follows itself") from None
     held: dict[str, float] = {}
     places: dict[str, float] = {}
     free: dict[str, str] = {}
-    for name in _masters_first(joints, source):
+    for name in order:
         coupling, wanted = joints[name].coupling, lock.get(name)
         master = coupling.master if coupling else None
         if wanted is not None:
@@ -138,22 +147,6 @@ def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iter
                 f"joint '{name}' is held at {position:g}, where '{master}' would take it to "
                 f"{position + taken:g}"
             )
-
-
-def _masters_first(joints: Mapping[str, Travel], source: str) -> Iterable[str]:
-    """All joints, each after the one it follows, if that is there."""
-    done: set[str] = set()
-    for last in joints:
-        chain: list[str] = []
-        name: str | None = last
-        while name is not None and name in joints and name not in done:
-            if name in chain:
-                raise ModelError(f"{source}: joint '{name}' follows itself")
-            chain.append(name)
-            coupling = joints[name].coupling
-            name = coupling.master if coupling else None
-        yield from reversed(chain)
-        done.update(chain)
 
 
 def _within(name: str, wanted: float, joint: Travel, source: str) -> float:

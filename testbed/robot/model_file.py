@@ -1,14 +1,32 @@
-"""A model file, and how it is to be read: the same way for the tree, the plant and the pictures."""
+"""A model file, whichever of the two languages it is written in: its tree, and all it refers to.
+
+The same way of reading for the tree, the plant and the pictures; and one gate: only numbers that
+a robot can have.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+import shutil
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
-from testbed.robot.load import load_tree
-from testbed.robot.repair import Bodies
+from testbed.errors import ModelError
+from testbed.robot.inertia import HEAVIEST
+from testbed.robot.locks import Lock
+from testbed.robot.parsing import check_name, errors_of, read_xml
+from testbed.robot.repair import Bodies, Repair
 from testbed.robot.tree import Tree
+
+MOST_JOINTS = 1_000
+"""Matrices of a robot grow with the square of its joints."""
+ENDINGS = {
+    ".xml", ".mjcf", ".urdf", ".stl", ".obj", ".dae", ".ply", ".msh", ".off", ".glb", ".gltf",
+    ".png", ".jpg", ".jpeg", ".bmp", ".tga", ".hf", ".skn", ".bin", ".mtl",
+}  # fmt: skip
+"""Of files that a model may bring along; whatever else it names stays where it is."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +52,222 @@ class ModelFile:
         Raises:
             ModelError: The file cannot be read or holds what is not supported.
         """
-        return load_tree(
-            self.path,
-            weld_root=self.weld_root,
-            repair=self.repair,
-            lock=self.lock,
-        )
+        return load_tree(self.path, weld_root=self.weld_root, repair=self.repair, lock=self.lock)
+
+
+def model_format(path: Path) -> Literal["mjcf", "urdf"]:
+    """Which language the file speaks, by its root element.
+
+    Raises:
+        ModelError: The file is missing, not XML, or neither MJCF nor URDF.
+    """
+    root = read_xml(path)
+    if root.tag == "mujoco":
+        return "mjcf"
+    if root.tag == "robot":
+        return "urdf"
+    raise ModelError(
+        f"{path}: the root element is <{root.tag:.40}>; MJCF starts with <mujoco>, URDF with "
+        "<robot>"
+    )
+
+
+def load_tree(
+    path: str | Path,
+    *,
+    weld_root: bool = False,
+    repair: Bodies | None = None,
+    lock: Lock | None = None,
+) -> Tree:
+    """Read a robot from MJCF or URDF.
+
+    Joints are revolute or prismatic; fixed ones are merged. Meshes do not matter, unless
+    an MJCF body takes its inertia from one.
+
+    Args:
+        path: The model file.
+        weld_root: Weld a floating root to the bedplate instead of refusing it.
+        repair: Bodies in place of those that no matter can make (links that are fixed to
+            each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
+            None takes the nearest bodies that can be and notes them in the tree's `warnings`.
+        lock: Positions at which joints are held, by name [rad or m]: their bodies become part
+            of those that carry them. None is where the joint rests: at zero, in the middle of
+            a range without zero, or where the joint that it follows takes it. Joints that
+            follow a held one are held with it.
+
+    Raises:
+        ModelError: The file cannot be read or holds what is not supported; a floating root,
+            bodies that cannot be and joints that follow others are the subclasses
+            FreeRootError, InertiaError, MimicError.
+        UnknownName: A joint to be held is not in the file.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.formats.mjcf import read_mjcf as read
+    else:
+        from testbed.robot.formats.urdf import read_urdf as read
+    tree = read(path, weld_root=weld_root, repair=repair, lock=lock)
+    with errors_of(path):
+        check_tree(tree)
+    return tree
+
+
+def nearest_bodies(
+    path: str | Path,
+    *,
+    weld_root: bool = False,
+    lock: Lock | None = None,
+    repair: Bodies | None = None,
+) -> Repair:
+    """The bodies of a model file that no matter can make, and the nearest that can be.
+
+    A file whose moments are off by rounding alone has none of them: such are repaired whatever
+    is asked for.
+
+    Arguments and errors are those of `load_tree`.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.formats.mjcf import repaired_spec
+
+        return repaired_spec(path, weld_root=weld_root, lock=lock, repair=repair).repair
+    from testbed.robot.formats.urdf import repaired_xml
+
+    return repaired_xml(path, weld_root=weld_root, lock=lock, repair=repair)[1]
+
+
+def mimic_joints(path: str | Path) -> tuple[str, ...]:
+    """The joints of a model file that follow others, and so are none of a tree.
+
+    `load_tree(path, lock=dict.fromkeys(mimic_joints(path)))` holds them where the zeros of
+    the joints that they follow take them.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.formats.mjcf_spec import follower_names as names
+    else:
+        from testbed.robot.formats.urdf_xml import follower_names as names
+    return names(path)
+
+
+def check_tree(tree: Tree) -> None:
+    """Whether every number of a tree makes sense.
+
+    Raises:
+        ModelError: Names the joint or body and the number.
+    """
+    if tree.n == 0:
+        raise ModelError("the robot has no joint that moves")
+    if tree.n > MOST_JOINTS:
+        raise ModelError(f"{tree.n} joints that move; {MOST_JOINTS} is the limit")
+    check_name(tree.name, "the robot's name")
+    for joint in tree.joints:
+        check_name(joint.name, "a joint's name")
+        check_name(joint.body, "a body's name")
+    tree.gravity_or(tree.gravity)
+    if len(set(tree.names)) < tree.n:
+        raise ModelError("two joints have the same name")
+    for joint in tree.joints:
+        if flaw := joint.flaw():
+            raise ModelError(f"joint '{joint.name}' has {flaw}")
+    owners = [*(f"body '{joint.body}'" for joint in tree.joints), "the pedestal"]
+    for owner, inertia in zip(owners, (*tree.inertias, tree.pedestal), strict=True):
+        if not inertia.within_limits:
+            raise ModelError(
+                f"{owner} has a mass, centre or inertia that is no number, or beyond {HEAVIEST:g}"
+            )
+
+
+def copy_model(path: Path, folder: Path) -> Path:
+    """Copy a model file with all that it refers to.
+
+    The files keep their places relative to each other, so that the copy finds them; what is
+    missing is left out, as it is when the model is read.
+
+    Args:
+        path: The model file.
+        folder: Where to; made if it is not there.
+
+    Returns:
+        The copy of the model file.
+
+    Raises:
+        ModelError: The model file cannot be read.
+    """
+    path = path.resolve()
+    held = references(path)
+    root = Path(os.path.commonpath([path.parent, *held.values(), *(f.parent for f in held)]))
+    for file in (path, *held):
+        place = folder / file.relative_to(root)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, place)
+    return folder / path.relative_to(root)
+
+
+def references(path: Path) -> dict[Path, Path]:
+    """Files that a model refers to, and the folder from which their names lead there.
+
+    Raises:
+        ModelError: The model file cannot be read.
+    """
+    found = _of_mjcf(path) if model_format(path) == "mjcf" else _of_urdf(path)
+    return {file: place for file, place in found if file.suffix.lower() in ENDINGS}
+
+
+def _of_urdf(path: Path) -> Iterator[tuple[Path, Path]]:
+    for mesh in read_xml(path).iterfind("link/visual/geometry/mesh"):
+        found = find_mesh(mesh.get("filename", ""), path)
+        if found is not None:
+            place, file = found
+            yield Path(os.path.normpath(file)), place
+
+
+def _of_mjcf(path: Path) -> Iterator[tuple[Path, Path]]:
+    waiting, seen, assets = [path], {path}, {""}
+    while waiting:
+        here = waiting.pop()
+        root = read_xml(here)
+        for compiler in root.iter("compiler"):
+            assets |= {compiler.get(key, "") for key in ("meshdir", "texturedir", "assetdir")}
+        folders = {place / name for place in (path.parent, here.parent) for name in assets}
+        names = [
+            value
+            for element in root.iter()
+            for key, value in element.attrib.items()
+            if key.startswith("file") and value
+        ]
+        for name in names:
+            for folder in folders:
+                file = Path(os.path.normpath(folder / name))
+                if file in seen or not file.is_file():
+                    continue
+                seen.add(file)
+                yield file, folder.resolve()
+                if file.suffix.lower() in (".xml", ".mjcf"):
+                    waiting.append(file)
+
+
+def find_mesh(name: str, model: Path) -> tuple[Path, Path] | None:
+    """A mesh's file, and the folder from which its name leads there; None if there is none.
+
+    package://PACKAGE/... is looked for below all folders above the model, with and without
+    the package's name.
+
+    Args:
+        name: As in the model file.
+        model: The model file.
+    """
+    places = [model.resolve().parent, *model.resolve().parent.parents]
+    bare = Path(name.removeprefix("file://"))
+    tried = [(places[0], bare)]
+    if name.startswith("package://"):
+        rest = Path(name.removeprefix("package://"))
+        inside = Path(*rest.parts[1:]) if len(rest.parts) > 1 else rest
+        tried = [(place, part) for place in places for part in (rest, inside)]
+    for place, part in tried:
+        if (place / part).is_file():
+            return place, place / part
+    return None

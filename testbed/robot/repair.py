@@ -1,4 +1,4 @@
-"""Bodies of a model file that no matter can make, and the nearest ones that it can.
+"""Links of a model file, those that no matter can make, and the nearest bodies that can be.
 
 Links that are fixed to each other are one body before anything is judged: a frame without inertia,
 or with moments of -2e-22, does no harm then. What is still wrong is repaired: rounding always, and
@@ -13,9 +13,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from testbed.errors import InertiaError, ModelError, UnknownName
+from testbed.arrays import Array, freeze
+from testbed.errors import InertiaError, ModelError, UnknownName, quoted
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
-from testbed.robot.links import Link, total
 
 Bodies: TypeAlias = Mapping[str, Inertia]
 """By the link that carries all that is fixed to it: its inertia about and along its frame."""
@@ -33,7 +33,45 @@ NEGLIGIBLE = 1e-9
 """The same in parts of the robot's: its mass times the square of its largest radius of gyration."""
 
 NAMED = 3
-"""Links in one line."""
+"""Flaws that are listed one by one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """A link of a model file.
+
+    Attributes:
+        name: In the file.
+        body: Index of the tree's body that it is part of, -1 for the pedestal.
+        carrier: The link to which fixed joints of the file hold it; itself where none does.
+        rotation: From the link's frame to the body's, (3, 3).
+        position: Of the link's origin in the body's frame, (3,) [m].
+        inertia: As the file has it, about and along the link's frame.
+    """
+
+    name: str
+    body: int
+    carrier: str
+    rotation: Array
+    position: Array
+    inertia: Inertia
+
+    def __post_init__(self) -> None:
+        freeze(self, rotation=(3, 3), position=(3,))
+
+    @property
+    def in_body(self) -> Inertia:
+        """Its inertia about and along the body's frame."""
+        return self.inertia.moved(self.rotation, self.position)
+
+    def seen_from(self, inertia: Inertia) -> Inertia:
+        """An inertia about the body's frame, about and along the link's."""
+        return inertia.moved(self.rotation.T, -self.rotation.T @ self.position)
+
+
+def total(parts: Iterable[Inertia]) -> Inertia:
+    """Bodies welded together, all about the same frame."""
+    return sum(parts, NOTHING)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +136,21 @@ def repaired(
     grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
     if grave and given is not None:
         raise InertiaError(source, list(grave.values()))
+    notes = []
+    if slight := [name for name in flaws if name not in grave]:
+        notes.append(f"the inertia of {quoted(slight)} is corrected within rounding")
+    if grave:
+        notes.append(
+            f"no body has the inertia that the model file gives {quoted(grave)}; the "
+            "nearest that can be is taken"
+        )
     changed = {name: bodies[name] for name in touched} | nearest
     emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
     return Repair(
         links=dict.fromkeys(emptied, NOTHING) | changed,
         bodies={name: nearest[name] for name in grave},
         flaws=tuple(grave.values()),
-        notes=tuple(_notes([name for name in flaws if name not in grave], list(grave))),
+        notes=tuple(notes),
     )
 
 
@@ -169,19 +215,3 @@ def _bare_ends(
     for body, name in sorted(first.items()):
         if 0 <= body < len(parents) and any(full) and not full[body]:
             yield name, f"link '{name}' moves, and neither it nor what it carries has a mass"
-
-
-def _notes(slight: Sequence[str], grave: Sequence[str]) -> Iterator[str]:
-    if slight:
-        yield f"the inertia of {listed(slight)} is corrected within rounding"
-    if grave:
-        yield (
-            f"no body has the inertia that the model file gives {listed(grave)}; the nearest that "
-            "can be is taken"
-        )
-
-
-def listed(names: Sequence[str]) -> str:
-    """The first few of many names, and how many more."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(f"'{name}'" for name in names[:NAMED]) + more

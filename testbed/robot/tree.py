@@ -17,10 +17,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from testbed.arrays import Array, readonly
+from testbed.arrays import Array, freeze, readonly
 from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
-from testbed.robot.shafts import Shaft
 
 Kind = Literal["revolute", "prismatic"]
 
@@ -84,13 +83,7 @@ class Joint:
     rotor_inertia: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, shape in (
-            ("axis", (3,)),
-            ("offset", (3,)),
-            ("rotation", (3, 3)),
-            ("position_range", (2,)),
-        ):
-            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+        freeze(self, axis=(3,), offset=(3,), rotation=(3, 3), position_range=(2,))
 
     @property
     def revolute(self) -> bool:
@@ -154,6 +147,19 @@ class Joint:
         return joint
 
 
+@dataclass(frozen=True)
+class Shaft:
+    """One shaft.
+
+    Attributes:
+        name: Its name; its friction is called coulomb/NAME.
+        turns: Indices of its joints, and how much it turns with each.
+    """
+
+    name: str
+    turns: tuple[tuple[int, float], ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Tree:
     """An open tree of bodies on a bedplate.
@@ -179,7 +185,7 @@ class Tree:
     floating: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "gravity", readonly(self.gravity, (3,), "gravity"))
+        freeze(self, gravity=(3,))
         if len(self.joints) != len(self.inertias):
             raise ValueError(f"{len(self.joints)} joints carry {len(self.inertias)} inertias")
         for j, joint in enumerate(self.joints):

@@ -1,29 +1,40 @@
 """A tree's bodies, friction and rotors written into a copy of its model file.
 
 Nothing but those numbers changes. What was written is read again before it takes its place.
+
+A tree's body is all that moves together: a link, what is fixed to it, and what hangs on joints
+that are held. Its matter goes to the link that carries the others, or to all in proportion; links
+on held joints keep their proportion, because in the file they move.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
-from testbed.robot.inertia import Inertia
-from testbed.robot.links import Fixed, Link, shared_out
-from testbed.robot.load import model_format, nearest_bodies
-from testbed.robot.model_file import ModelFile
-from testbed.robot.model_files import copy_model, held_files
-from testbed.robot.model_xml import read_xml
-from testbed.robot.tree import Joint, Tree
+from testbed.robot.inertia import NOTHING, Inertia, upper_root
+from testbed.robot.model_file import ModelFile, copy_model, model_format, nearest_bodies, references
+from testbed.robot.parsing import read_xml
+from testbed.robot.repair import Link, total
+from testbed.robot.tree import Tree
+
+Fixed = Literal["lump", "share"]
+
+THIN = 1e-9
+"""Least part of a body's matter in any direction that can be shared out."""
 
 EXACT = 1e-9
 """Part of a body by which what is read again may differ from what was written."""
+
+LOSSES = ("coulomb", "viscous", "rotor_inertia")
+"""What of a joint is written."""
 
 ENDINGS = {"mjcf": ".xml", "urdf": ".urdf"}
 
@@ -57,13 +68,28 @@ def write_model(
     """
     kind, file = model_format(model.path), model.tree()
     check_place(model.path, path, over_source=over_source)
-    bodies, joints = _changes(file, tree)
-    mended = nearest_bodies(
+    if kind == "mjcf":
+        from testbed.robot.formats.mjcf import read_links
+        from testbed.robot.formats.write_mjcf import edit_mjcf as edit
+    else:
+        from testbed.robot.formats.urdf import read_links
+        from testbed.robot.formats.write_urdf import edit_urdf as edit
+    repair = nearest_bodies(
         model.path, weld_root=model.weld_root, lock=model.lock, repair=model.repair
     ).links
-    known = [replace(x, inertia=mended.get(x.name, x.inertia)) for x in _links(model, kind)]
-    links, notes = shared_out(known, bodies, fixed)
-    data, warnings = _edited(model.path, kind, {**mended, **links}, joints, [*note])
+    links = read_links(model.path, weld_root=model.weld_root, lock=model.lock)
+    links = tuple(replace(x, inertia=repair.get(x.name, x.inertia)) for x in links)
+    bodies = {}
+    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
+        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
+        if not (same and np.array_equal(old.tensor, new.tensor)):
+            bodies[k] = new
+    inertias, notes = share_out(links, bodies, fixed)
+    joints = {
+        old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
+        for old, new in zip(file.joints, tree.joints, strict=True)
+    }
+    data, warnings = edit(model.path, {**repair, **inertias}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
@@ -95,39 +121,58 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
     check_writable(path)
 
 
-def _changes(file: Tree, tree: Tree) -> tuple[dict[int, Inertia], dict[str, tuple[Joint, Joint]]]:
-    """Bodies and joints that are not as in the file."""
-    bodies = {}
-    for k, (old, new) in enumerate(zip(file.inertias, tree.inertias, strict=True)):
-        same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
-        if not (same and np.array_equal(old.tensor, new.tensor)):
-            bodies[k] = new
-    joints = {old.name: (old, new) for old, new in zip(file.joints, tree.joints, strict=True)}
-    return bodies, joints
+def share_out(
+    links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
+) -> tuple[dict[str, Inertia], tuple[str, ...]]:
+    """What each link gets.
+
+    Args:
+        links: All, carriers before what they carry.
+        bodies: New inertias of some of the tree's bodies, by index.
+        fixed: "lump" gives all of what is fixed together to the link that carries the rest;
+            "share" gives to every link in proportion to what it had.
+
+    Returns:
+        Inertias by link, about and along its frame; and a line for what could not be shared.
+    """
+    found: dict[str, Inertia] = {}
+    notes: list[str] = []
+    for body, whole in bodies.items():
+        own = [link for link in links if link.body == body]
+        groups: dict[str, list[Link]] = {}  # by the link that gets what is theirs
+        for link in own:
+            groups.setdefault(link.name if fixed == "share" else link.carrier, []).append(link)
+        parts = _in_proportion(own, whole) if len(groups) > 1 else None
+        if len(groups) > 1 and parts is None:
+            notes.append(
+                f"all of '{own[0].name}' and what is held with it is given to that link: the "
+                "file's bodies are no measure"
+            )
+            groups = {own[0].name: own}
+        for group in groups.values():
+            lump = whole if parts is None else total(parts[link.name] for link in group)
+            found |= {link.name: NOTHING for link in group}
+            found[group[0].name] = group[0].seen_from(lump)
+    bare = {link.name for link in links if not link.inertia.pseudo.any()}
+    kept = {name: own for name, own in found.items() if own.mass or name not in bare}
+    return kept, tuple(notes)
 
 
-def _links(model: ModelFile, kind: str) -> tuple[Link, ...]:
-    if kind == "mjcf":
-        from testbed.robot.formats.mjcf import read_links
-    else:
-        from testbed.robot.formats.urdf import read_links
-    return read_links(model.path, weld_root=model.weld_root, lock=model.lock)
+def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
+    """Parts that make up a body, by link, about the body's frame; None where there is no measure.
 
-
-def _edited(
-    path: Path,
-    kind: str,
-    links: dict[str, Inertia],
-    joints: dict[str, tuple[Joint, Joint]],
-    note: list[str],
-) -> tuple[bytes, tuple[str, ...]]:
-    if kind == "mjcf":
-        from testbed.robot.formats.write_mjcf import edited_mjcf
-
-        return edited_mjcf(path, links, joints, note)
-    from testbed.robot.formats.write_urdf import edited_urdf
-
-    return edited_urdf(path.read_bytes(), str(path), links, joints, note)
+    One affine map and one factor take the file's matter to the new one: all parts go along, and
+    each stays such as a body can have.
+    """
+    before = total(link.in_body for link in own).pseudo
+    scale = np.sqrt(np.abs(np.diagonal(before)))
+    if not (scale > 0).all():
+        return None
+    if np.linalg.eigvalsh(before / np.outer(scale, scale))[0] < THIN:
+        return None
+    change = upper_root(whole.pseudo) @ np.linalg.inv(upper_root(before))
+    parts = {link.name: change @ link.in_body.pseudo @ change.T for link in own}
+    return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
 def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
@@ -163,7 +208,7 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
 
 def _lost_files(source: Path, path: Path) -> tuple[str, ...]:
     """A warning where what the file refers to is not found from its new place."""
-    if path.resolve().parent == source.resolve().parent or not held_files(source):
+    if path.resolve().parent == source.resolve().parent or not references(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
     if names and all("://" in name for name in names):  # addresses of packages, whatever the place

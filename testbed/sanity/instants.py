@@ -8,6 +8,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.filters import motion_taps
+from testbed.recordings.recording import Recording
 
 CUTOFF = 8.0
 """Of the low-pass [Hz]; a sixth of the rate where the recording is slower."""
@@ -42,24 +43,25 @@ class Instants:
         position: (T, n) [rad or m].
         velocity: (T, n) [rad/s or m/s].
         acceleration: (T, n) [rad/s^2 or m/s^2].
-        torque: (T, n) [N m or N], if measured.
-        wrench: (T, 6) [N, N m], if measured.
-        wrench_rate: Its derivative, (T, 6) [N/s, N m/s].
+        torque: (T, n) [N m or N]; (T, 0) where it was not measured.
+        wrench: (T, 6) [N, N m]; (T, 0) where it was not measured.
+        wrench_rate: Its derivative, (T, 6) [N/s, N m/s], or (T, 0).
+        torque_noise: Variance of the noise that is left in the torques, (n,) or (0,).
+        wrench_noise: The same of the wrench, (6,) or (0,).
         spacing: From one instant to the next [s].
-        noise: Variance of the noise that is left in torques and wrench, (n + 6,), nan where one
-            was not measured.
     """
 
     position: Array
     velocity: Array
     acceleration: Array
-    torque: Array | None
-    wrench: Array | None
-    wrench_rate: Array | None
+    torque: Array
+    wrench: Array
+    wrench_rate: Array
+    torque_noise: Array
+    wrench_noise: Array
     spacing: float
-    noise: Array
 
-    def moved(self, scale: Array, offset: Array) -> Instants:
+    def transform(self, scale: Array, offset: Array) -> Instants:
         """The same with positions scale @ q + offset.
 
         Args:
@@ -74,50 +76,44 @@ class Instants:
         )
 
 
-def instants(
-    position: Array, torque: Array | None, wrench: Array | None, rate: float, late: float = 0.0
-) -> Instants | None:
+def sample(recording: Recording, late: float = 0.0) -> Instants | None:
     """Signals of a recording at a few hundred instants; None where it is too short.
 
     Args:
-        position: (M, n) [rad or m].
-        torque: (M, n) [N m or N], if measured.
-        wrench: (M, 6) [N, N m], if measured.
-        rate: Samples a second [Hz].
+        recording: Of M samples.
         late: How late the wrench is [s].
     """
+    rate, torque, wrench = recording.rate, recording.torque, recording.wrench
     taps = motion_taps(rate, min(CUTOFF, rate / 6))
     lost = taps.shape[1] // 2
-    inside = len(position) - 2 * lost
+    inside = recording.samples - 2 * lost
     count = min(MOST, int(inside / rate * A_SECOND))
     if count < LEAST:
         return None
     later = round(late * rate)
     at = np.linspace(0, inside - 1 - abs(later), count).astype(int) + max(0, -later)
 
-    def taken(signal: Array, derivative: int, later: int = 0) -> Array:
-        found: Array = thinned(signal, taps[derivative, ::-1], lost, 1)[at + later]
-        return found
+    def filtered(signal: Array | None, derivative: int, later: int = 0) -> Array:
+        if signal is None:
+            return np.zeros((count, 0))
+        values: Array = decimate(signal, taps[derivative, ::-1], lost, 1)[at + later]
+        return values
 
-    n = position.shape[1]
     smoothing = float((taps[0] ** 2).sum())
-    noise = np.full(n + 6, np.nan)
-    for signal, place in ((torque, slice(0, n)), (wrench, slice(n, n + 6))):
-        if signal is not None:
-            noise[place] = _noise(signal) * smoothing
     return Instants(
-        taken(position, 0),
-        taken(position, 1),
-        taken(position, 2),
-        torque=None if torque is None else taken(torque, 0),
-        wrench=None if wrench is None else taken(wrench, 0, later),
-        wrench_rate=None if wrench is None else taken(wrench, 1, later),
+        position=filtered(recording.position, 0),
+        velocity=filtered(recording.position, 1),
+        acceleration=filtered(recording.position, 2),
+        torque=filtered(torque, 0),
+        wrench=filtered(wrench, 0, later),
+        wrench_rate=filtered(wrench, 1, later),
+        torque_noise=_noise(torque) * smoothing,
+        wrench_noise=_noise(wrench) * smoothing,
         spacing=(inside - abs(later)) / rate / count,
-        noise=noise,
     )
 
 
-def thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
+def decimate(signal: Array, weights: Array, reach: int, step: int) -> Array:
     """A signal filtered, without `reach` samples at either end, every so many samples.
 
     Args:
@@ -129,9 +125,9 @@ def thinned(signal: Array, weights: Array, reach: int, step: int) -> Array:
     from scipy.signal import oaconvolve
 
     spare = reach - len(weights) // 2
-    found = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
-    kept: Array = found[spare : len(found) - spare or None : step]
-    return kept
+    values = oaconvolve(signal, weights[:, None], mode="valid", axes=0)
+    every: Array = values[spare : len(values) - spare or None : step]
+    return every
 
 
 def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
@@ -148,9 +144,9 @@ def directions(columns: Array, dependent: float = DEPENDENT) -> Array:
     if not kept.any():
         return columns[:, :0]
     wide, small = np.linalg.qr(columns[:, kept] / size[kept])
-    turned, spread, _ = np.linalg.svd(small)
-    found: Array = wide @ turned[:, spread > dependent * spread[0]]
-    return found
+    axes, spread, _ = np.linalg.svd(small)
+    basis: Array = wide @ axes[:, spread > dependent * spread[0]]
+    return basis
 
 
 def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
@@ -182,12 +178,13 @@ def delay(columns: Array, signal: Array, spacing: float) -> tuple[float, float]:
     return spacing * (best - most), float((1 - share[best]) / max(1 - share[most], 1e-300))
 
 
-def _noise(signal: Array) -> Array:
+def _noise(signal: Array | None) -> Array:
     """Variance of white noise, by the differences from sample to sample that motion does not make.
 
     Args:
-        signal: (M, C).
+        signal: (M, C); None for no channels.
     """
-    second = np.diff(signal, 2, axis=0) ** 2
-    found: Array = np.median(second, axis=0) / (6 * MEDIAN)
-    return found
+    if signal is None:
+        return np.zeros(0)
+    variance: Array = np.median(np.diff(signal, 2, axis=0) ** 2, axis=0) / (6 * MEDIAN)
+    return variance

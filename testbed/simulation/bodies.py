@@ -14,11 +14,10 @@ from testbed.dynamics.inverse_dynamics import base_wrench
 from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
 from testbed.errors import SettingsError, UnknownName
-from testbed.keys import key
-from testbed.kind_table import PerJoint, each_joint
+from testbed.kind_table import PerJoint, each_joint, key
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.robot.inertia import Inertia
-from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
 from testbed.simulation.plant import Plant

@@ -26,8 +26,7 @@ from testbed.errors import ModelError
 from testbed.robot.formats.mjcf import repaired_spec
 from testbed.robot.formats.mjcf_compile import MASSLESS, compile_spec, no_mujoco_warnings
 from testbed.robot.formats.urdf import repaired_xml
-from testbed.robot.load import model_format
-from testbed.robot.model_file import ModelFile
+from testbed.robot.model_file import ModelFile, model_format
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import PLATE_FREEDOM, Effect
 from testbed.simulation.plant import Plant, check_plant

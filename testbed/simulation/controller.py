@@ -7,11 +7,10 @@ heavy and light ones alike; it is taken from the a-priori model once for a perio
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
@@ -40,77 +39,28 @@ class Reference(Protocol):
         """Where on the path at times t, (M,), as a time of it [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Controller:
-    """A controller along a sampled reference.
+class Controller(NamedTuple):
+    """A controller along a sampled reference, as machine code takes it.
 
     Attributes:
-        reference: The motion to follow, T samples.
-        expected: Torque expected along it, (T, n) [N m or N].
+        times: Of the samples, (T,) [s].
+        q: Positions to follow, (T, n) [rad or m].
+        qd: Velocities, (T, n) [rad/s or m/s].
+        expected: Torque expected along them, (T, n) [N m or N].
         inertia: Mass matrices of the a-priori model, (grid, n, n).
         posture: Which of them applies to each sample, (T,).
         bandwidth: Of the position loop [rad/s].
         effort: Limits of the motors, (n,) [N m or N].
     """
 
-    reference: Motion
+    times: Array
+    q: Array
+    qd: Array
     expected: Array
     inertia: Array
-    posture: Array
+    posture: NDArray[np.int64]
     bandwidth: float
     effort: Array
-
-    def torque(self, k: int, position: Array, velocity: Array) -> Array:
-        """Motor torques for sample k, (n,) [N m or N], within the limits of the motors."""
-        late, slow = self.reference.q[k] - position, self.reference.qd[k] - velocity
-        action = self.bandwidth**2 * late + 2 * DAMPING * self.bandwidth * slow
-        return _limited(self.expected[k], self.inertia[self.posture[k]], action, self.effort)
-
-
-class Controllers:
-    """Controllers of robots that are simulated together, one time after the other.
-
-    What one of them asks for does not depend on the others, to the bit: there are no sums over
-    several of them, and none whose order a library chooses.
-    """
-
-    def __init__(self, controllers: Sequence[Controller]) -> None:
-        """Put side by side.
-
-        Args:
-            controllers: R of them, all of n joints and T samples.
-        """
-        every = list(controllers)
-        self._q = np.stack([each.reference.q for each in every], axis=1)  # (T, R, n)
-        self._qd = np.stack([each.reference.qd for each in every], axis=1)
-        self._expected = np.stack([each.expected for each in every], axis=1)
-        self._inertia = np.stack([each.inertia for each in every])  # (R, grid, n, n)
-        self._posture = np.stack([each.posture for each in every], axis=1)  # (T, R)
-        bandwidth = np.array([[each.bandwidth] for each in every])
-        self._stiff, self._damped = bandwidth**2, 2 * DAMPING * bandwidth
-        self._effort = np.stack([each.effort for each in every])
-        self._which = np.arange(len(every))
-
-    def torque(self, k: int, position: Array, velocity: Array) -> Array:
-        """Motor torques of all for sample k, (R, n) [N m or N].
-
-        Args:
-            k: The sample.
-            position: (R, n) [rad or m].
-            velocity: (R, n) [rad/s or m/s].
-        """
-        action = self._stiff * (self._q[k] - position) + self._damped * (self._qd[k] - velocity)
-        inertia = self._inertia[self._which, self._posture[k]]
-        return _limited(self._expected[k], inertia, action, self._effort)
-
-
-def _limited(expected: Array, inertia: Array, action: Array, effort: Array) -> Array:
-    """Expected torque and inertia times action, (..., n), within the limits of the motors."""
-    wanted = expected
-    for j in range(action.shape[-1]):
-        wanted = wanted + inertia[..., j] * action[..., j : j + 1]
-    limited: Array = np.minimum(np.maximum(wanted, -effort), effort)
-    return limited
 
 
 def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: float) -> Controller:
@@ -127,7 +77,9 @@ def computed_torque(tree: Tree, motion: Reference, times: Array, bandwidth: floa
     phase = motion.place(times) / motion.period
     besides = drive_torque(tree, reference.qd, reference.qdd, _SMOOTH)
     return Controller(
-        reference=reference,
+        times=times,
+        q=reference.q,
+        qd=reference.qd,
         expected=joint_forces(tree, reference) + besides,
         inertia=mass_matrices(tree, grid) + np.diag(ROTOR.coefficients(tree)),
         posture=np.floor((phase - np.floor(phase)) * _PERIOD_GRID).astype(int) % _PERIOD_GRID,

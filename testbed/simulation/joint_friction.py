@@ -12,8 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.keys import key
-from testbed.kind_table import PerJoint, each_joint
+from testbed.kind_table import PerJoint, each_joint, key
 from testbed.robot.friction import COULOMB, VISCOUS
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect, StepForces

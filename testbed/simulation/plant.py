@@ -7,6 +7,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
@@ -46,7 +47,7 @@ class Plant:
     """
 
     model: mujoco.MjModel
-    order: Array
+    order: NDArray[np.int64]
     dofs: Array
     positions: Array
     velocities: Array

@@ -1,12 +1,9 @@
-"""Roll out robots along their motions and log what happens, sample by sample.
+"""Roll out a robot along its motion and log what happens, sample by sample.
 
 What MuJoCo holds after a step is a mixture: sensors belong to the state before it, forces
-to the last stage of the integrator. The first and the last instant of each sample are
-therefore computed anew. Averaged samples are trapezoidal means over the sample of every
+to the last stage of the integrator. Every instant that counts is therefore computed anew, under
+the torque and the forces of its own step. Averaged samples are means over the sample of every
 channel alike, the torque held over it; their acceleration is the gain of velocity.
-
-Runs of one model may go side by side (`simulate_motions`): the calls of a sample then serve all
-of them. What happens in a run does not depend on those beside it, to the bit.
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ from testbed.simulation.plant import Plant
 from testbed.simulation.sampled_loop import SampledLoop, Sampling
 
 _SLAB = 1000
-"""Samples between two reports of progress, and held in full detail at once."""
+"""Samples between two reports of progress."""
 
 
 Watch: TypeAlias = Callable[[Array, Truth], None]
@@ -53,23 +50,6 @@ class Rollout:
     truth: Truth
     tracking: Array
     saturated: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Task:
-    """One run that is to be simulated.
-
-    Attributes:
-        plant: The robot on its bedplate.
-        tree: The drive's own model of the robot and its friction.
-        motion: The reference.
-        bandwidth: Of the drive [rad/s].
-    """
-
-    plant: Plant
-    tree: Tree
-    motion: Reference
-    bandwidth: float
 
 
 def simulate_motion(
@@ -100,73 +80,33 @@ def simulate_motion(
     Raises:
         SimulationDiverged: The robot did not follow.
     """
-    tasks = [Task(plant, tree, motion, bandwidth)]
-    (found,) = simulate_motions(tasks, duration, sampling, progress, watch, forces)
-    if isinstance(found, SimulationDiverged):
-        raise found
-    return found
-
-
-def simulate_motions(
-    tasks: Sequence[Task],
-    duration: float,
-    sampling: Sampling,
-    progress: Callable[[int, int], None] = lambda done, total: None,
-    watch: Watch = lambda time, truth: None,
-    forces: StepForces | None = None,
-) -> list[Rollout | SimulationDiverged]:
-    """Follow periodic motions in closed loop, robots of one model side by side.
-
-    Args:
-        tasks: The runs; their plants differ in numbers only.
-        duration: Of every recording [s].
-        sampling: How the runs are cut into samples.
-        progress: Called with samples done and samples in all.
-        watch: Called with every second or so of what happens in the first run.
-        forces: As `simulate_motion` takes them, for a run that is alone.
-
-    Returns:
-        What happened in each run, or why it came to nothing.
-    """
     lead, samples = round(sampling.warm_up * sampling.rate), round(duration * sampling.rate)
     times = np.arange(round(sampling.begin * sampling.rate) - lead, samples) / sampling.rate
-    drives = [computed_torque(t.tree, t.motion, times, t.bandwidth) for t in tasks]
-    loop = SampledLoop([task.plant for task in tasks], drives, sampling, forces)
-    logs: list[list[Truth]] = [[] for _ in tasks]
-    unstable: dict[int, SimulationDiverged] = {}
+    drive = computed_torque(tree, motion, times, bandwidth)
+    loop, logs = SampledLoop(plant, drive, sampling, forces), []
     for first in range(0, len(times), _SLAB):
         last = min(first + _SLAB, len(times))
         with unwarned_steps():  # a state that blows up is found below
-            for log, truth in zip(logs, loop.run(range(first, last)), strict=True):
-                log.append(truth)
-        for k in set(range(len(tasks))) - set(unstable):
-            if not all(np.isfinite(values).all() for values in vars(logs[k][-1]).values()):
-                unstable[k] = SimulationDiverged(
-                    f"the simulation became unstable near t = {times[last - 1]:.2f} s; use a "
-                    "smaller step or a lower drive bandwidth"
-                )
-                loop.lay_aside(k)
-        if len(unstable) == len(tasks):
-            break
+            logs.append(loop.run(range(first, last)))
+        if not all(np.isfinite(values).all() for values in vars(logs[-1]).values()):
+            raise SimulationDiverged(
+                f"the simulation became unstable near t = {times[last - 1]:.2f} s; use a "
+                "smaller step or a lower drive bandwidth"
+            )
         progress(last, len(times))
-        watch(times[first:last], logs[0][-1])
-    return [
-        unstable[k] if k in unstable else _rollout_of(times[lead:], log, drive, task.tree)
-        for k, (log, drive, task) in enumerate(zip(logs, drives, tasks, strict=True))
-    ]
+        watch(times[first:last], logs[-1])
+    return _rollout_of(times[lead:], logs, drive, tree)
 
 
-def _rollout_of(
-    time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree
-) -> Rollout | SimulationDiverged:
+def _rollout_of(time: Array, logs: Sequence[Truth], drive: Controller, tree: Tree) -> Rollout:
     count = len(time)
     whole = {k: np.concatenate([vars(log)[k] for log in logs])[-count:] for k in vars(logs[0])}
-    truth, wanted = Truth(**whole), drive.reference.q[-count:]
+    truth, wanted = Truth(**whole), drive.q[-count:]
     tracking = np.sqrt(np.mean((truth.position - wanted) ** 2, axis=0))
     swing = np.ptp(wanted, axis=0)
     lost = [name for name, e, s in zip(tree.names, tracking, swing, strict=True) if e > s]
     if lost:
-        return SimulationDiverged(
+        raise SimulationDiverged(
             f"the drive lost the reference at {', '.join(lost)}; lower the motion's limits"
         )
     at_limit = np.abs(truth.torque) >= drive.effort * (1 - 1e-12)

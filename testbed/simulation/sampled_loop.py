@@ -1,22 +1,32 @@
-"""MuJoCo's states, the controllers around them, and the log of it: the loop over samples."""
+"""A plant, the controller around it, and the log of both: the loop over samples."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import ctypes
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
-from mujoco.batch import Batch
 
-from testbed.arrays import Array
 from testbed.recordings.recording import Truth
-from testbed.simulation.controller import Controller, Controllers
+from testbed.simulation.compiled_loop import (
+    Clock,
+    Engine,
+    Log,
+    State,
+    follow,
+    mujoco_functions,
+)
+from testbed.simulation.controller import Controller
 from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant
 
-_STATE = ("qpos", "qvel")
-_RECORD = ("sensordata", "qfrc_passive", "qfrc_constraint")
-_FIRST = {"sensordata": 0, "qfrc_passive": 1, "qfrc_constraint": 1}
+SMOOTH_STEP = 1e-3
+"""Longest step where no joint sticks or turns round [s]."""
+
+SMOOTH_DECAY = 0.2
+"""Part of the shortest time in which damping or a spring acts that such a step may last."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +35,9 @@ class Sampling:
 
     Attributes:
         rate: Samples a second, also the controller's rate [Hz].
-        steps: Simulation steps a sample.
-        averaged: Each sample is the mean over its steps (integrate and dump), else its
+        steps: Simulation steps a sample; fewer are taken where no joint sticks or turns round,
+            and no force jumps.
+        averaged: Each sample is the mean over its time (integrate and dump), else its
             first instant.
         warm_up: Time run before the recording starts [s].
         begin: When the recording begins, 0 or earlier [s].
@@ -40,156 +51,120 @@ class Sampling:
 
 
 class SampledLoop:
-    """Runs of one model, side by side."""
+    """One run, some samples after others."""
 
     def __init__(
-        self,
-        plants: Sequence[Plant],
-        drives: Sequence[Controller],
-        sampling: Sampling,
-        forces: StepForces | None = None,
+        self, plant: Plant, drive: Controller, sampling: Sampling, forces: StepForces | None = None
     ) -> None:
-        """At the beginning of their references.
+        """At the beginning of the reference.
 
         Args:
-            plants: R of them, of one layout.
-            drives: Theirs.
-            sampling: How the runs are cut into samples.
-            forces: Asked before every step of a run that is alone.
-
-        Raises:
-            ValueError: Forces push one of several runs.
+            plant: The robot on its bedplate.
+            drive: Its controller.
+            sampling: How the run is cut into samples.
+            forces: Asked before every step.
         """
-        if forces is not None and len(plants) > 1:
-            raise ValueError("forces need a simulation of their own")
-        self._plants, self._drive, self._sampling = plants, Controllers(drives), sampling
-        self._time, self._forces = drives[0].reference.t, forces
-        self._batch = Batch(plants[0].model, nsim=len(plants), nthread=1)
-        if any(plant.model is not plants[0].model for plant in plants):
-            self._batch.set_models([plant.model for plant in plants])
-        keys = (*_STATE, *_RECORD, "qacc", "ctrl", "qfrc_applied")
-        self._live = {key: self._batch.bind(key) for key in keys}
-        self._joints = _as_slice(plants[0].order)
-        self._changing = False
-        for row, (plant, drive) in enumerate(zip(plants, drives, strict=True)):
-            # every joint has one position
-            self._live["qpos"][row] = plant.dofs @ drive.reference.q[0]
-            self._live["qvel"][row] = plant.dofs @ drive.reference.qd[0]
+        self._plant, model = plant, plant.model
+        self._data = data = mujoco.MjData(model)
+        data.qpos[:] = plant.dofs @ drive.q[0]  # every joint has one position
+        data.qvel[:] = plant.dofs @ drive.qd[0]
+        mujoco.mj_forward(model, data)
+        self._rate, period = sampling.rate, 1 / sampling.rate
+        smooth = 0 if forces else _smooth_steps(model, period)
+        smooth = smooth if smooth < sampling.steps else 0
+        self._smooth_model = copy.copy(model)
+        option = self._smooth_model.opt
+        option.timestep = period / max(smooth, 1)
+        option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_REFSAFE)  # friction as it is
+        self._push = _Push(forces, plant, data)
+        self._engine = Engine(
+            **mujoco_functions(),
+            model=model._address,
+            smooth_model=self._smooth_model._address,
+            data=data._address,
+            push=self._push.address,
+        )
+        self._state = State(
+            position=data.qpos,
+            velocity=data.qvel,
+            acceleration=data.qacc,
+            motor=data.ctrl,
+            pushed=data.qfrc_applied,
+            sensed=data.sensordata,
+            passive=data.qfrc_passive,
+            constraint=data.qfrc_constraint,
+            dry=model.dof_frictionloss,
+            order=plant.order,
+            kept=np.zeros((2, model.nv)),
+        )
+        self._drive = drive
+        self._clock = Clock(period, sampling.steps, smooth, sampling.averaged)
 
-    def lay_aside(self, run: int) -> None:
-        """Forget the state of a run that blew up: it goes on from zero, and does not count.
-
-        Args:
-            run: Its number.
-        """
-        self._live["qpos"][run] = self._live["qvel"][run] = 0.0
-
-    def run(self, samples: range) -> list[Truth]:
-        """Follow some samples of the references.
+    def run(self, samples: range) -> Truth:
+        """Follow the next samples of the reference.
 
         Args:
             samples: Their numbers.
         """
-        runs, count, steps = len(self._plants), len(samples), self._sampling.steps
-        joints, averaged = self._joints, self._sampling.averaged
-        shape = (count, runs, len(self._plants[0].order))
-        torque, applied, start, end = np.zeros((4, *shape))
-        slab = {
-            key: np.empty((count, runs, steps + 1, self._live[key].shape[1])) for key in _RECORD
-        }
-        recorded = _RECORD if steps > 1 and averaged else ()  # else both ends are all there is
-        out = {key: np.empty((runs, steps, self._live[key].shape[1])) for key in recorded}
-        for row, k in enumerate(samples):
-            position, velocity = (self._live[key][:, joints] for key in _STATE)
-            torque[row] = self._drive.torque(k, position, velocity)
-            self._live["ctrl"][:] = torque[row]
-            if self._forces is not None:
-                applied[row] = self._push(k, 0)
-            self._batch.forward()  # the first instant, under the new torque
-            self._note(slab, row, 0)
-            start[row] = velocity if averaged else self._live["qacc"][:, joints]
-            pushed = self._steps(k, out)
-            if averaged:
-                # sensors are of each step's first instant, forces of its last
-                for key, values in out.items():
-                    slab[key][row, :, _FIRST[key] : _FIRST[key] + steps] = values
-                self._batch.forward()  # the last instant, still under the old torque
-                self._note(slab, row, steps)
-                end[row] = self._live["qvel"][:, joints]
-                applied[row] = (applied[row] + pushed) / steps
-        acceleration = (end - start) * self._sampling.rate if averaged else start
-        log = {key: self._sampled(slab[key]) for key in _RECORD}
-        return [
-            self._truth(run, log, torque[:, run], applied[:, run], acceleration[:, run])
-            for run in range(runs)
-        ]
-
-    def _steps(self, k: int, out: dict[str, Array]) -> Array | float:
-        """The steps of sample k, recorded; the sum of the forces pushed after the first one."""
-        steps = self._sampling.steps
-        if self._forces is None:
-            self._batch.rollout(steps, record=tuple(out) or ("qpos",), out=out or None)
-            return 0.0
-        total: Array = np.zeros(len(self._plants[0].order))
-        for step in range(steps):
-            before = None
-            if step:
-                before = self._sensed_before_push(out)
-                total += self._push(k, step)
-            here = {key: values[:, step : step + 1] for key, values in out.items()}
-            self._batch.rollout(1, record=tuple(out) or ("qpos",), out=here or None)
-            if before is not None and self._changing:
-                here["sensordata"][:] = (here["sensordata"] + before) / 2
-        return total
-
-    def _sensed_before_push(self, out: dict[str, Array]) -> Array | None:
-        """What the sensors show at the end of a step: pushes jump from step to step."""
-        if not out or not self._changing:
-            return None
-        self._batch.forward()
-        return np.array(self._live["sensordata"][0])
-
-    def _push(self, k: int, step: int) -> Array:
-        """Apply the forces of a step of sample k, which belong to the state before it."""
-        assert self._forces is not None
-        joints = self._joints
-        time = self._time[k] + step / (self._sampling.steps * self._sampling.rate)
-        position, velocity = (self._live[key][0, joints] for key in _STATE)
-        force = self._forces(time, position.copy(), velocity.copy(), self._live["ctrl"][0].copy())
-        self._changing = bool((force != self._live["qfrc_applied"][0, joints]).any())
-        self._live["qfrc_applied"][0, joints] = force
-        return force
-
-    def _note(self, slab: dict[str, Array], row: int, instant: int) -> None:
-        for key in _RECORD:
-            slab[key][row, :, instant] = self._live[key]
-
-    def _sampled(self, slab: Array) -> Array:
-        """The mean over each sample by the trapezoidal rule, or its first instant, (M, R, ...)."""
-        if not self._sampling.averaged:
-            return slab[:, :, 0]
-        total = (slab[:, :, 0] + slab[:, :, -1]) / 2
-        for step in range(1, self._sampling.steps):
-            total = total + slab[:, :, step]
-        mean: Array = total / self._sampling.steps
-        return mean
-
-    def _truth(
-        self, run: int, log: dict[str, Array], torque: Array, applied: Array, acceleration: Array
-    ) -> Truth:
-        sensed, plant = np.ascontiguousarray(log["sensordata"][:, run]), self._plants[run]
-        lost = np.ascontiguousarray((log["qfrc_passive"] + log["qfrc_constraint"])[:, run])
+        plant, model, n = self._plant, self._plant.model, len(self._plant.order)
+        torque, velocity, acceleration = np.zeros((3, len(samples), n))
+        sensed, lost = (
+            np.zeros((len(samples), model.nsensordata)),
+            np.zeros((len(samples), model.nv)),
+        )
+        log = Log(torque, velocity, acceleration, sensed, lost)
+        follow(
+            self._engine,
+            self._state,
+            self._drive,
+            self._clock,
+            log,
+            samples.start,
+            self._push.failed,
+        )
+        self._push.check()
+        if self._clock.averaged:
+            later = np.vstack([velocity[1:], self._data.qvel[plant.order]])
+            acceleration = (later - velocity) * self._rate
         return Truth(
             position=sensed[:, plant.positions],
             velocity=sensed[:, plant.velocities],
-            acceleration=np.ascontiguousarray(acceleration),
-            torque=np.ascontiguousarray(torque),
-            friction=-lost @ plant.dofs - applied,
+            acceleration=acceleration,
+            torque=torque,
+            friction=-lost @ plant.dofs,
             wrench=plant.bedplate_wrench(sensed[:, plant.plate]),
         )
 
 
-def _as_slice(order: Array) -> slice | Array:
-    """An index that gives views where it can."""
-    same = np.array_equal(order, np.arange(len(order)))
-    return slice(0, len(order)) if same else order
+def _smooth_steps(model: mujoco.MjModel, period: float) -> int:
+    """Steps that a smooth sample needs, for the fastest of what damps or springs."""
+    loose = model.dof_invweight0
+    spring = model.jnt_stiffness[model.dof_jntid]
+    fastest = max(np.max(model.dof_damping * loose), np.sqrt(np.max(spring * loose)))
+    return int(np.ceil(period / min(SMOOTH_STEP, SMOOTH_DECAY / max(fastest, 1e-9)) * (1 - 1e-9)))
+
+
+class _Push:
+    """Forces on the joints, as C calls them; an error waits until the loop has ended."""
+
+    def __init__(self, forces: StepForces | None, plant: Plant, data: mujoco.MjData) -> None:
+        self.failed, self.address = np.zeros(1, dtype=bool), 0
+        self._error: BaseException | None = None
+        if forces is None:
+            return
+        order = plant.order
+
+        def push(time: float) -> None:
+            try:
+                state = data.qpos[order], data.qvel[order], data.ctrl.copy()
+                data.qfrc_applied[order] = forces(time, *state)
+            except BaseException as error:
+                self._error, self.failed[0] = error, True
+
+        self._callback = ctypes.CFUNCTYPE(None, ctypes.c_double)(push)
+        self.address = ctypes.cast(self._callback, ctypes.c_void_p).value or 0
+
+    def check(self) -> None:
+        """Raise what a push has raised."""
+        if self._error is not None:
+            raise self._error

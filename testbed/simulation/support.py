@@ -10,7 +10,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError
-from testbed.keys import key
+from testbed.kind_table import key
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings
 from testbed.robot.rotations import about
 from testbed.robot.tree import Tree

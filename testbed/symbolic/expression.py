@@ -4,10 +4,11 @@ A factor is a parameter, a coordinate or one of its derivatives, a constant of t
 the cosine or sine of an expression, an auxiliary variable, or an expression in brackets; a
 term carries a number besides. Expressions are values: immutable, shared, always in order;
 equal terms of opposite sign cancel at every operation. Brackets are not multiplied out;
-`polynomial.expand` does that, and knows the identities of trigonometry.
+`polynomial.expand` does that, and knows the identities of trigonometry. `Budget` counts terms.
 
 Order     factors by nature, then by name; terms by their factors; numbers do not count
 Numbers   integers and binary fractions, so that arithmetic on them is exact
+Names     S223 = sin(2 q2 + q3)
 Source    [FRS96] section 3, figure 4
 """
 
@@ -26,6 +27,10 @@ LARGEST_NUMBER = 1e150
 """The square of this is still a number."""
 LONGEST_NAME = 200
 """Characters of a bracket's name; brackets within brackets would double it again and again."""
+MAX_TERMS = 150_000
+"""Terms that take some ten seconds to write, and that nobody reads."""
+PRODUCT = 0.1
+"""What multiplying two terms counts: most products are added up to fewer terms."""
 Key: TypeAlias = tuple[int, int, str]
 
 
@@ -105,7 +110,7 @@ class Expression:
     """A sum of terms in order; see the module's description.
 
     Supports +, - and * with expressions and numbers. `==` tells whether two expressions
-    are written alike; `polynomial.same` whether they are equal.
+    are written alike; they are equal if their difference, expanded, has no parts.
 
     Attributes:
         terms: (factors, number), in order; none of the numbers is zero.
@@ -132,7 +137,7 @@ class Expression:
         return bool(self.terms)
 
     def __repr__(self) -> str:
-        return written(self)
+        return as_text(self)
 
     def __neg__(self) -> Expression:
         return Expression(tuple((factors, -number) for factors, number in self.terms))
@@ -202,17 +207,42 @@ def expression(value: Any) -> Expression:
     return value if isinstance(value, Expression) else number(value)
 
 
+def sine(angle: Expression) -> Expression:
+    """Sine of an expression, odd."""
+    if angle.terms[0][1] < 0:
+        return -sine(-angle)
+    return of(Factor(Nature.SINE, _trig("S", angle), angle))
+
+
+def cosine(angle: Expression) -> Expression:
+    """Cosine of an expression, even."""
+    if angle.terms[0][1] < 0:
+        angle = -angle
+    return of(Factor(Nature.COSINE, _trig("C", angle), angle))
+
+
+def _trig(letter: str, angle: Expression) -> str:
+    """S223 of 2*q2 + q3; S_2_m3 of q2 - q3, S_12 of q12."""
+    labels = []
+    for factors, size in angle.terms:
+        label = "".join(factor.name for factor in factors).removeprefix("q")
+        labels += ["m" * (size < 0) + label] * int(abs(size))
+    if all(len(label) == 1 for label in labels):
+        return letter + "".join(labels)
+    return f"{letter}_{'_'.join(labels)}"
+
+
 def collect(terms: Iterable[Term]) -> Expression:
     """Terms in order, equal ones added, those that cancel gone."""
     sums: dict[Factors, Number] = {}
     for factors, value in terms:
         sums[factors] = sums.get(factors, 0) + value
     kept = [(factors, exact(value)) for factors, value in sums.items() if value != 0]
-    kept.sort(key=_term_order)
+    kept.sort(key=lambda term: [factor.key for factor in term[0]])
     return Expression(tuple(kept))
 
 
-def replaced(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
+def substitute(value: Expression, meaning: Callable[[Factor], Expression | None]) -> Expression:
     """The expression with other expressions in the place of some factors.
 
     Args:
@@ -241,13 +271,13 @@ def bracket(inside: Expression) -> tuple[Factor, Number]:
     sizes = {abs(value) for _, value in inside.terms}
     out = (first if len(sizes) == 1 else 1 if first > 0 else -1) if inside.terms else 1
     plain = inside if out == 1 else Expression(tuple((f, exact(c / out)) for f, c in inside.terms))
-    name = f"({written(plain)})"
+    name = f"({as_text(plain)})"
     if len(name) > LONGEST_NAME:
         name = f"{name[: LONGEST_NAME - 33]}~{blake2s(name.encode(), digest_size=16).hexdigest()}"
     return Factor(Nature.BRACKET, name, plain), out
 
 
-def written(value: Expression) -> str:
+def as_text(value: Expression) -> str:
     """Plain text: a*b - 2*c."""
     text = ""
     for factors, size in value.terms:
@@ -267,7 +297,7 @@ def _product(a: Expression, b: Expression) -> Any:
             return two * one.terms[0][1]
     left, size = _single(a)
     right, other = _single(b)
-    factors = sorted((*left, *right), key=_factor_order)
+    factors = sorted((*left, *right), key=lambda factor: factor.key)
     return Expression(((tuple(factors), exact(size * other)),))
 
 
@@ -305,9 +335,75 @@ def exact(value: Number) -> Number:
     return int(value) if value == int(value) else value
 
 
-def _factor_order(factor: Factor) -> Key:
-    return factor.key
+def auxiliaries(values: Iterable[Expression]) -> list[Factor]:
+    """The auxiliary variables and brackets that values refer to, each after those it needs."""
+
+    def names(value: Expression) -> list[Factor]:
+        return [f for factors, _ in value.terms for f in factors if f.nature >= Nature.AUXILIARY]
+
+    first = [factor for value in values for factor in names(value)]
+    return depth_first(first, lambda factor: names(factor.content or ZERO))
 
 
-def _term_order(term: Term) -> tuple[Key, ...]:
-    return tuple([factor.key for factor in term[0]])
+def depth_first(first: Iterable[Factor], needs: Callable[[Factor], list[Factor]]) -> list[Factor]:
+    """Factors and all that they need, each after what it needs; as deep as may be.
+
+    Args:
+        first: Where to start.
+        needs: What one of them refers to.
+    """
+    order: list[Factor] = []
+    seen: set[Factor] = set()
+    todo = [(factor, False) for factor in first][::-1]
+    while todo:
+        factor, ready = todo.pop()
+        if ready:
+            order.append(factor)
+        elif factor not in seen:
+            seen.add(factor)
+            todo.append((factor, True))
+            todo += [(each, False) for each in reversed(needs(factor)) if each not in seen]
+    return order
+
+
+class Budget:
+    """Counts terms while equations are written or read.
+
+    Attributes:
+        terms: How many there may be.
+        spent: How many there were so far.
+    """
+
+    def __init__(self, terms: int = MAX_TERMS, shorter: str = "") -> None:
+        """Nothing spent yet.
+
+        Args:
+            terms: How many there may be.
+            shorter: What to ask for instead, if anything.
+        """
+        self.terms = terms
+        self.spent = 0.0
+        self._shorter = shorter
+
+    def write(self, terms: int) -> None:
+        """Count terms that are written down.
+
+        Raises:
+            ExpressionError: There are too many.
+        """
+        self.spent += terms
+        if self.spent > self.terms:
+            raise ExpressionError(
+                f"this takes more than {self.terms} terms, those on the way included: "
+                f"{self._shorter}--max-terms N (max_terms=N) allows more, at the price of time "
+                "and memory"
+            )
+
+    def multiply(self, products: int) -> None:
+        """Count products of terms, before they are made.
+
+        Raises:
+            ExpressionError: There are too many.
+        """
+        self.spent += PRODUCT * products
+        self.write(0)

@@ -19,9 +19,10 @@ from testbed.symbolic.expression import (
     Factors,
     Nature,
     Number,
+    auxiliaries,
     collect,
+    depth_first,
 )
-from testbed.symbolic.traversal import in_order
 
 Line = dict[Factors, Number]
 Place = TypeVar("Place", bound=Hashable)
@@ -30,7 +31,7 @@ MOST_PAIRS = 1_000_000
 """Pairs of terms, each counted twice, among which common ones are looked for: some 200 MB."""
 
 
-class Sheet:
+class Assignments:
     """Sums under names, and among them the results.
 
     Attributes:
@@ -44,7 +45,7 @@ class Sheet:
         self.results = dict.fromkeys(results)
         self._fixed: dict[Factor, bool] = {}
         self._made = 0
-        for factor in in_order(results.values()):
+        for factor in auxiliaries(results.values()):
             self.lines[factor] = dict(factor.content.terms if factor.content else ())
         for name, value in results.items():
             self.lines[name] = dict(value.terms)
@@ -72,6 +73,10 @@ class Sheet:
                 known = all(self.fixed(part) for factors in line for part in factors)
             self._fixed[factor] = known
         return known
+
+    def needs(self, name: Factor) -> list[Factor]:
+        """The lines that a line refers to."""
+        return [f for factors in self.lines[name] for f in factors if f in self.lines]
 
     def new(self, line: Line) -> Factor:
         """A new line, and its name."""
@@ -102,7 +107,8 @@ class Sheet:
             if not other and not nothing:
                 break
             self._rename(other, nothing)
-        self._prune()
+        needed = set(depth_first(self.results, self.needs))
+        self.lines = {name: line for name, line in self.lines.items() if name in needed}
 
     def _rename(self, other: dict[Factor, tuple[Factor, Number]], nothing: set[Factor]) -> None:
         """Put other lines' names in the place of some, and zero in the place of `nothing`."""
@@ -122,17 +128,6 @@ class Sheet:
                     if nothing.isdisjoint(renamed):
                         terms.append((_ordered(renamed), number))
                 self.lines[name] = dict(collect(terms).terms)
-
-    def _prune(self) -> None:
-        """Forget what no result needs."""
-        needed: set[Factor] = set()
-        todo = list(self.results)
-        while todo:
-            name = todo.pop()
-            if name not in needed:
-                needed.add(name)
-                todo += [f for factors in self.lines[name] for f in factors if f in self.lines]
-        self.lines = {name: line for name, line in self.lines.items() if name in needed}
 
     def gather_fixed(self) -> None:
         """Several fixed factors of a term, or one with a number, become one."""
@@ -274,14 +269,6 @@ class Pairs(Generic[Place, Pair]):
             if len(places) == -count and count < -1:
                 return pair, list(places)
         return None
-
-
-def operations(line: Line) -> tuple[int, int]:
-    """Multiplications and additions of a sum; signs are free."""
-    products = sum(
-        len(factors) - 1 + (abs(number) != 1) for factors, number in line.items() if factors
-    )
-    return products, max(0, len(line) - 1)
 
 
 def _ratios(line: Line, some: Set[Factors] | None = None) -> list[tuple[Factors, Factors, Number]]:

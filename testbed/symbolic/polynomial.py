@@ -1,29 +1,171 @@
-"""Expressions multiplied out: the form in which equal ones are alike.
+"""Expressions multiplied out: the normal form, in which equal ones are alike.
 
 A monomial is one integer, six bits an exponent, so that monomials are multiplied by adding
-integers; the waves of `trigonometry` go beside it. Numbers are integers and binary fractions.
+integers. Beside it goes a wave, a product of cosines and sines. Angles fall into groups, such
+as the joints whose axes are parallel. Of each group a wave has at most one cosine or sine, of
+a sum of angles with numbers: products within a group become sums,
+2 cos a cos b = cos(a - b) + cos(a + b). Waves that differ are linearly independent. Sums across
+groups are expanded. Numbers are integers and binary fractions.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import product as choices
+from math import prod
+from typing import TypeAlias
 
 from testbed.errors import ExpressionError
-from testbed.symbolic.budget import Budget
 from testbed.symbolic.expression import (
+    Budget,
     Expression,
     Factor,
     Nature,
     Number,
+    auxiliaries,
     exact,
     expression,
 )
-from testbed.symbolic.traversal import in_order
-from testbed.symbolic.trigonometry import COSINE, SINE, Waves
 
+Index: TypeAlias = tuple[tuple[int, Number], ...]  # (angle, how many times), in order
+Tone: TypeAlias = tuple[int, int, Index]  # group, 0 for a cosine or 1 for a sine, its angle
+Wave: TypeAlias = tuple[Tone, ...]  # at most one tone a group, in order
+Mixture: TypeAlias = tuple[tuple[int, float], ...]  # (number of a wave, its weight)
+
+COSINE, SINE = 0, 1
 BITS = 6
 LARGEST = (1 << BITS) - 1
 """Largest degree of a polynomial: no exponent can run over into the next."""
+
+
+class Waves:
+    """Every wave met so far by number, and the products of any two.
+
+    Attributes:
+        list: The waves; number 0 is 1.
+        group: The group of an angle, by its number; angles that are not there are alone.
+    """
+
+    def __init__(self, group: dict[int, int], budget: Budget) -> None:
+        """No waves but 1.
+
+        Args:
+            group: Angles that are together, by angle.
+            budget: Counts what is multiplied.
+        """
+        self._budget = budget
+        self.list: list[Wave] = [()]
+        self.group = group
+        self._number: dict[Wave, int] = {(): 0}
+        self._products: dict[tuple[int, int], Mixture] = {}
+
+    def number(self, wave: Wave) -> int:
+        """The number of a wave."""
+        found = self._number.get(wave)
+        if found is None:
+            found = self._number[wave] = len(self.list)
+            self.list.append(wave)
+        return found
+
+    def tone(self, kind: int, angle: Sequence[tuple[int, Number]]) -> Mixture:
+        """Cosine or sine of a sum of angles, as a mixture of waves."""
+        parts: dict[int, list[tuple[int, Number]]] = {}
+        for atom, times in sorted(angle):
+            parts.setdefault(self.group.get(atom, -1 - atom), []).append((atom, times))
+        cosines: dict[int, float] = {0: 1.0}
+        sines: dict[int, float] = {}
+        for group, part in parts.items():  # cos(a + b) and sin(a + b)
+            c, s = self._single(group, COSINE, tuple(part)), self._single(group, SINE, tuple(part))
+            cosines, sines = (
+                self._added(self._times(cosines, c), self._times(sines, s), -1.0),
+                self._added(self._times(sines, c), self._times(cosines, s), 1.0),
+            )
+        return tuple((sines if kind else cosines).items())
+
+    def product(self, a: int, b: int) -> Mixture:
+        """Two waves multiplied."""
+        if a == 0 or b == 0:
+            return ((a or b, 1.0),)
+        key = (a, b) if a < b else (b, a)
+        found = self._products.get(key)
+        if found is None:
+            found = self._products[key] = self._multiplied(self.list[a], self.list[b])
+        return found
+
+    def _multiplied(self, a: Wave, b: Wave) -> Mixture:
+        left, right = {tone[0]: tone for tone in a}, {tone[0]: tone for tone in b}
+        options: list[list[tuple[Wave, float]]] = []
+        for group in sorted({*left, *right}):
+            tones = [each[group] for each in (left, right) if group in each]
+            options.append(_in_group(group, *tones) if len(tones) > 1 else [(tuple(tones), 1.0)])
+        self._budget.multiply(prod(len(each) for each in options))
+        mixture: dict[int, float] = {}
+        for choice in choices(*options):
+            weight = 1.0
+            for _, share in choice:
+                weight *= share
+            if weight:
+                wave = self.number(tuple(tone for tones, _ in choice for tone in tones))
+                mixture[wave] = mixture.get(wave, 0.0) + weight
+        return tuple((wave, weight) for wave, weight in mixture.items() if weight)
+
+    def _single(self, group: int, kind: int, index: Index) -> dict[int, float]:
+        sign, wave = _normal(group, kind, index)
+        return {self.number(wave): sign} if sign else {}
+
+    def _times(self, a: dict[int, float], b: dict[int, float]) -> dict[int, float]:
+        result: dict[int, float] = {}
+        for x, u in a.items():
+            for y, v in b.items():
+                for wave, weight in self.product(x, y):
+                    result[wave] = result.get(wave, 0.0) + u * v * weight
+        return result
+
+    def _added(self, a: dict[int, float], b: dict[int, float], sign: float) -> dict[int, float]:
+        result = dict(a)
+        for wave, weight in b.items():
+            result[wave] = result.get(wave, 0.0) + sign * weight
+        return {wave: weight for wave, weight in result.items() if weight}
+
+
+def _in_group(group: int, one: Tone, two: Tone) -> list[tuple[Wave, float]]:
+    """The product of two tones of one group as a sum of two."""
+    difference, total = combine(one[2], two[2], -1), combine(one[2], two[2], 1)
+    kinds = (one[1], two[1])
+    if kinds == (COSINE, COSINE):
+        parts = [(COSINE, difference, 0.5), (COSINE, total, 0.5)]
+    elif kinds == (SINE, SINE):
+        parts = [(COSINE, difference, 0.5), (COSINE, total, -0.5)]
+    else:  # sin a cos b = (sin(a + b) + sin(a - b)) / 2
+        parts = [(SINE, total, 0.5), (SINE, difference, 0.5 if kinds == (SINE, COSINE) else -0.5)]
+    options = []
+    for kind, index, weight in parts:
+        sign, wave = _normal(group, kind, index)
+        options.append((wave, sign * weight))
+    return options
+
+
+def combine(a: Index, b: Index, sign: int) -> Index:
+    """The sum or difference of two angles."""
+    total = dict(a)
+    for atom, times in b:
+        total[atom] = total.get(atom, 0) + sign * times
+    return tuple(sorted((atom, times) for atom, times in total.items() if times))
+
+
+def _normal(group: int, kind: int, index: Index) -> tuple[float, Wave]:
+    """Sign and wave of a tone: the first angle counts positively; cos 0 = 1, sin 0 = 0."""
+    if not index:
+        return (0.0 if kind == SINE else 1.0), ()
+    sign, index = positive(index)
+    return (sign if kind == SINE else 1.0), ((group, kind, index),)
+
+
+def positive(index: Index) -> tuple[int, Index]:
+    """The sign of an angle's first part, and the angle in which that is positive."""
+    if index and index[0][1] < 0:
+        return -1, tuple((atom, -times) for atom, times in index)
+    return 1, index
 
 
 class Polynomial:
@@ -88,7 +230,7 @@ class Ring:
             ExpressionError: Its degree may exceed 63, there are too many terms, or numbers
                 that are no longer finite.
         """
-        for factor in in_order([expression(value)]):  # the deepest first: no deep recursion
+        for factor in auxiliaries([expression(value)]):  # the deepest first: no deep recursion
             if factor.content is not None:
                 self._factor(factor)
         total: dict[int, dict[int, Number]] = {}
@@ -191,16 +333,3 @@ class Ring:
             return monomial
         name = f"angle {wave} {monomial}"
         return self._monomial(Factor(Nature.CONSTANT, name))
-
-
-def same(a: Expression | Number, b: Expression | Number) -> bool:
-    """Whether two expressions are equal, whatever way they are written.
-
-    Exact: numbers are taken as the binary fractions they are.
-
-    Args:
-        a: An expression.
-        b: Another one.
-    """
-    ring = Ring()
-    return not ring.expand(expression(a) - expression(b)).parts

@@ -7,8 +7,9 @@ sines and cosines; then the auxiliary variables; then the results.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 from testbed.symbolic.expression import (
@@ -17,15 +18,18 @@ from testbed.symbolic.expression import (
     Nature,
     Number,
     collect,
+    depth_first,
+    exact,
     number,
     of,
-    replaced,
+    substitute,
 )
-from testbed.symbolic.optimise import Sheet, operations
-from testbed.symbolic.traversal import depth_first
+from testbed.symbolic.optimise import Assignments
 
 Step: TypeAlias = tuple[Factor, Expression]
 Values: TypeAlias = Mapping[Factor, float]
+SNAP = 4e-15
+"""Relative distance from a fraction of 64 within which a number of the geometry is one."""
 
 
 @dataclass(frozen=True)
@@ -50,27 +54,45 @@ class Program:
     """Lines in an order in which they can be computed.
 
     Attributes:
-        symbols: Coordinates, parameters and constants that the lines use, in order.
         once: What parameters and constants alone decide.
-        waves: Sines and cosines of coordinates.
         steps: Auxiliary variables, and each result as soon as it can be had; a result that
             is zero has no terms.
         results: Names of the results.
-        count: Operations.
     """
 
-    symbols: tuple[Factor, ...]
     once: tuple[Step, ...]
-    waves: tuple[Factor, ...]
     steps: tuple[Step, ...]
     results: frozenset[Factor]
-    count: Count
 
     @property
-    def lines(self) -> Iterator[Step]:
+    def lines(self) -> tuple[Step, ...]:
         """All lines."""
-        yield from self.once
-        yield from self.steps
+        return self.once + self.steps
+
+    @cached_property
+    def waves(self) -> tuple[Factor, ...]:
+        """Sines and cosines of coordinates, in order."""
+        used = {factor for _, value in self.lines for factor in leaves(value)}
+        return tuple(sorted(f for f in used if f.nature in (Nature.COSINE, Nature.SINE)))
+
+    @cached_property
+    def symbols(self) -> tuple[Factor, ...]:
+        """Coordinates, parameters and constants that the lines use, in order."""
+        values = [value for _, value in self.lines]
+        values += [wave.content for wave in self.waves if wave.content is not None]
+        used = {factor for value in values for factor in leaves(value)}
+        return tuple(sorted(factor for factor in used if factor.nature <= Nature.CONSTANT))
+
+    @cached_property
+    def count(self) -> Count:
+        """Operations."""
+        each = [cost(value) for _, value in self.steps]
+        return Count(
+            sum(products for products, _ in each),
+            sum(sums for _, sums in each),
+            len(self.waves),
+            sum(sum(cost(value)) for _, value in self.once),
+        )
 
 
 def recursive(results: Mapping[Factor, Expression]) -> Program:
@@ -79,7 +101,7 @@ def recursive(results: Mapping[Factor, Expression]) -> Program:
     Args:
         results: What is asked for, by name.
     """
-    sheet = Sheet(results)
+    sheet = Assignments(results)
     sheet.optimise()
     return _program(sheet, named=True)
 
@@ -90,7 +112,7 @@ def literal(results: Mapping[Factor, Expression]) -> Program:
     Args:
         results: What is asked for, by name, multiplied out; may refer to one another.
     """
-    return _program(Sheet(results), named=False)
+    return _program(Assignments(results), named=False)
 
 
 def with_numbers(program: Program, values: Values) -> Program:
@@ -103,35 +125,35 @@ def with_numbers(program: Program, values: Values) -> Program:
     known = dict(values)
     once = []
     for name, value in program.once:
-        value = substituted(value, known)
+        value = with_values(value, known)
         if all(not factors for factors, _ in value.terms):
             known[name] = float(value.terms[0][1]) if value.terms else 0.0
         else:
             once.append((name, value))
-    steps = [(name, substituted(value, known)) for name, value in program.steps]
-    return _counted(once, program.waves, steps, program.results)
+    steps = [(name, with_values(value, known)) for name, value in program.steps]
+    return Program(tuple(once), tuple(steps), program.results)
 
 
-def substituted(value: Expression, known: Values) -> Expression:
+def with_values(value: Expression, known: Values) -> Expression:
     """The expression with numbers for some of its factors, in its brackets too."""
 
     def meaning(factor: Factor) -> Expression | None:
         if factor.nature is Nature.BRACKET and factor.content is not None:
-            return substituted(factor.content, known)
+            return with_values(factor.content, known)
         return number(known[factor]) if factor in known else None
 
-    return replaced(value, meaning)
+    return substitute(value, meaning)
 
 
-def _program(sheet: Sheet, named: bool) -> Program:
+def _program(sheet: Assignments, named: bool) -> Program:
     """Lines in order: brackets and products that serve once go where they are used."""
     uses = Counter(f for line in sheet.lines.values() for factors in line for f in factors)
     made: dict[Factor, Expression] = {}  # what to write in the place of a line's name
     once: list[Step] = []
     steps: list[Step] = []
     numbers: Counter[str] = Counter()
-    for name in _computable(sheet):
-        value = _snapped(replaced(collect(sheet.lines[name].items()), made.get))
+    for name in depth_first(sheet.results, sheet.needs):
+        value = _snap(substitute(collect(sheet.lines[name].items()), made.get))
         own = name.nature is Nature.AUXILIARY and not name.name.startswith("_")
         if name in sheet.results:
             made[name] = of(name) if value else value
@@ -147,67 +169,17 @@ def _program(sheet: Sheet, named: bool) -> Program:
             (once if sheet.fixed(name) else steps).append((shown, value))
         else:
             made[name] = value
-    return _counted(once, _waves(sheet), steps, frozenset(sheet.results))
+    return Program(tuple(once), tuple(steps), frozenset(sheet.results))
 
 
-def _computable(sheet: Sheet) -> list[Factor]:
-    """The sheet's lines, each after those it needs."""
-    return depth_first(
-        sheet.results,
-        lambda name: [f for factors in sheet.lines[name] for f in factors if f in sheet.lines],
-    )
-
-
-def _snapped(value: Expression) -> Expression:
+def _snap(value: Expression) -> Expression:
     """Numbers of the geometry that are small fractions but for rounding, as these."""
-    if all(isinstance(size, int) for _, size in value.terms):
-        return value
-    return Expression(tuple((factors, _near(size)) for factors, size in value.terms))
 
+    def snap(size: Number) -> Number:
+        near = round(size * 64) / 64
+        return exact(near if near and abs(size - near) < SNAP * abs(near) else size)
 
-def _near(size: Number) -> Number:
-    near = round(size * 64) / 64
-    exact = near if near and abs(size - near) < SNAP * abs(near) else size
-    return int(exact) if exact == int(exact) else exact
-
-
-SNAP = 4e-15
-"""Relative distance from a fraction of 64 within which a number of the geometry is one."""
-
-
-def _waves(sheet: Sheet) -> tuple[Factor, ...]:
-    """Every sine and cosine in use, in order."""
-    found = {
-        factor
-        for line in sheet.lines.values()
-        for factors in line
-        for factor in factors
-        if factor.nature in (Nature.COSINE, Nature.SINE)
-    }
-    return tuple(sorted(found))
-
-
-def _counted(
-    once: Sequence[Step],
-    waves: tuple[Factor, ...],
-    steps: Sequence[Step],
-    results: frozenset[Factor],
-) -> Program:
-    """The program with its symbols and operations."""
-    symbols: set[Factor] = set()
-    for value in [value for _, value in (*once, *steps)]:
-        symbols |= {f for f in leaves(value) if f.nature <= Nature.CONSTANT}
-    for wave in waves:
-        if wave.content is not None:
-            symbols |= set(leaves(wave.content))
-    each = [cost(value) for _, value in steps]
-    count = Count(
-        sum(products for products, _ in each),
-        sum(sums for _, sums in each),
-        len(waves),
-        sum(sum(cost(value)) for _, value in once),
-    )
-    return Program(tuple(sorted(symbols)), tuple(once), waves, tuple(steps), results, count)
+    return Expression(tuple((factors, snap(size)) for factors, size in value.terms))
 
 
 def leaves(value: Expression) -> Iterator[Factor]:
@@ -221,9 +193,10 @@ def leaves(value: Expression) -> Iterator[Factor]:
 
 
 def cost(value: Expression) -> tuple[int, int]:
-    """Multiplications and additions of an expression, its brackets included."""
-    products, sums = operations(dict(value.terms))
-    for factors, _ in value.terms:
+    """Multiplications and additions of an expression, its brackets included; signs are free."""
+    products, sums = 0, max(0, len(value.terms) - 1)
+    for factors, size in value.terms:
+        products += len(factors) - 1 + (abs(size) != 1) if factors else 0
         for factor in factors:
             if factor.nature is Nature.BRACKET and factor.content is not None:
                 inner = cost(factor.content)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from testbed.campaign.campaign_summary import Summary
+from testbed.campaign.summary import Summary
 from testbed.files import replacing
 
 BINS = np.linspace(-4.0, 4.0, 33)

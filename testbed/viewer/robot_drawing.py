@@ -12,8 +12,7 @@ from testbed.dynamics.kinematics import poses
 from testbed.identification.consistency import robot_of
 from testbed.parameters.barycentric import with_standard
 from testbed.robot.visuals.appearance import Appearance
-from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
-from testbed.robot.visuals.shapes import Shape
+from testbed.robot.visuals.shapes import Shape, equivalent_ellipsoids
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.scene import Scene, means, pressure
 

@@ -18,7 +18,7 @@ from testbed.blas import eigh, one_blas_thread
 from testbed.errors import SettingsError, UnknownName, printable
 from testbed.installation import DISTRIBUTION, own_or_shipped, shipped, version
 from testbed.instruments.drives import TorqueRipple
-from testbed.keys import COUNTS, LARGEST, Key
+from testbed.kind_table import COUNTS, LARGEST, Key
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few

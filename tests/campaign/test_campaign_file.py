@@ -12,11 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
-from testbed.campaign import run_identity
-from testbed.campaign.campaign import Campaign
+from testbed.campaign import bundle
+from testbed.campaign.bundle import run_hash
+from testbed.campaign.campaign import Campaign, Choice, cells_of, sample
 from testbed.campaign.conduct import Supply, places_of
-from testbed.campaign.points import Choice, cells_of, sampled
-from testbed.campaign.run_identity import run_hash
 from testbed.errors import ExperimentError
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.paths import ROOT
@@ -88,7 +87,7 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     model.write_text(model.read_text().replace('"6.3"', '"6.4"'))
     others.add(known())
     assert len(others | {here}) == 5
-    monkeypatch.setattr(run_identity, "code_version", lambda: "another")
+    monkeypatch.setattr(bundle, "code_version", lambda: "another")
     assert before.isdisjoint(places_of(campaign))
 
 
@@ -107,9 +106,9 @@ def test_what_ships_can_be_carried_out() -> None:
 def test_sampled_points_fill_their_ranges_evenly_and_a_seed_makes_the_same(
     seed: int, method: str
 ) -> None:
-    points = sampled(method, SPANS, 64, seed)
-    np.testing.assert_array_equal(points, sampled(method, SPANS, 64, seed))
-    assert (points != sampled(method, SPANS, 64, seed + 1)).any()
+    points = sample(method, SPANS, 64, seed)
+    np.testing.assert_array_equal(points, sample(method, SPANS, 64, seed))
+    assert (points != sample(method, SPANS, 64, seed + 1)).any()
     there = np.empty_like(points)  # back in the unit cube
     for k, (low, high, log) in enumerate(SPANS):
         x, a, b = (np.log(v) if log else v for v in (points[:, k], low, high))

@@ -16,18 +16,23 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.stats import binomtest
 
-from testbed.campaign import campaign_folder
+from testbed.campaign import results
 from testbed.campaign.bundle import Bundle, Outcome, Status, carry_out_bundle
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_folder import CampaignFolder, own_folder
-from testbed.campaign.campaign_summary import binomial_bounds, pooled, read_campaign, summarise
 from testbed.campaign.cluster import DaskEngine, SchedulerLost, local_workers
 from testbed.campaign.conduct import InThisProcess, Standing, Supply, conduct, places_of
-from testbed.campaign.summary_files import changes, write_summary
+from testbed.campaign.results import CampaignFolder, own_folder
+from testbed.campaign.summary import (
+    binomial_bounds,
+    changes,
+    pooled,
+    read_campaign,
+    summarise,
+    write_summary,
+)
 from testbed.errors import ExperimentError, TestbedError
-from testbed.experiment import evaluate
-from testbed.experiment import simulate as simulation
-from testbed.simulation.rollout import simulate_motions
+from testbed.experiment import evaluate, prepare
+from testbed.simulation.rollout import simulate_motion
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 from tests.helpers.refusals import refuses
 
@@ -65,7 +70,7 @@ def test_whatever_interrupts_it_it_goes_on_to_the_same_table(
     tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As kill -9 leaves it: no tidying up; table and new rows may then hold the same runs."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 6)
+    monkeypatch.setattr(results, "LEAST_NEW", 6)
     once, compact, left = pq.ParquetWriter.write_table, CampaignFolder.compact, [0]
 
     def countdown(error: BaseException) -> None:
@@ -111,7 +116,7 @@ def test_bundles_their_order_and_parts_do_not_show(
     tmp_path: Path, campaign: Campaign, whole: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is there is not done again; progress counts; files of few rows do not pile up."""
-    monkeypatch.setattr(campaign_folder, "LEAST_NEW", 4)
+    monkeypatch.setattr(results, "LEAST_NEW", 4)
     seen: list[Standing] = []
 
     def look(standing: Standing) -> None:
@@ -243,16 +248,15 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (second.status, "seed" in second.error) == ("failed", True)
     for error, status in ((ZeroDivisionError("so"), "failed"), (MemoryError("so"), "killed")):
         said = f"{type(error).__name__}: so"
-        for module, name in ((evaluate, "evaluate"), (simulation, "simulate_motions")):
+        for module, name in ((evaluate, "evaluate"), (prepare, "simulate_motion")):
             with monkeypatch.context() as patch:
                 patch.setattr(module, name, Mock(side_effect=error))
                 outcomes, _ = carry_out_bundle(bundle)
             assert {(each.status, each.error) for each in outcomes} == {(status, said)}
-    simulated = Mock(side_effect=simulate_motions)
-    monkeypatch.setattr(simulation, "simulate_motions", simulated)
+    simulated = Mock(side_effect=simulate_motion)
+    monkeypatch.setattr(prepare, "simulate_motion", simulated)
     carry_out_bundle(bundle)
-    (call,) = simulated.call_args_list
-    assert len(call.args[0]) == 1  # both runs move alike, and differ in noise
+    assert simulated.call_count == 1  # both runs move alike, and differ in noise
 
 
 def test_a_deadly_bundle_is_taken_apart_and_errors_of_work_and_cluster_are_told_apart() -> None:

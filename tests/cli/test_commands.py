@@ -63,7 +63,7 @@ COMMANDS = {
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
-    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import warnings"),
+    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import notes warnings"),
     "import, guess": ("import --guess log.csv", ""),
     "new": ("new two.urdf --out OUT/two.toml", ""),
     "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),
@@ -174,6 +174,15 @@ def test_the_terminal_shows_the_numbers_of_the_json(told: Told) -> None:
     for model in ("dynamic", "reaction"):
         assert [name for name in minimal[model]["names"] if name not in text] == []
     assert told("equations", text=True).stdout == json.loads(told("equations").stdout)["text"]
+
+
+def test_stages_of_an_identification_are_told_beside_its_result(place: Path) -> None:
+    """Else nobody knows what a long one is waiting for, or programs cannot read the result."""
+    words = ("identify", "one.parquet", "--model", "puma562.xml", "--zeros", "--json", "--timings")
+    done = command_line(*words, cwd=place)
+    assert json.loads(done.stdout) == json.loads((place / "result.json").read_text())
+    seconds = [float(line.split()[0]) for line in done.stderr.splitlines()[-8:]]
+    assert min(seconds) >= 0
 
 
 def test_a_calibrated_plate_is_taken_back_and_its_doubt_is_in_sigma(told: Told) -> None:

@@ -61,7 +61,7 @@ def test_a_mistake_in_a_mapping_is_refused_with_its_cure(tmp_path: Path) -> None
     ):
         done = command_line(*words, *MODEL, cwd=tmp_path)
         assert done.returncode == code, words
-        assert ("offset = [0, -1.5708, 1.5708" in done.stderr) == (code == 2)
+        assert ("offset = [0, -1.5708, 1.57079" in done.stderr) == (code == 2)
         assert {path.name for path in tmp_path.iterdir()} == files
 
 

@@ -25,7 +25,7 @@ LONG = {
     "experiment.run:assemble_run": (f"report {PUMA}",),
     "recordings.importing.pieces:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
-    "sanity.accept:accepted_import": ("import map.toml --out x.parquet --model two.urdf",),
+    "sanity.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),

@@ -18,7 +18,7 @@ from testbed.experiment.experiment import run_name
 from testbed.experiment.motions import motion_of
 from testbed.experiment.new_experiment import new_experiment
 from testbed.experiment.robot_found import find_robot
-from testbed.robot.load import mimic_joints, nearest_bodies
+from testbed.robot.model_file import mimic_joints, nearest_bodies
 from tests.helpers.paths import REAL
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS

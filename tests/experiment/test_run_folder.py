@@ -37,7 +37,7 @@ from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.stated import Stated
 from testbed.identification.validate import validate
 from testbed.robot.model_file import ModelFile
-from testbed.robot.visuals.load_shapes import load_shapes
+from testbed.robot.visuals.appearance import load_shapes
 from tests.helpers.measured import measured
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS

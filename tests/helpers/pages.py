@@ -16,8 +16,8 @@ import numpy as np
 import testbed as tb
 from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
-from testbed.campaign.campaign_summary import Summary, read_campaign, summarise
 from testbed.campaign.conduct import conduct
+from testbed.campaign.summary import Summary, read_campaign, summarise
 from testbed.excitation.design import Design
 from testbed.excitation.prediction import Prediction
 from testbed.experiment.excite import Excitation
@@ -29,8 +29,8 @@ from testbed.reporting.campaign_page import write_campaign_page
 from testbed.reporting.html import write_report
 from testbed.reporting.mapping_page import write_mapping_page
 from testbed.reporting.motion_page import write_motion_page
-from testbed.sanity.explained_wrench import ExplainedWrench
-from testbed.sanity.solved_mapping import KNOWN, Solved
+from testbed.sanity.mapping_solution import KNOWN, MappingSolution
+from testbed.sanity.plate import WrenchFit
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
@@ -131,15 +131,15 @@ def campaign() -> Summary:
     return summarise(read_campaign(place / "r"))
 
 
-def mapping() -> Solved:
+def mapping() -> MappingSolution:
     """A mapping that was solved, made up."""
     time = np.linspace(0.0, 5.0, 200)
     wrench = np.sin(np.outer(time, np.arange(1, 7)))
-    read = ExplainedWrench(time, wrench, 0.9 * wrench, np.full(6, 0.01))
+    read = WrenchFit(time, wrench, 0.9 * wrench, np.full(6, 0.01))
     notes = {("wrench", "rate"): KNOWN[0], ("wrench", "file"): KNOWN[0] + HOSTILE}
     draft = Draft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
     shares = (("as it is", 0.01), (f"{HOSTILE} turned", 0.2))
-    return Solved(draft, (HOSTILE,), read, replace(read, fit=wrench), shares)
+    return MappingSolution(draft, (HOSTILE,), read, replace(read, fit=wrench), shares)
 
 
 @cache

@@ -20,17 +20,14 @@ HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
 BASE = "errors arrays files blas"
-KINDS = "keys kind_table kind_words"
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
     name: set(needs.split())
     for name, needs in {
-        **dict.fromkeys([*BASE.split(), "installation"], ""),
+        **dict.fromkeys([*BASE.split(), "installation", "stages"], ""),
         "blas": "arrays",
-        "keys": "errors",
-        "kind_table": "errors arrays keys",
-        "kind_words": "kind_table",
+        "kind_table": "errors arrays",
         "toml_text": "errors",
         "robot": BASE,
         "parameters": f"{BASE} robot",
@@ -39,14 +36,14 @@ PLAN = {
         "symbolic": ROBOT,
         "excitation": f"{ROBOT} kernel",
         "recordings": f"{BASE} toml_text robot",
-        "instruments": f"{BASE} {KINDS} robot recordings",
-        "simulation": f"{BASE} {KINDS} robot dynamics excitation recordings",
-        "identification": f"{ROBOT} kernel recordings",
+        "instruments": f"{BASE} kind_table robot recordings",
+        "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
+        "identification": f"{ROBOT} kernel recordings stages",
         "sanity": f"{ROBOT} toml_text recordings identification",
-        "experiment": f"{ROBOT} {KINDS} installation toml_text excitation recordings instruments "
-        "simulation identification",
+        "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
+        "instruments simulation identification",
         "campaign": f"{BASE} toml_text robot recordings identification experiment",
-        "reporting": f"{DATA} sanity",
+        "reporting": f"{DATA} sanity stages",
         "viewer": DATA,
     }.items()
 }
@@ -69,7 +66,7 @@ GUESTS = {
     "h5py": "recordings/importing/readers/hdf5.py",
     "rosbags": "recordings/importing/readers/ros_bag.py",
     "pydantic": "experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
-    "tomli_w": "experiment/ campaign/campaign_folder.py",
+    "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",
     "matplotlib": "reporting/plot.py",

@@ -22,10 +22,10 @@ from testbed.identification.noise.autoregression import (
     fit,
 )
 from testbed.identification.noise.average import averaged, averaged_fit
-from testbed.identification.noise.biases import carrying_constants, constants, square_of_last
+from testbed.identification.noise.biases import constants, square_of_last
 from testbed.identification.noise.counts import Counts
 from testbed.identification.noise.dilution import undiluted
-from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
+from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.late import Lateness, lateness
 from testbed.identification.noise.repetition import Repetition, RepetitionSums
@@ -130,13 +130,13 @@ def test_products_are_those_of_the_rows(
         for rows in long:
             part = np.array([rows[:, order - i : rows.shape[1] - i] for i in range(order + 1)])
             wanted += np.einsum("ictp,pq,jctq->cij", part, inner, part)
-        np.testing.assert_allclose(found.moments(inner, order), wanted, atol=1e-9)
+        np.testing.assert_allclose(found.moments(inner[None], order)[0], wanted, atol=1e-9)
     np.testing.assert_allclose(found.combined(maps).whitened(a), combined.whitened(a), atol=1e-10)
 
 
 def test_the_whitened_fit_is_least_squares_of_whitened_rows() -> None:
     block = problem(0, SLOW)
-    found = whitened_fit(products(block))
+    (found,) = whitened_fits(products(block))
     white = whitened(block, found.noise.coefficients) / found.noise.sigma[:, None, None]
     rows = white.reshape(-1, 5)
     expected, *_ = np.linalg.lstsq(rows[:, :3], rows[:, 3], rcond=None)
@@ -156,7 +156,7 @@ def test_constants_are_found_apart_from_the_parameters() -> None:
     assert np.abs(there.directions[2]).max() < 1e-6
     hidden = np.abs(there.hidden[0])
     assert hidden[1:].max() < 1e-6 * hidden[0]
-    found = whitened_fit(carrying_constants(products(block), there.directions))
+    (found,) = whitened_fits(products(block).with_constants(there.directions))
     told = there.directions @ found.values[3:]
     np.testing.assert_allclose(told[[0, 1, 3]], bias[[0, 1, 3]], atol=0.2)
     there_is = np.linalg.solve(found.covariance[3:, 3:], found.values[3:]) @ found.values[3:]
@@ -174,8 +174,8 @@ def slow_columns(seed: int, size: Array, rows: int = 4000) -> tuple[LaggedProduc
     return products(np.concatenate([seen, left, ones], axis=2)), products(noise)
 
 
-@pytest.mark.parametrize(("fits", "size"), [(whitened_fit, 0.015), (weighted_fit, 0.2)])
-def test_what_noise_of_the_columns_draws_to_zero_comes_back(fits: Fit, size: float) -> None:
+@pytest.mark.parametrize(("fits", "size"), [(whitened_fits, 0.015), (weighted_fits, 0.2)])
+def test_what_noise_of_the_columns_draws_to_zero_comes_back(fits: Fits, size: float) -> None:
     """Else an estimate of many rows is wrong by several of its sigmas."""
     left, before, after = TRUTH - np.array([0.7, -1.0, 0.0]), [], []
 
@@ -184,7 +184,7 @@ def test_what_noise_of_the_columns_draws_to_zero_comes_back(fits: Fit, size: flo
 
     for seed in range(12):
         rows, made = slow_columns(seed, np.full(3, size))
-        plain = fits(rows, None)
+        (plain,) = fits(rows, None)
         better = undiluted(plain, made)
         assert not better.drowned(np.eye(3)).any()
         before.append(scores(plain))
@@ -198,7 +198,7 @@ def test_columns_without_noise_stay_and_drowned_ones_are_named() -> None:
     """No estimate runs away, no sigma shrinks."""
     for size in ([0.0, 0.0, 0.0], [30.0, 1e-3, 1e-3], [1e-3, 1e-3, 30.0]):
         rows, made = slow_columns(1, np.array(size), 600)
-        plain = whitened_fit(rows)
+        (plain,) = whitened_fits(rows)
         better = undiluted(plain, made)
         np.testing.assert_array_equal(better.drowned(np.eye(3)), np.array(size) > 1)
         added = better.found.covariance - plain.covariance
@@ -324,7 +324,7 @@ def delay_in(given: LaggedProducts, start: Array) -> Lateness:
     moved = np.eye(5)
     moved[:3, 3] = -start
     left = given.combined(moved)
-    late = lateness(left, weighted_fit(left), start, 1.0, 10.0)
+    late = lateness(left, weighted_fits(left)[0], start, 1.0, 10.0)
     assert late is not None
     return late
 

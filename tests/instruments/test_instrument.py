@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError
-from testbed.instruments.catalogue import as_markdown, catalogue, entry_of
 from testbed.instruments.chain import Instrument, measure, measured_again
 from testbed.instruments.encoders import (
     EncoderEccentricity,
@@ -23,13 +22,18 @@ from testbed.instruments.encoders import (
     EncoderResolution,
     EncoderZeroError,
 )
-from testbed.instruments.fault import FULL_SCALE, Fault, Place
-from testbed.instruments.faults import KINDS, fault_of
-from testbed.instruments.plate import PlateConverter, PlateCrosstalk, PlateGain, PlatePose
+from testbed.instruments.fault import FULL_SCALE, Fault, Place, apply_chain, stream
+from testbed.instruments.faults import KINDS, as_markdown, fault_of
+from testbed.instruments.plate import (
+    MeasuredTare,
+    PlateConverter,
+    PlateCrosstalk,
+    PlateGain,
+    PlatePose,
+)
 from testbed.instruments.plate_clock import PlateAntiAliasFilter, PlateDroppedSamples
 from testbed.instruments.plate_noise import PlateBias, PlateDrift, PlateNoise
-from testbed.instruments.stage import applied, stream
-from testbed.instruments.tare import MeasuredTare
+from testbed.kind_table import in_words
 from testbed.recordings.recording import Recording, Truth
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT
@@ -131,7 +135,7 @@ def test_places_decide_on_the_order_and_then_the_file() -> None:
     assert len({wrench(seen(*order)).tobytes() for order in permutations(faults)}) == 1
     gain, pose = PlateGain((0.5, 0.0, 0.0, 0.0, 0.0, 0.0)), PlatePose((0.0, 0.0, 1.0), 0.0)
     for order in ((gain, pose), (pose, gain)):
-        expected = applied(order, truth().wrench, TIME, 0)
+        expected = apply_chain(order, truth().wrench, TIME, 0)
         np.testing.assert_allclose(wrench(seen(*order, base=Instrument())), expected, atol=1e-12)
     counts = seen(EncoderResolution(0.25), EncoderNoise(0.1), EncoderEccentricity(0.1)).position
     same(counts / 0.25, np.rint(counts / 0.25))
@@ -182,13 +186,13 @@ def test_every_fault_suits_every_robot_and_needs_no_simulation(
 
 def test_a_file_says_faults_as_python_does_and_every_kind_is_documented() -> None:
     """Read with defaults, written back, listed in the docs with its keys; sizes are sizes."""
-    every = ",".join(entry.example for entry in catalogue())
+    every = ",".join(entry.example for entry in map(in_words, KINDS.values()))
     experiment = tb.Experiment.load(TABLE6, [f"measurement.fault=[{every}]"])
     assert [fault.kind for fault in experiment.measurement.fault] == list(KINDS)
     for kind, made in KINDS.items():
         fault = made()
         assert fault_of({"kind": kind}) == fault_of(fault.table()) == fault
-        assert [name for name, _, _ in entry_of(kind).keys] == list(fault.known_keys())
+        assert [name for name, _, _ in in_words(type(fault)).keys] == list(fault.known_keys())
         assert all(size > 0 for name, size in fault.table().items() if name != "kind")
     text = '[{kind="plate_bias",force=[1,2,3]},{kind="encoder_zero_error",error={elbow=1e-3}}]'
     found = tb.Experiment.load(TABLE6, [f"measurement.fault={text}"]).measurement.fault

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.campaign.conduct import Standing
-from testbed.campaign.summary_files import changes
+from testbed.campaign.summary import changes
 from testbed.excitation.proof import Margin, Proof
 from testbed.identification.validate import Validation
 from testbed.parameters.identifiability import identifiability

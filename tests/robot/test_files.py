@@ -22,7 +22,7 @@ from testbed.errors import FreeRootError, ModelError, UnknownName
 from testbed.robot.friction import LAWS, drive_torque, friction_torque, joint_law, joint_terms
 from testbed.robot.locks import Travel
 from testbed.robot.model_file import ModelFile
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.parsing import capture_stderr
 from testbed.robot.tree import FARTHEST, SETTABLE
 from testbed.simulation.build import build_plant
 from tests.helpers.paths import ROOT
@@ -376,7 +376,7 @@ def test_what_python_prints_meanwhile_is_no_complaint(monkeypatch: pytest.Monkey
     """A line of progress during the reading of a model would refuse the model."""
     with open(2, "w", closefd=False) as stream:
         monkeypatch.setattr(sys, "stderr", stream)
-        with captured_stderr() as said:
+        with capture_stderr() as said:
             print("reading ...", file=sys.stderr, flush=True)
             assert said() == ""
         assert sys.stderr is stream

@@ -15,12 +15,16 @@ from hypothesis import given
 import testbed as tb
 from testbed.dynamics.kinematics import poses
 from testbed.robot.model_file import ModelFile
-from testbed.robot.visuals.appearance import bounds, load_appearance
-from testbed.robot.visuals.ellipsoids import equivalent_ellipsoids
-from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import Kind, Shape, upright
-from testbed.robot.visuals.sticks import sticks
-from testbed.robot.visuals.triangles import triangles
+from testbed.robot.visuals.appearance import load_appearance, load_shapes
+from testbed.robot.visuals.shapes import (
+    Kind,
+    Shape,
+    bounds,
+    equivalent_ellipsoids,
+    sticks,
+    triangles,
+    upright,
+)
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import trees

@@ -18,10 +18,8 @@ from testbed.errors import ModelError
 from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.robot.friction import drive_torque
 from testbed.robot.inertia import Inertia
-from testbed.robot.links import Fixed
-from testbed.robot.load import mimic_joints
-from testbed.robot.model_file import ModelFile
-from testbed.robot.write_model import write_model
+from testbed.robot.model_file import ModelFile, mimic_joints
+from testbed.robot.write_model import Fixed, write_model
 from tests.helpers.mujoco_inverse import by_mj_inverse
 from tests.helpers.paths import REAL, ROOT
 from tests.helpers.pinocchio import by_pinocchio

@@ -36,7 +36,7 @@ from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.joined import Joined
 from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import on_free_base
-from testbed.sanity.solved_mapping import solved
+from testbed.sanity.mapping_solution import solve_mapping
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured
@@ -191,7 +191,7 @@ def _imported() -> Run:
         files = LAYOUTS["two_csv"](folder, made, raw_signals(made, told), 11)
         draft = guessed(files.paths, folder, made.tree.names)
         mapping = folder / "mapping.toml"
-        mapping.write_text(solved(draft, mapping, made.tree).draft.text)
+        mapping.write_text(solve_mapping(draft, mapping, made.tree).draft.text)
         (recording,), _ = pieces(mapping)
     return run(made.tree, recording)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from testbed.arrays import Array
 from testbed.errors import ModelError, SettingsError
 from testbed.robot.friction import COULOMB, VISCOUS
 from testbed.robot.model_file import ModelFile
-from testbed.robot.rotor_spin import with_rotor_spin
+from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
 from testbed.simulation.effect import Effect, StepForces
@@ -27,7 +28,7 @@ from tests.helpers.paths import ROOT
 from tests.helpers.plants import PUMA, check_laws, waving
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import Robot, random_robot
-from tests.helpers.strategies import few, robots
+from tests.helpers.strategies import few, rngs, robots
 
 SPEEDS = np.array([-1.0, -0.3, -0.1, 0.1, 0.3, 1.0])
 STEP = 2.5e-4
@@ -95,9 +96,12 @@ def test_pushes_of_zero_change_no_bit_and_viscous_ones_are_viscous_friction(
         seen.append((time, q.copy()))
         return np.zeros(3)
 
-    alone, pushed = (run(robot, sampling, forces).truth for forces in (None, nothing))
+    single = replace(sampling, rate=1 / STEP, steps=1)
+    alone, pushed = (run(robot, single, forces).truth for forces in (None, nothing))
     for name, values in vars(alone).items():
         np.testing.assert_array_equal(getattr(pushed, name), values, err_msg=name)
+    seen.clear()
+    pushed = run(robot, sampling, nothing).truth
     times = np.array([time for time, _ in seen])
     np.testing.assert_allclose(np.diff(times), STEP if sampling.averaged else times[1] - times[0])
     first = int(np.searchsorted(times, -1e-9))
@@ -118,6 +122,29 @@ def test_pushes_of_zero_change_no_bit_and_viscous_ones_are_viscous_friction(
     assert scale > 0.1
     assert np.abs(inside.friction - outside.friction).max() < 0.02 * scale
     assert np.abs(inside.position - outside.position).max() < 1e-4
+
+
+@few(8)
+@given(robot=robots((2, 6)), rng=rngs)
+def test_a_sample_in_one_step_is_that_of_all_its_steps(
+    robot: Robot, rng: np.random.Generator, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Where nothing sticks or turns round; pushes, of nothing, make every sample take all."""
+    path = tmp_path_factory.mktemp("robot") / "robot.xml"
+    path.write_text(robot.mjcf())
+    tree = tb.load_tree(path)
+    frictions = zip(tree.names, *rng.uniform(0, 1, (2, tree.n)), strict=True)
+    tree = tree.with_joints({name: {"coulomb": c, "viscous": v} for name, c, v in frictions})
+    plant = build_plant(ModelFile(path), tree, STEP, changed=tree.names)
+    for averaged in (True, False):
+        asked = tree, waving(tree.n), 0.5, 60.0, Sampling(1000.0, 4, averaged, 0.1)
+        short, all_steps = (
+            simulate_motion(plant, *asked, forces=forces).truth
+            for forces in (None, lambda t, q, v, motor: np.zeros(tree.n))
+        )
+        for name, values in vars(all_steps).items():
+            off = np.abs(getattr(short, name) - values).max()
+            assert off <= 2e-6 * np.abs(values).max(), name
 
 
 def test_no_push_at_the_joints_reaches_the_plate(robot: tuple[Tree, Path]) -> None:

@@ -14,9 +14,10 @@ from testbed.excitation.fourier import Fourier
 from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
-from testbed.simulation.controller import computed_torque, mass_matrices
+from testbed.simulation.compiled_loop import motor_torque
+from testbed.simulation.controller import Controller, computed_torque, mass_matrices
 from testbed.simulation.drive_model import believed
-from testbed.simulation.rollout import SimulationDiverged, Task, simulate_motion, simulate_motions
+from testbed.simulation.rollout import SimulationDiverged, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT
 from tests.helpers.pinocchio import by_pinocchio
@@ -34,6 +35,13 @@ def with_all(tree: tb.Tree, **changes: object) -> tb.Tree:
     return replace(tree, joints=tuple(replace(j, **changes) for j in tree.joints))  # type: ignore[arg-type]
 
 
+def torque_of(drive: Controller, k: int, position: Array, velocity: Array) -> Array:
+    """What the compiled law asks of the motors."""
+    found = np.zeros(len(position))
+    motor_torque(drive, k, position, velocity, np.arange(len(position)), found)
+    return found
+
+
 @few(6)
 @given(robot=robots((2, 6)), rng=rngs)
 def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
@@ -45,21 +53,21 @@ def test_a_drive_asks_for_the_models_torque_and_pulls_all_joints_back_alike(
     motion = Fourier(0.1, rng.normal(size=n), *(0.3 * rng.normal(size=(2, n, 3))))
     turns = rng.permutation(grid)[:6] + grid * np.array([0, 1, -1, 3, -2, 0])
     drive = computed_torque(tree, motion, (turns + 1e-6) / grid * motion.period, w)
-    there = drive.reference
+    there = motion.at(drive.times)
     witness = by_pinocchio(robot.urdf(), tree, (there.q, there.qd, there.qdd))
     mass = mass_matrices(tree, there.q)
     np.testing.assert_allclose(mass, witness.mass, atol=1e-12 * np.abs(witness.mass).max())
     for k in range(6):
-        alone = drive.torque(k, there.q[k], there.qd[k])
+        alone = torque_of(drive, k, there.q[k], there.qd[k])
         dry = alone - witness.forces[k] - 0.3 * there.qd[k] - 0.7 * there.qdd[k]
         np.testing.assert_allclose(dry, 2 * np.tanh(there.qd[k] / 0.05), rtol=1e-6, atol=1e-9)
         late, slow = 0.01 * rng.normal(size=(2, n))
-        added = drive.torque(k, there.q[k] - late, there.qd[k] - slow) - alone
+        added = torque_of(drive, k, there.q[k] - late, there.qd[k] - slow) - alone
         wanted = (witness.mass[k] + 0.7 * np.eye(n)) @ (w**2 * late + 2 * 0.9 * w * slow)
         np.testing.assert_allclose(added, wanted, atol=1e-4 * np.abs(wanted).max())
     weak = computed_torque(with_all(tree, max_effort=0.5), motion, there.t[:1], w)
-    free = drive.torque(0, there.q[0] - 1, there.qd[0])
-    limited = weak.torque(0, there.q[0] - 1, there.qd[0])
+    free = torque_of(drive, 0, there.q[0] - 1, there.qd[0])
+    limited = torque_of(weak, 0, there.q[0] - 1, there.qd[0])
     np.testing.assert_array_equal(limited, np.clip(free, -0.5, 0.5))
 
 
@@ -159,9 +167,6 @@ def test_tracking_and_saturation_are_told_and_a_lost_or_unstable_run_is_refused(
     strong, plant = with_all(puma, max_effort=np.inf), build_plant(ModelFile(PUMA), puma, 1e-3)
     with refuses(SimulationDiverged, "1.00 s"):
         simulate_motion(plant, strong, waving(3), 1.0, 1e5, replace(INSTANTS, warm_up=0.0))
-    tasks = [Task(plant, puma, waving(3), 60.0)] * 2
-    with pytest.raises(ValueError, match="alone|own"):
-        simulate_motions(tasks, 0.6, INSTANTS, forces=lambda t, q, v, motor: np.zeros(3))
 
 
 @pytest.mark.slow

@@ -15,22 +15,22 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.errors import ExpressionError, UnknownName
-from testbed.symbolic.compare import compare_equations
+from testbed.symbolic.compare import compare_equations, read_listing
 from testbed.symbolic.equations import FORMS, Form, equations
 from testbed.symbolic.expression import (
     LARGEST_NUMBER,
     Expression,
     Nature,
+    cosine,
     expression,
     number,
+    sine,
     symbol,
 )
 from testbed.symbolic.languages import write_equations
 from testbed.symbolic.languages.paper import line
-from testbed.symbolic.parse import read_listing
-from testbed.symbolic.polynomial import LARGEST, Ring, same
-from testbed.symbolic.symbol_algebra import cosine, sine
-from testbed.symbolic.tidy import natural_angles, present
+from testbed.symbolic.polynomial import LARGEST, Ring
+from testbed.symbolic.simplify import natural_angles, simplify
 from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot
@@ -44,6 +44,11 @@ COMPARABLE = ["joint-forces", "base-wrench", "mass-matrix", "gravity-forces"]
 
 HALVES = "\n + Ks2d*qp1*qp2*S22 + K3d*qp1*qp2*S2233 + K3d*qp1*qp3*S2233\n"
 """What the paper's Q1 lacks with the sign that Table 6 gives K_d."""
+
+
+def same(a: Expression | float, b: Expression | float) -> bool:
+    """Whether two expressions are equal, whatever way they are written: exactly."""
+    return not Ring().expand(expression(a) - expression(b)).parts
 
 
 def terms(text: str) -> dict[str, list[tuple[str, list[str]]]]:
@@ -229,11 +234,11 @@ def test_written_anew_or_read_back_it_is_the_same_and_one_more_term_is_not(
     """However small the term: a comparison that forgives would call a wrong listing right."""
     ring = Ring([[f.terms[0][0][0] for f in Q]])
     natural = natural_angles(ring, [*Q, Q[0] + Q[1], Q[1] + Q[2], Q[0] + Q[1] + Q[2]])
-    written = present(ring, ring.expand(e), natural)
+    written = simplify(ring, ring.expand(e), natural)
     at = somewhere(seed)
     assert value(written, at) == pytest.approx(value(e, at), rel=1e-9, abs=1e-9)
     assert same(written, e)
-    plain = present(ring, ring.expand(e), frozenset())
+    plain = simplify(ring, ring.expand(e), frozenset())
     assert same(read_listing(f"Q1 = {line(plain)}", NAMES)["Q1"], e)
     more = NAMES[name]
     for _ in range(power):
@@ -313,6 +318,6 @@ def test_numbers_up_to_the_largest_and_degrees_up_to_the_greatest_are_exact() ->
     for one, other in ((31, 32), (0, 48), (63, 0)):
         product = math.prod([x] * one + [Q[0]] * other, start=expression(1))
         ring = Ring()
-        assert present(ring, ring.expand(product), frozenset()) == product
+        assert simplify(ring, ring.expand(product), frozenset()) == product
         with refuses(ExpressionError, str(LARGEST)):
             same(math.prod([x] * (LARGEST + 1 - one - other), start=product), 0)

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.campaign.campaign_summary import Figure, ParameterErrors, Summary
+from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
 from testbed.identification.estimate import METHODS
 from testbed.identification.influence import by_influence
-from testbed.robot.visuals.appearance import bounds, load_appearance
-from testbed.robot.visuals.extents import extents
+from testbed.robot.visuals.appearance import load_appearance
+from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.campaign_log import write_campaign_rrd
 from testbed.viewer.constant_bars import TALL, largest
 from testbed.viewer.curves import tick

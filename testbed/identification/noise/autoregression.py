@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
 from testbed.arrays import Array
 
@@ -53,15 +54,15 @@ class Autoregression:
 
 
 def fit(moments: Array, order: int) -> Array:
-    """Coefficients by least squares, (C, P), of noise that forgets.
+    """Coefficients by least squares, (..., P), of noise that forgets.
 
     Args:
-        moments: e_(t-i) e_(t-j) summed over the same t, (C, K + 1, K + 1), K >= P.
+        moments: e_(t-i) e_(t-j) summed over the same t, (..., K + 1, K + 1), K >= P.
         order: P.
     """
-    found = np.zeros((len(moments), order))
-    matrix, right = moments[:, 1 : order + 1, 1 : order + 1], moments[:, 1 : order + 1, 0]
-    size = np.trace(matrix, axis1=1, axis2=2)
+    found = np.zeros((*moments.shape[:-2], order))
+    matrix, right = moments[..., 1 : order + 1, 1 : order + 1], moments[..., 1 : order + 1, 0]
+    size = np.trace(matrix, axis1=-2, axis2=-1)
     some = size > 0
     ridge = RIDGE * size[some, None, None] / max(order, 1) * np.eye(order)
     found[some] = np.linalg.solve(matrix[some] + ridge, right[some, :, None])[..., 0]
@@ -69,20 +70,20 @@ def fit(moments: Array, order: int) -> Array:
 
 
 def prediction_errors(coefficients: Array) -> Array:
-    """1, -a_1 ... -a_P channel by channel, (C, P + 1): what makes white noise of the coloured."""
-    return np.hstack([np.ones((len(coefficients), 1)), -coefficients])
+    """1, -a_1 ... -a_P channel by channel, (..., P + 1): what makes white noise of the coloured."""
+    return np.concatenate([np.ones((*coefficients.shape[:-1], 1)), -coefficients], axis=-1)
 
 
 def unforetold(moments: Array, coefficients: Array) -> Array:
-    """Sums of the squares of u, (C,).
+    """Sums of the squares of u, (...,).
 
     Args:
         moments: As for `fit`.
-        coefficients: (C, P).
+        coefficients: (..., P).
     """
-    alpha, order = prediction_errors(coefficients), coefficients.shape[1]
-    part = moments[:, : order + 1, : order + 1]
-    return np.asarray(np.einsum("ci,cij,cj->c", alpha, part, alpha))
+    alpha, order = prediction_errors(coefficients), coefficients.shape[-1]
+    part = moments[..., : order + 1, : order + 1]
+    return np.asarray(np.einsum("...i,...ij,...j->...", alpha, part, alpha))
 
 
 def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
@@ -101,18 +102,18 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
 
 
 def _largest_roots(coefficients: Array) -> Array:
-    """How much of each channel's noise the slowest part of it keeps from row to row, (C,)."""
-    channels, order = coefficients.shape
-    companion = np.zeros((channels, order, order))
-    companion[:, :1] = coefficients[:, None]
-    companion[:, range(1, order), range(order - 1)] = 1.0
-    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=1, initial=0.0))
+    """How much of each channel's noise the slowest part of it keeps from row to row, (...,)."""
+    order = coefficients.shape[-1]
+    companion = np.zeros((*coefficients.shape, order))
+    companion[..., :1, :] = coefficients[..., None, :]
+    companion[..., range(1, order), range(order - 1)] = 1.0
+    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=-1, initial=0.0))
 
 
 def _forgetting(coefficients: Array) -> Array:
-    """The same, roots drawn inside the unit circle where they are not, (C, P)."""
-    largest = np.maximum(_largest_roots(coefficients), LARGEST_ROOT)[:, None]
-    powers = np.arange(1, coefficients.shape[1] + 1)
+    """The same, with roots inside the unit circle, (..., P)."""
+    largest = np.maximum(_largest_roots(coefficients), LARGEST_ROOT)[..., None]
+    powers = np.arange(1, coefficients.shape[-1] + 1)
     return np.asarray(coefficients * (LARGEST_ROOT / largest) ** powers)
 
 
@@ -128,16 +129,18 @@ class NoiseMaker:
             rng: Random numbers.
         """
         self._noise, self._rng = noise, rng
-        self._recent = np.zeros((noise.order, len(noise.sigma), replicas))
+        self._recent = np.zeros((len(noise.sigma), noise.order, replicas))
         self.rows(BURN_IN)
 
     def rows(self, count: int) -> Array:
         """The next rows, (C, count, replicas)."""
-        order, a = self._noise.order, self._noise.coefficients.T[..., None]
-        channels, replicas = len(self._noise.sigma), self._recent.shape[2]
-        fresh = self._rng.normal(size=(count, channels, replicas)) * self._noise.sigma[:, None]
-        run = np.concatenate([self._recent, fresh])
-        for t in range(order, order + count):
-            run[t] += (a * run[t - order : t][::-1]).sum(axis=0)
-        self._recent = run[len(run) - order :]
-        return np.asarray(run[order:].transpose(1, 0, 2))
+        order, sigma = self._noise.order, self._noise.sigma
+        fresh = self._rng.normal(size=(count, len(sigma), self._recent.shape[2])) * sigma[:, None]
+        made = np.concatenate([self._recent, fresh.transpose(1, 0, 2)], axis=1)
+        for channel, alpha in enumerate(prediction_errors(self._noise.coefficients)):
+            bands = np.repeat(alpha[:, None], order + count, axis=1)
+            for back in range(1, order + 1):
+                bands[back, : order - back] = 0.0  # what is made already stays
+            made[channel], _ = lapack.dtbtrs(bands, made[channel], uplo="L", diag="U")
+        self._recent = made[:, count:]
+        return np.asarray(made[:, order:])

@@ -16,10 +16,11 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
-from testbed.identification.noise.biases import carrying_constants, constants, square_of_last
+from testbed.identification.noise.biases import constants, square_of_last
 from testbed.identification.noise.dilution import Undiluted, undiluted
-from testbed.identification.noise.fits import Fit, NoiseFit, weighted_fit, whitened_fit
+from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.stages import stage
 
 FEW = 50
 """Rows below which constants are not looked for."""
@@ -31,7 +32,7 @@ class Answer:
 
     Attributes:
         found: Averaged; its noise is the likelier model's.
-        fit: What fitted either.
+        fits: What fitted either.
         directions: Combinations of the channels that are constants, (C, k).
         hidden: Unknowns that imitate other constants, (C - k, m).
         alone: Without constants, noise in the columns taken back; None where none was known.
@@ -40,7 +41,7 @@ class Answer:
     """
 
     found: NoiseFit
-    fit: Fit
+    fits: Fits
     directions: Array
     hidden: Array
     alone: Undiluted | None = None
@@ -48,6 +49,7 @@ class Answer:
     square: float = 0.0
 
 
+@stage("fit under coloured noise")
 def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool) -> Answer:
     """Unknowns by the fit that suits the rows, constants averaged where there are rows enough.
 
@@ -56,12 +58,12 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
         made: Of noise in the same places; None for none.
         whole: Whether no rows are missing.
     """
-    none, m = np.zeros((given.products.shape[1], 0)), given.products.shape[2] - 2
-    fit = whitened_fit if whole else weighted_fit
-    plain = fit(given)
+    none, m = np.zeros((given.products.shape[1], 0)), given.unknowns
+    fits = whitened_fits if whole else weighted_fits
+    (plain,) = fits(given)
     taken = None if made is None else undiluted(plain, made)
     alone = plain if taken is None else taken.found
-    answer = Answer(alone, fit, none, np.zeros((0, m)), taken)
+    answer = Answer(alone, fits, none, np.zeros((0, m)), taken)
     if not whole:
         return answer
     there = constants(given)
@@ -70,9 +72,9 @@ def averaged_fit(given: LaggedProducts, made: LaggedProducts | None, whole: bool
     if given.rows < FEW or not count:
         return answer
     directions = there.directions
-    beside = whitened_fit(carrying_constants(given, directions))
+    (beside,) = whitened_fits(given.with_constants(directions))
     if made is not None:
-        beside = undiluted(beside, carrying_constants(made, directions)).found
+        beside = undiluted(beside, made.with_constants(directions)).found
     square = square_of_last(beside, count)
     weight = float(special.expit(square / 2 - count))
     return replace(

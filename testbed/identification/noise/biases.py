@@ -51,21 +51,6 @@ def constants(given: LaggedProducts) -> Constants:
     return Constants(axes[:, told], (imitating @ axes[:, ~told]).T)
 
 
-def carrying_constants(given: LaggedProducts, directions: Array) -> LaggedProducts:
-    """Products of the unknowns' columns and of constants after them.
-
-    Args:
-        given: Without the constants.
-        directions: Combinations of the channels, (C, k).
-    """
-    m, k = given.products.shape[2] - 2, directions.shape[1]
-    if not k:
-        return given
-    maps = np.zeros((len(directions), m + 1, m + k))
-    maps[:, :m, :m], maps[:, m, m:] = np.eye(m), directions
-    return given.carrying(maps)
-
-
 def square_of_last(found: NoiseFit, count: int) -> float:
     """How far the last `count` unknowns of a fit are from zero: a chi-square if they are."""
     if not count:

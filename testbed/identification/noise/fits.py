@@ -10,7 +10,8 @@ frequency another. Of generalised least squares the part is known, E r r' = E e 
 the unknowns' covariance, and it is added: restricted maximum likelihood, in turns.
 
 Columns of the products: the unknowns' columns, then the residuals, then ones where a row
-counts. Rows come in units in which every channel's noise is about one.
+counts. Rows come in units in which every channel's noise is about one. R residuals beside the
+same columns, as replicas of noise are, are fitted side by side, each for itself.
 
 Source    [PT71], [CR00] of autoregressions
 """
@@ -32,15 +33,14 @@ from testbed.identification.noise.autoregression import (
     fit,
     unforetold,
 )
-from testbed.identification.noise.lagged_products import LaggedProducts
-from testbed.identification.noise.scaled import inverse_root
+from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
+from testbed.identification.noise.scaled import inverse_and_solution
 
 ROUNDS = 4
 """Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""
 
 REWEIGHTINGS = 3
 """Times that the channels' weights are found anew from the residuals."""
-
 
 ENOUGH = 2
 """Times as many rows as unknowns, of all channels together, that whitening has to leave."""
@@ -79,66 +79,65 @@ class NoiseFit:
         Args:
             given: Products of the columns.
         """
-        white = given.whitened(self.weighting.coefficients)
-        return np.asarray(np.tensordot(self.weighting.sigma**-2.0, white, 1))
+        white = Whitened(given, self.weighting.coefficients[None])
+        return np.asarray(white.sums(self.weighting.sigma[None] ** -2.0)[0])
 
 
-Fit = Callable[[LaggedProducts, int | None], NoiseFit]
-"""A fit of products; the order of the noise is chosen where None is given."""
+Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
+"""A fit for each response; the order of the noise is chosen where None is given."""
 
 
-def whitened_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
+def whitened_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
-        order: Of the noise; None for the best.
+        order: Of the noise; None for what is best for the first residuals.
     """
-    m = given.products.shape[2] - 2
-    found = _weighted(given.products[0], given.rows, m)
+    found = _weighted(given.up_to(0), given.rows)
     if order is None:  # by residuals as they are: of coloured noise weights alone take less
-        highest = _highest(given, m)
-        left = given.moments(_of_residuals(found.values), highest)
+        highest = _highest(given)
+        left = given.moments(_of_residuals(given, found.values), highest)[0]
         order = highest and best_order(left, given.after(highest), highest)
+    given = given.up_to(order)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, found, order), order)
-        white = given.whitened(coefficients)
-        found = _weighted(white, given.after(order), m, order)
-    noise = Autoregression(coefficients, found.spread)
-    return NoiseFit(found.values, found.inverse, noise, noise, found.inverse)
+        found = _weighted(given, given.after(order), coefficients)
+    noises = map(Autoregression, coefficients, found.spread)
+    each = zip(found.values, found.inverse, noises, strict=True)
+    return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
 
 
-def weighted_fit(given: LaggedProducts, order: int | None = None) -> NoiseFit:
+def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
     """Weighted least squares, neighbouring residuals counted in the covariance: rows with gaps.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
         order: Of the noise; None for as many as there are lags.
     """
-    m = given.products.shape[2] - 2
-    counts = given.products[:, :, m + 1, m + 1]
-    squares = given.products[0]
-    used = np.maximum(counts[0], 1.0)
-    values, inverse, spread, taken = _weighted(squares, used, m)
-    left = of_residuals(given.products, values)
-    covariances = left / np.maximum(counts - taken, 1.0)  # (K + 1, C)
-    covariances[0] = spread**2  # which is not zero
-    weights = 1 / spread**2
-    parts = [
-        np.tensordot(weights**2 * covariance, products[:, :m, :m], 1)
-        for covariance, products in zip(covariances, given.products, strict=True)
-    ]
-    middle = parts[0] + sum(part + part.T for part in parts[1:])
-    middle = _at_least(LEAST_SHARE, parts[0], middle)
+    m, now = given.unknowns, given.up_to(0)
+    counts = given.products[:, :, -1, -1].T  # (C, K + 1)
+    found = _weighted(now, np.maximum(counts[:, 0], 1.0))
+    left = given.traces(_of_residuals(given, found.values))
+    covariances = left / np.maximum(counts - found.taken[..., None], 1.0)  # (R, C, K + 1)
+    covariances[..., 0] = found.spread**2  # which is not zero
+    weights = found.spread[..., None] ** -4.0 * covariances
+    least = now.sums(weights[..., :1])
+    weights[..., 1:] *= 2  # a lag's products, and their transpose
+    middle = given.sums(weights)
     order = given.lags if order is None else order
-    noise = _from_covariances(covariances, order)
-    weighting = Autoregression(np.zeros((len(spread), 0)), spread)
-    return NoiseFit(values, inverse @ middle @ inverse, noise, weighting, inverse)
+    fits = []
+    for r, inverse in enumerate(found.inverse):
+        inner = _at_least(LEAST_SHARE, least[r, :m, :m], middle[r, :m, :m])
+        noise = _from_covariances(covariances[r], order)
+        weighting = Autoregression(np.zeros((len(counts), 0)), found.spread[r])
+        fits.append(NoiseFit(found.values[r], inverse @ inner @ inverse, noise, weighting, inverse))
+    return fits
 
 
-def _highest(given: LaggedProducts, m: int) -> int:
+def _highest(given: LaggedProducts) -> int:
     """Largest order that leaves rows enough for the unknowns, and for itself."""
-    needed = ENOUGH * m // int(given.products.shape[1]) + 1
+    needed = ENOUGH * given.unknowns // int(given.products.shape[1]) + 1
     return max(0, min(HIGHEST, given.lags, given.rows // ROWS_PER_ORDER, given.rows - needed))
 
 
@@ -152,13 +151,13 @@ def _at_least(share: float, least: Array, matrix: Array) -> Array:
 
 
 class _Weighted(NamedTuple):
-    """Weighted least squares, every channel by its own noise.
+    """Weighted least squares, every channel by its own noise, of each response.
 
     Attributes:
-        values: (m,).
-        inverse: Of the normal matrix, (m, m).
-        spread: Noise of every channel, (C,).
-        taken: Rows' worth of each channel's noise that the unknowns have taken, (C,).
+        values: (R, m).
+        inverse: Of the normal matrices, (R, m, m).
+        spread: Noise of every channel, (R, C).
+        taken: Rows' worth of each channel's noise that the unknowns have taken, (R, C).
     """
 
     values: Array
@@ -167,57 +166,62 @@ class _Weighted(NamedTuple):
     taken: Array
 
 
-def _weighted(squares: Array, rows: Array | int, m: int, lost: int = 0) -> _Weighted:
+def _weighted(
+    given: LaggedProducts, rows: Array | int, coefficients: Array | None = None
+) -> _Weighted:
     """Unknowns and noise from products of the same rows.
 
     Args:
-        squares: The products, (C, q, q).
+        given: The products.
         rows: How many, (C,) or one number.
-        m: Number of unknowns.
-        lost: Rows' worth of freedom that a channel's noise model took.
+        coefficients: Of the autoregressions that whiten them, (R, C, P); None for none.
     """
-    channels, taken = len(squares), np.full(len(squares), m / len(squares))
-    columns = np.ascontiguousarray(squares[:, :m, :m]).reshape(channels, m * m)
-    right, own = squares[:, :m, m], squares[:, m, m]
-    left = np.maximum(own, 0.0)
+    m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
+    if coefficients is None:
+        coefficients = np.zeros((trials, channels, 0))
+    white, free = Whitened(given, coefficients), np.asarray(rows) - coefficients.shape[2]
+    values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
+    inverses = np.zeros((trials, *given.products.shape[2:]))
+    spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
     for _ in range(REWEIGHTINGS):
-        spread = _spread(left, rows - lost - taken)
-        root = inverse_root((spread**-2.0 @ columns).reshape(m, m))
-        inverse, values = root @ root.T, root @ (root.T @ (spread**-2.0 @ right))
-        taken = columns @ inverse.ravel() / spread**2
-        explained = 2 * right @ values - columns @ np.outer(values, values).ravel()
-        left = np.maximum(own - explained, 0.0)
-    spread = _spread(left, rows - lost - taken)
-    root = inverse_root((spread**-2.0 @ columns).reshape(m, m))
-    return _Weighted(values, root @ root.T, spread, taken)
+        for r, normal in enumerate(white.sums(spread**-2.0)):
+            found = inverse_and_solution(normal[:m, :m], normal[:m, m + r])
+            inverses[r, :m, :m], values[r] = found
+        taken = white.traces(inverses) / spread**2
+        spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
+    for r, normal in enumerate(white.sums(spread**-2.0)):
+        inverses[r, :m, :m], _ = inverse_and_solution(normal[:m, :m], normal[:m, m + r])
+    return _Weighted(values, inverses[:, :m, :m], spread, taken)
 
 
 def _spread(left: Array, free: Array) -> Array:
-    """Noise of every channel, of squares of residuals and degrees of freedom, (C,)."""
-    return np.asarray(np.maximum(np.sqrt(left / np.maximum(free, 1.0)), LEAST))
+    """Noise of every channel, of squares of residuals and degrees of freedom."""
+    return np.asarray(np.maximum(np.sqrt(np.maximum(left, 0.0) / np.maximum(free, 1.0)), LEAST))
 
 
 def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
-    """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (C, order + 1, order + 1).
+    """e_(t-i) e_(t-j) summed over t >= order, of the noise e, (R, C, order + 1, order + 1).
 
     Those of the residuals, what the unknowns have taken of the noise, and the least noise.
     """
-    m, inner = len(found.values), _of_residuals(found.values)
-    inner[:m, :m] += found.inverse
+    m, inner = given.unknowns, _of_residuals(given, found.values)
+    inner[:, :m, :m] += found.inverse
     least = LEAST**2 * given.after(order) * np.eye(order + 1)
     return given.moments(inner, order) + least
 
 
-def _of_residuals(values: Array) -> Array:
-    """B with z' B z the square of what values leave of a row z, (q, q)."""
-    combine = np.concatenate([-values, [1.0, 0.0]])
-    return np.outer(combine, combine)
+def _of_residuals(given: LaggedProducts, values: Array) -> Array:
+    """B with z' B z the square of what a response's values leave of a row z, (R, q, q)."""
+    trials, m = values.shape
+    combine = np.zeros((trials, given.products.shape[2]))
+    combine[:, :m], combine[range(trials), range(m, m + trials)] = -values, 1.0
+    return combine[:, :, None] * combine[:, None, :]
 
 
 def _from_covariances(covariances: Array, order: int) -> Autoregression:
-    """The autoregression of given autocovariances, (K + 1, C), by Yule and Walker."""
+    """The autoregression of given autocovariances, (C, K + 1), by Yule and Walker."""
     lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
-    moments = covariances.T[:, lag]
+    moments = covariances[:, lag]
     coefficients = fit(moments, order)
     left = unforetold(moments, coefficients)
     return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))

@@ -6,7 +6,7 @@ each is another sum of these products. One look at the rows is enough, whatever 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,22 +19,31 @@ from testbed.identification.noise.autoregression import prediction_errors
 class LaggedProducts:
     """Sums over rows z_t of C channels with q columns each, in one sequence or S apart.
 
+    A fit takes the columns for those of m unknowns, then R responses, then ones.
+
     Attributes:
         rows: How many, of all sequences.
         products: By lag k = 0 ... K: z_t z_(t-k)' summed over t >= k, (K + 1, C, q, q).
         first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
         last: The last K, in the order of time, (S, C, K, q); zeros before the first.
+        responses: R.
     """
 
     rows: int
     products: Array
     first: Array
     last: Array
+    responses: int = 1
 
     @property
     def lags(self) -> int:
         """The largest lag K."""
         return len(self.products) - 1
+
+    @property
+    def unknowns(self) -> int:
+        """Columns before the responses, m."""
+        return int(self.products.shape[2]) - self.responses - 1
 
     def after(self, order: int) -> int:
         """Rows with so many rows before.
@@ -53,29 +62,29 @@ class LaggedProducts:
             np.add(each / 2, each.swapaxes(1, 2) / 2, out=found[:, lag])
         return found.reshape(channels, lags, -1)
 
-    @property
-    def at_once(self) -> LaggedProducts:
-        """Without rows before."""
-        none = self.first[:, :, :0]
-        return LaggedProducts(self.rows, self.products[:1], none, none)
-
-    def picked(self, which: list[int]) -> LaggedProducts:
-        """Of some of the columns alone.
+    def up_to(self, lag: int) -> LaggedProducts:
+        """Of fewer lags.
 
         Args:
-            which: Their places, in the order that is wanted.
+            lag: The largest, at most K.
         """
-        products = self.products[:, :, which][..., which]
-        return LaggedProducts(self.rows, products, self.first[..., which], self.last[..., which])
+        if lag == self.lags:
+            return self
+        first, last = self.first[:, :, :lag], self.last[:, :, self.lags - lag :]
+        return replace(self, products=self.products[: lag + 1], first=first, last=last)
 
     def leading(self, count: int) -> LaggedProducts:
-        """Of the first columns, and of the last two.
+        """Of the first columns, and of the responses and ones.
 
         Args:
             count: How many come first.
         """
-        columns = self.products.shape[2]
-        return self.picked([*range(count), columns - 2, columns - 1])
+        if count == self.unknowns:
+            return self
+        which = [*range(count), *range(self.unknowns, self.products.shape[2])]
+        products = self.products[:, :, which][..., which]
+        first, last = self.first[..., which], self.last[..., which]
+        return replace(self, products=products, first=first, last=last)
 
     def combined(self, maps: Array) -> LaggedProducts:
         """Of combinations of the columns.
@@ -84,30 +93,46 @@ class LaggedProducts:
             maps: How a channel's columns make up the new ones, (C, q, r), or (q, r) for all.
         """
         back = np.swapaxes(maps, -1, -2)
-        return LaggedProducts(
-            self.rows,
-            np.asarray(back @ self.products @ maps),
-            self.first @ maps,
-            self.last @ maps,
-        )
+        products = np.asarray(back @ self.products @ maps)
+        return replace(self, products=products, first=self.first @ maps, last=self.last @ maps)
 
-    def moments(self, inner: Array, order: int) -> Array:
-        """z_(t-i)' B z_(t-j) summed over t >= P, (C, P + 1, P + 1).
+    def sums(self, weights: Array) -> Array:
+        """Of all lags and channels, half of what they are and of their transpose, (R, q, q).
 
         Args:
-            inner: B, symmetric, (q, q).
+            weights: Of channels and lags, (R, C, K + 1).
+        """
+        flat = weights.reshape(len(weights), -1)
+        found = flat @ self.symmetric.reshape(flat.shape[1], -1)
+        return np.asarray(found.reshape(-1, *self.products.shape[2:]))
+
+    def traces(self, inner: Array) -> Array:
+        """Traces of each lag's times a matrix, (R, C, K + 1).
+
+        Args:
+            inner: The matrices, symmetric, (R, q, q).
+        """
+        found = self.symmetric @ inner.reshape(len(inner), -1).T
+        return np.asarray(found.transpose(2, 0, 1))
+
+    def moments(self, inner: Array, order: int) -> Array:
+        """z_(t-i)' B z_(t-j) summed over t >= P, (R, C, P + 1, P + 1).
+
+        Args:
+            inner: Each B, symmetric, (R, q, q).
             order: P, at most K.
         """
-        whole = (self.symmetric[:, : order + 1] @ inner.ravel()).T
-        first, last = (each @ inner @ each.swapaxes(2, 3) for each in (self.first, self.last))
-        found, size = np.zeros((len(whole[0]), order + 1, order + 1)), self.last.shape[2]
+        whole = self.traces(inner)[..., : order + 1]
+        matrices = inner[:, None, None]
+        first, last = (each @ matrices @ each.swapaxes(2, 3) for each in (self.first, self.last))
+        found, size = np.zeros((*whole.shape, order + 1)), self.last.shape[2]
         for i in range(order + 1):
             for j in range(i, order + 1):
                 lag = j - i  # rows before t = P, and those after the last t - i, do not count
-                head = first[:, :, lag : order - i, : order - i - lag]
-                tail = last[:, :, size - i :, size - i - lag : size - lag]
-                edges = sum(np.trace(e, axis1=2, axis2=3).sum(axis=0) for e in (head, tail))
-                found[:, i, j] = found[:, j, i] = whole[lag] - edges
+                head = first[..., lag : order - i, : order - i - lag]
+                tail = last[..., size - i :, size - i - lag : size - lag]
+                edges = sum(np.trace(e, axis1=3, axis2=4).sum(axis=1) for e in (head, tail))
+                found[..., i, j] = found[..., j, i] = whole[..., lag] - edges
         return found
 
     def whitened(self, coefficients: Array) -> Array:
@@ -116,52 +141,95 @@ class LaggedProducts:
         Args:
             coefficients: a, channel by channel, (C, P), P at most K.
         """
-        alpha, order = prediction_errors(coefficients), coefficients.shape[1]
-        share = np.stack(  # of all t, as if zeros stood before and after the rows
-            [(alpha[:, lag:] * alpha[:, : order + 1 - lag]).sum(axis=1) for lag in range(order + 1)]
-        )
-        share[1:] *= 2  # a lag's products, and their transpose
-        total = share.T[:, None] @ self.symmetric[:, : order + 1]
-        total = total.reshape(self.products.shape[1:])
-        edges = self._edges(alpha)
-        total -= _together(edges, edges)
-        return total
+        return Whitened(self, coefficients[None]).products
 
-    def _edges(self, alpha: Array) -> Array:
-        """e_t before t = P and after the last row, zeros there, (S, C, 2 P, q)."""
-        order, size = alpha.shape[1] - 1, self.last.shape[2]
-        sequences, channels, _, columns = self.first.shape
-        found = np.zeros((sequences, channels, 2 * order, columns))
-        for i in range(order + 1):
-            share = alpha[:, i, None, None]
-            found[:, :, i:order] += share * self.first[:, :, : order - i]
-            found[:, :, order : order + i] += share * self.last[:, :, size - i :]
-        return found
-
-    def carrying(self, maps: Array) -> LaggedProducts:
-        """Of combinations of the first columns and the last, the others left as they are.
+    def with_constants(self, directions: Array) -> LaggedProducts:
+        """With constants after the unknowns' columns.
 
         Args:
-            maps: How the first m columns and the last one make up the first r new ones,
-                (C, m + 1, r).
+            directions: Combinations of the channels, (C, k).
         """
-        channels, m, r = len(maps), maps.shape[1] - 1, maps.shape[2]
-        kept = self.products.shape[2] - m
-        whole = np.zeros((channels, m + kept, r + kept))
-        whole[:, :m, :r], whole[:, -1, :r] = maps[:, :m], maps[:, m]
-        whole[:, m:, r:] = np.eye(kept)
-        return self.combined(whole)
+        m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
+        if not count:
+            return self
+        which = [*range(m), *[size - 1] * count, *range(m, size)]
+        share = np.ones((len(directions), len(which)))
+        share[:, m : m + count] = directions
+        return replace(
+            self,
+            products=self.products[:, :, which][..., which] * (share[:, :, None] * share[:, None]),
+            first=self.first[..., which] * share[:, None],
+            last=self.last[..., which] * share[:, None],
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class SymmetricProducts(LaggedProducts):
-    """Products of which those of a lag are symmetric, (C, K + 1, q, q) in memory."""
+class Whitened:
+    """Products of rows e_t = z_t - sum over i of a_i z_(t-i), t >= P, for each of R whitenings.
+
+    With alpha = (1, -a), they are the products of lag k = 0 ... P times the sum of
+    alpha_i alpha_(i+k), less those of e_t before t = P and after the last row, zeros there. Only
+    sums of them are asked for, so that products are read once for all whitenings.
+    """
+
+    def __init__(self, given: LaggedProducts, coefficients: Array) -> None:
+        """Ready.
+
+        Args:
+            given: Products of the rows.
+            coefficients: a of each whitening, channel by channel, (R, C, P), P at most K.
+        """
+        alpha, order = prediction_errors(coefficients), coefficients.shape[2]
+        given, share = given.up_to(order), np.empty(alpha.shape)
+        for lag in range(order + 1):
+            share[..., lag] = (alpha[..., lag:] * alpha[..., : order + 1 - lag]).sum(axis=2)
+        share[..., 1:] *= 2  # a lag's products, and their transpose
+        self._given, self._share, self._edges = given, share, _edges(given, alpha)
+        if len(alpha) == 1:  # then once and for all
+            whole = (share[0, :, None] @ given.symmetric).reshape(given.products.shape[1:])
+            whole -= _together(self._edges[0], self._edges[0])
+            self._given = replace(given.up_to(0), products=whole[None])
+            self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
 
     @property
-    def symmetric(self) -> Array:
-        """As they are, (C, K + 1, q q)."""
-        whole = self.products.swapaxes(0, 1)
-        return whole.reshape(*whole.shape[:2], -1)
+    def products(self) -> Array:
+        """Of the only whitening, (C, q, q)."""
+        found: Array = self._given.products[0]
+        return found
+
+    def sums(self, weights: Array) -> Array:
+        """Of all channels, (R, q, q).
+
+        Args:
+            weights: Of the channels, (R, C).
+        """
+        count, sequences, channels, rows, columns = self._edges.shape
+        whole = self._given.sums(weights[..., None] * self._share)
+        weighted = self._edges * weights[:, None, :, None, None]
+        flat = count, sequences * channels * rows, columns
+        edges = weighted.reshape(flat).swapaxes(1, 2) @ self._edges.reshape(flat)
+        return np.asarray(whole - edges)
+
+    def traces(self, inner: Array) -> Array:
+        """Traces of each channel's times a matrix, (R, C).
+
+        Args:
+            inner: The matrices, symmetric, (R, q, q).
+        """
+        edges = (self._edges @ inner[:, None, None]) * self._edges
+        whole = (self._share * self._given.traces(inner)).sum(axis=2)
+        return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
+
+
+def _edges(given: LaggedProducts, alpha: Array) -> Array:
+    """e_t before t = P and after the last row, zeros there, (R, S, C, 2 P, q)."""
+    order, size = alpha.shape[2] - 1, given.last.shape[2]
+    sequences, channels, _, columns = given.first.shape
+    found = np.zeros((len(alpha), sequences, channels, 2 * order, columns))
+    for i in range(order + 1):
+        share = alpha[:, None, :, i, None, None]
+        found[..., i:order, :] += share * given.first[:, :, : order - i]
+        found[..., order : order + i, :] += share * given.last[:, :, size - i :]
+    return found
 
 
 def _together(now: Array, before: Array) -> Array:

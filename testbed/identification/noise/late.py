@@ -105,8 +105,10 @@ def _lagged(given: LaggedProducts, now: Array, before: Array) -> Array:
         now: (C, q).
         before: (C, q).
     """
-    forth = np.einsum("ci,kcij,cj->kc", now, given.products, before)
-    back = np.einsum("ci,kcij,cj->kc", before, given.products, now)
+    forth, back = (
+        (one * (given.products @ other[..., None])[..., 0]).sum(axis=2)
+        for one, other in ((now, before), (before, now))
+    )
     return np.concatenate([back[:0:-1], forth])
 
 

@@ -10,18 +10,13 @@ Source    [ET93] for the bootstrap
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import Autoregression, NoiseMaker
-from testbed.identification.noise.fits import Fit, NoiseFit
-from testbed.identification.noise.lagged_products import (
-    LaggedProducts,
-    LaggedSums,
-    SymmetricProducts,
-)
+from testbed.identification.noise.fits import Fits, NoiseFit
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.stages import stage
 
 REPLICAS = 12
 """Replicas of the noise: with all parameters pooled, sigma is found to a few percent."""
@@ -44,11 +39,11 @@ class Replicas:
             known: Products of the rows' columns, residuals and ones.
         """
         self._order = noise.order
-        columns = known.products.shape[2] - 2
-        self._known = known.picked([*range(columns), columns + 1])
+        columns = known.unknowns
+        self._known = known.up_to(noise.order)
         self._maker = NoiseMaker(noise, REPLICAS, np.random.default_rng(SEED))
-        self._noise = LaggedSums(known.lags)
-        lags, channels = known.products.shape[:2]
+        self._noise = LaggedSums(noise.order)
+        lags, channels = self._known.products.shape[:2]
         self._across = np.zeros((lags, channels, columns + 1, REPLICAS))
         self._before: tuple[Array, Array] | None = None
 
@@ -76,45 +71,38 @@ class Replicas:
         self._noise.pause()
         self._before = None
 
-    def each(self, maps: Array | None = None) -> Iterator[LaggedProducts]:
-        """Products with one replica after the other in the residuals' place.
-
-        Those of a lag are symmetric: half of what they are and of their transpose. They serve until
-        the next replica takes their place.
-
-        Args:
-            maps: How columns and ones make up other columns, (C, m + 1, r); default as they are.
-        """
+    @property
+    def products(self) -> LaggedProducts:
+        """Products with the replicas in the residuals' place, symmetric those of a lag, too."""
         made, known, across = self._noise.finish(), self._known, self._across
-        if maps is not None:
-            whole = np.zeros((*maps.shape[:2], maps.shape[2] + 1))
-            whole[..., :-1], whole[:, -1, -1] = maps, 1.0  # ones stay the last
-            known, across = known.combined(whole), whole.swapaxes(1, 2) @ across
-        size = across.shape[2] + 1
-        others, own = np.array([*range(size - 2), size - 1]), size - 2
-        first, last = (np.insert(each, own, 0.0, axis=3) for each in (known.first, known.last))
-        lags, channels = across.shape[:2]
-        products = np.zeros((channels, lags, size, size)).swapaxes(0, 1)
-        within = known.symmetric.reshape(channels, lags, size - 1, size - 1)
-        products[:, :, others[:, None], others] = within.swapaxes(0, 1)
-        for replica in range(REPLICAS):
-            products[:, :, own, others] = products[:, :, others, own] = across[..., replica]
-            products[:, :, own, own] = made.products[:, :, replica, replica]
-            first[..., own], last[..., own] = made.first[..., replica], made.last[..., replica]
-            yield SymmetricProducts(made.rows, products, first, last)
+        lags, channels, count, _ = across.shape
+        m, own, size = count - 1, slice(count - 1, -1), count + REPLICAS
+        within = known.symmetric.reshape(channels, lags, m + 2, m + 2).swapaxes(0, 1)
+        products = np.zeros((lags, channels, size, size))
+        products[..., :m, :m], products[..., -1, -1] = within[..., :m, :m], within[..., -1, -1]
+        products[..., :m, -1] = products[..., -1, :m] = within[..., :m, -1]
+        products[..., :m, own], products[..., -1, own] = across[..., :m, :], across[..., m, :]
+        products[..., own, :m] = across[..., :m, :].swapaxes(2, 3)
+        products[..., own, -1], products[..., own, own] = across[..., m, :], made.products
+        first, last = (
+            np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
+            for old, new in ((known.first, made.first), (known.last, made.last))
+        )
+        return LaggedProducts(made.rows, products, first, last, REPLICAS)
 
-    def factor(self, fit: Fit, lead: Array) -> float:
+    @stage("sigma from replicas of noise")
+    def factor(self, fits: Fits, lead: Array) -> float:
         """By how much sigma has to be multiplied: at least one.
 
         Args:
-            fit: What found the noise.
+            fits: What found the noise.
             lead: How the rows' unknowns make up the parameters, (p, m).
         """
-        squares = [_squares(fit(given, self._order), lead) for given in self.each()]
+        squares = [_squares(found, lead) for found in fits(self.products, self._order)]
         return max(1.0, float(np.sqrt(np.mean(squares))))
 
 
 def _squares(found: NoiseFit, lead: Array) -> Array:
     m = lead.shape[1]  # a fit may have unknowns of its own after these
-    variance = np.einsum("pi,ij,pj->p", lead, found.covariance[:m, :m], lead)
+    variance = ((lead @ found.covariance[:m, :m]) * lead).sum(axis=1)
     return np.asarray((lead @ found.values[:m]) ** 2 / np.maximum(variance, np.finfo(float).tiny))

@@ -41,6 +41,25 @@ def scaled_inverse(matrix: Array) -> Array:
     return np.asarray(root @ root.T)
 
 
+def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
+    """The inverse, and the solution of matrix x = right.
+
+    Args:
+        matrix: Symmetric and positive definite, (m, m).
+        right: (m,).
+    """
+    unit, scale = _unit(matrix)
+    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
+    if failed or np.diagonal(factor).min(initial=1.0) ** 2 <= CLEAR:
+        root = inverse_root(matrix)
+        return root @ root.T, root @ (root.T @ right)
+    solution, _ = linalg.lapack.dpotrs(factor, scale * right, lower=True)
+    lower, _ = linalg.lapack.dpotri(factor, lower=True)
+    inverse = lower + lower.T
+    np.fill_diagonal(inverse, np.diagonal(lower))
+    return inverse * np.outer(scale, scale), scale * solution
+
+
 def square_root(matrix: Array) -> Array:
     """R with R R' the matrix, (m, m); of one that is singular but for rounding, nearly so.
 
@@ -61,12 +80,17 @@ def inverse_root(matrix: Array) -> Array:
     Args:
         matrix: Symmetric and positive definite, (m, m).
     """
-    diagonal = np.diagonal(matrix)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    unit = matrix * np.outer(scale, scale)
+    unit, scale = _unit(matrix)
     factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
     if not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR:
         inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
         return np.asarray(scale[:, None] * inverse.T)
     size, axes = eigh(unit)
     return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
+
+
+def _unit(matrix: Array) -> tuple[Array, Array]:
+    """The matrix with a diagonal of ones, and what makes it so, (m,)."""
+    diagonal = np.diagonal(matrix)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return matrix * np.outer(scale, scale), scale

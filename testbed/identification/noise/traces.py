@@ -17,14 +17,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.identification.noise.autoregression import Autoregression
-from testbed.identification.noise.fits import whitened_fit
-from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.fits import whitened_fits
+from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.noise.replicas import Replicas
+from testbed.stages import stage
 
 IMITATED = 1e-9
 """Share of a column's square that others leave of it if they imitate it."""
@@ -89,44 +90,43 @@ class Question:
         return bool(self.kinds) and bool(given.rows * channels > least)
 
 
-def maps_of(given: LaggedProducts, question: Question) -> tuple[Array, Array]:
-    """How columns and ones make up those of the tests, and independent ones of the same space.
-
-    Args:
-        given: Products of the question's columns, residuals and ones.
-        question: Which columns are what.
-
-    Returns:
-        A constant of every channel, then the columns, (C, q + 1, C + q); independent
-        combinations of these, (C, q + 1, r).
-    """
-    channels, q = given.products.shape[1], question.columns
-    whole = np.zeros((channels, q + 1, channels + q))
-    whole[:, :q, channels:] = np.eye(q)
-    whole[np.arange(channels), q, np.arange(channels)] = 1.0
-    squares = given.at_once.carrying(whole).products[0, :, :-2, :-2].sum(axis=0)
-    return whole, whole @ _independent(squares, channels + question.base)
-
-
 def traces(
-    whole: LaggedProducts, independent: LaggedProducts, question: Question, order: int | None = None
-) -> tuple[list[Trace], Autoregression]:
-    """What the residuals hold of each kind of fault, and the noise beside all of them.
+    given: LaggedProducts, independent: Array, question: Question, order: int | None = None
+) -> list[tuple[list[Trace], Autoregression]]:
+    """What each response holds of each kind of fault, and the noise beside all of them.
 
     Args:
-        whole: Products of constants and the question's columns, residuals and ones.
-        independent: Of independent combinations of these columns, residuals and ones.
+        given: Products of the question's columns, a constant of every channel, residuals and ones.
+        independent: Independent combinations of columns and constants, (q, r).
         question: Which columns are what.
         order: Of the noise; None for the best.
     """
-    channels = whole.products.shape[1]
-    found = whitened_fit(independent, order)
-    white = whole.whitened(found.noise.coefficients)
-    squares = np.tensordot(1 / found.noise.sigma**2, white, 1)[:-1, :-1]
-    columns = independent.products.shape[2] - 2
-    order = found.noise.order
-    free = max((whole.after(order) - order) * channels - columns, 1)
-    return _tests(squares, question, question.base + channels, free), found.noise
+    channels, rest = given.products.shape[1], np.eye(given.responses + 1)
+    fits = whitened_fits(given.combined(linalg.block_diag(independent, rest)), order)
+    noises = [fit.noise for fit in fits]
+    white = Whitened(given, np.stack([noise.coefficients for noise in noises]))
+    squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
+    after = given.after(noises[0].order) - noises[0].order
+    free = max(after * channels - independent.shape[1], 1)
+    constants_first = np.roll(np.arange(given.unknowns), channels)
+    answers = []
+    for response, (each, noise) in enumerate(zip(squares, noises, strict=True)):
+        which = [*constants_first, given.unknowns + response]
+        tests = _tests(each[which][:, which], question, question.base + channels, free)
+        answers.append((tests, noise))
+    return answers
+
+
+def independent_columns(given: LaggedProducts, question: Question) -> Array:
+    """Combinations of columns and constants that none of the others make up, (q, r).
+
+    Args:
+        given: Products of the question's columns, a constant of every channel, residuals and ones.
+        question: Which columns are what.
+    """
+    q, channels = given.unknowns, given.products.shape[1]
+    squares = np.roll(given.products[0, :, :q, :q].sum(axis=0), channels, axis=(0, 1))
+    return np.roll(_independent(squares, channels + question.base), -channels, axis=0)
 
 
 def _beside(squares: Array, base: int) -> tuple[Array, Array, Array]:
@@ -219,9 +219,10 @@ class Clues:
         """
         self._question, self._replicas = question, None
         if question.answerable(given):
-            self._whole, self._independent = maps_of(given, question)
-            whole, independent = given.carrying(self._whole), given.carrying(self._independent)
-            self._traces, noise = traces(whole, independent, question)
+            self._constants = np.eye(given.products.shape[1])
+            whole = given.with_constants(self._constants)
+            self._independent = independent_columns(whole, question)
+            ((self._traces, noise),) = traces(whole, self._independent, question)
             self._order = noise.order
             self._replicas = Replicas(noise, given)
 
@@ -240,6 +241,7 @@ class Clues:
         else:
             self._replicas.pause()
 
+    @stage("tests for faults")
     def found(self, lead: Array) -> tuple[tuple[Trace, float], ...]:
         """Traces of each kind, shifts as those of the parameters, and their chances in noise.
 
@@ -248,7 +250,7 @@ class Clues:
         """
         if self._replicas is None:
             return ()
-        both = zip(*map(self._replicas.each, (self._whole, self._independent)), strict=True)
-        made = [traces(all_of, own, self._question, self._order)[0] for all_of, own in both]
+        given = self._replicas.products.with_constants(self._constants)
+        made = [each for each, _ in traces(given, self._independent, self._question, self._order)]
         moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
         return tuple(zip(moved, calibrated(self._traces, made), strict=True))

@@ -21,6 +21,7 @@ from testbed.identification.noise.noisy_columns import NOTHING_MADE, Made, Posit
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
+from testbed.stages import stage
 
 ROUNDING = 1e-12
 """Part of its size that is left of an unknown which is known, by rounding."""
@@ -186,6 +187,7 @@ class Units:
                 made=units[..., p : p + width] * ones[..., None],
             )
 
+    @stage("columns of the instrument")
     def products(
         self, passes: Passes, values: Array, lags: int, encoders: PositionNoise | None = None
     ) -> Products:

@@ -20,12 +20,10 @@ from testbed.robot.formats.mjcf_compile import (
     set_inertia,
     stated_inertias,
 )
-from testbed.robot.formats.mjcf_lock import VELOCITY_LIMIT
-from testbed.robot.formats.mjcf_spec import open_spec, parsed
+from testbed.robot.formats.mjcf_spec import VELOCITY_LIMIT, open_spec, parse
 from testbed.robot.inertia import NOTHING, Inertia
-from testbed.robot.links import Link
 from testbed.robot.locks import Lock
-from testbed.robot.repair import Bodies, Repair, repaired
+from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.tree import FARTHEST, Joint, Kind, Tree
 
 _KINDS: dict[int, Kind] = {
@@ -43,23 +41,15 @@ def read_mjcf(
 ) -> Tree:
     """The tree of an MJCF file; the bedplate frame is MuJoCo's world frame.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        repair: Bodies in place of those that cannot be; None takes the nearest that can.
-        lock: Joints to be held, which are no joints of the tree.
-
-    Raises:
-        ModelError: The file is not MJCF, or holds what is not supported; FreeRootError and
-            MimicError are such.
-        InertiaError: A body cannot be rigid, and none is given in its place.
+    Arguments and errors are those of `load_tree`.
     """
     found = repaired_spec(path, weld_root=weld_root, repair=repair, lock=lock)
     model = compile_spec(found.spec, path)
     _check_places(model, path)
     for k in range(model.nnumeric):
         name = model.numeric(k).name
-        if name.startswith(VELOCITY_LIMIT) and not _is_joint(model, name):
+        joint = name.removeprefix(VELOCITY_LIMIT)
+        if joint != name and not _has(model, mujoco.mjtObj.mjOBJ_JOINT, joint):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
     notes = (*found.repair.notes, *found.notes)
     return _tree_of(model, found.stated, notes)
@@ -89,20 +79,9 @@ def repaired_spec(
     repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> RepairedSpec:
-    """An MJCF file with bodies that can be, for every reader.
-
-    Args:
-        path: The file.
-        weld_root: As in `read_mjcf`.
-        repair: As there.
-        lock: As there.
-
-    Raises:
-        ModelError: As there.
-    """
+    """An MJCF file with bodies that can be, for every reader; otherwise as `read_mjcf`."""
     spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
     suspects, stated = stated_inertias(spec)
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
     # no chain ends without matter: MuJoCo takes no such file
     found = repaired(links, suspects, (), repair, path.name)
@@ -116,20 +95,16 @@ def read_links(
 ) -> tuple[Link, ...]:
     """The bodies of an MJCF file in those of its tree, carriers before what they carry.
 
-    Args:
-        path: The file, which `read_mjcf` has read.
-        weld_root: As then.
-        lock: As then.
+    Arguments are those with which `read_mjcf` has read it.
     """
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     _, stated = stated_inertias(spec)
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     return _links(compile_spec(spec, path), stated, path)
 
 
 def _links(model: mujoco.MjModel, stated: dict[str, StatedInertia], path: Path) -> tuple[Link, ...]:
     """The bodies with their inertias as the file has them."""
-    jointed = {body.name for body in parsed(path).bodies if body.joints}
+    jointed = {body.name for body in parse(path).bodies if body.joints}
     found: dict[int, Link] = {}
     for b, (owner, rotation, position) in _places(model).items():
         name, below = model.body(b).name, found.get(model.body_parentid[b])
@@ -219,6 +194,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     dof = model.jnt_dofadr[j]
     bounded, capped = model.jnt_limited[j], model.jnt_actfrclimited[j]
     limit = VELOCITY_LIMIT + name
+    stated = _has(model, mujoco.mjtObj.mjOBJ_NUMERIC, limit)
     dry, wet = (not _disabled(model, flag) for flag in ("FRICTIONLOSS", "DAMPER"))
     return Joint(
         name=name,
@@ -229,7 +205,7 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
         offset=attachment,
         rotation=rotation,
         position_range=model.jnt_range[j] if bounded else np.array([-np.inf, np.inf]),
-        max_velocity=float(model.numeric(limit).data[0]) if _has(model, limit) else np.inf,
+        max_velocity=float(model.numeric(limit).data[0]) if stated else np.inf,
         max_effort=float(np.abs(model.jnt_actfrcrange[j]).min()) if capped else np.inf,
         coulomb=float(model.dof_frictionloss[dof]) if dry else 0.0,
         viscous=float(np.ravel(model.dof_damping[dof])[0]) if wet else 0.0,
@@ -237,17 +213,12 @@ def _joint_of(model: mujoco.MjModel, j: int, owner: int, rotation: Array, positi
     )
 
 
-def _is_joint(model: mujoco.MjModel, numeric: str) -> bool:
-    joint = numeric.removeprefix(VELOCITY_LIMIT)
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)) >= 0
+def _has(model: mujoco.MjModel, kind: mujoco.mjtObj, name: str) -> bool:
+    return int(mujoco.mj_name2id(model, kind, name)) >= 0
 
 
 def _disabled(model: mujoco.MjModel, flag: str) -> bool:
     return bool(model.opt.disableflags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag}")))
-
-
-def _has(model: mujoco.MjModel, name: str) -> bool:
-    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_NUMERIC, name)) >= 0
 
 
 def _inertia_of(model: mujoco.MjModel, b: int, stated: dict[str, StatedInertia]) -> Inertia:

@@ -14,7 +14,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import ModelError
 from testbed.robot.inertia import Inertia, inertia_flaw
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.parsing import capture_stderr
 
 LONGEST_MESSAGE = 400
 """Of MuJoCo's: it repeats what it found in a file."""
@@ -71,7 +71,6 @@ def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
 def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
     """What MuJoCo says of one mesh; None if it can read it."""
     alone = spec.copy()
-    alone.compiler.boundmass = alone.compiler.boundinertia = MASSLESS
     stated_inertias(alone)
     for geom in list(alone.geoms):
         if geom.meshname:
@@ -89,7 +88,7 @@ def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:
 @contextmanager
 def no_mujoco_warnings() -> Iterator[None]:
     """MuJoCo's warnings go nowhere: neither to the terminal nor to MUJOCO_LOG.TXT."""
-    with unwarned_steps(), captured_stderr(), warnings.catch_warnings():
+    with unwarned_steps(), capture_stderr(), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
@@ -114,7 +113,8 @@ class StatedInertia:
 
 
 def stated_inertias(spec: mujoco.MjSpec) -> tuple[dict[str, str], dict[str, StatedInertia]]:
-    """Flaws and explicit inertias, by body; in `spec` flawed ones are replaced, to be compiled."""
+    """Flaws and explicit inertias, by body; `spec` is made to compile: flawed ones are replaced."""
+    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     flaws: dict[str, str] = {}
     stated: dict[str, StatedInertia] = {}
     compiler = spec.compiler
@@ -151,11 +151,10 @@ def set_inertia(body: mujoco.MjsBody, inertia: Inertia) -> StatedInertia:
     return StatedInertia(inertia.mass, central)
 
 
-def resolved(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
+def resolve(spec: mujoco.MjSpec, path: Path) -> tuple[mujoco.MjModel, dict[str, StatedInertia]]:
     """A copy compiled, for frames, degrees, limits and masses; and inertias as stated, by body."""
     copy = spec.copy()
     _, stated = stated_inertias(copy)
-    copy.compiler.boundmass = copy.compiler.boundinertia = MASSLESS
     return compile_spec(copy, path), stated
 
 

@@ -13,8 +13,7 @@ from math import prod
 from pathlib import Path
 
 from testbed.errors import ModelError
-from testbed.robot.decimals import decimals
-from testbed.robot.model_xml import read_xml
+from testbed.robot.parsing import decimals, read_xml
 
 MOST_MADE_BODIES, MOST_MADE_ELEMENTS = 5_000, 50_000
 """Bodies, and elements of all kinds, that a file may become, copies counted."""

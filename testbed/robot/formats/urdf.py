@@ -16,15 +16,12 @@ import pinocchio as pin
 
 from testbed.arrays import Array
 from testbed.errors import ModelError
-from testbed.robot.formats.urdf_numbers import TENSOR, numbers_of, plain
-from testbed.robot.formats.urdf_xml import link_at, supported_xml
+from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
-from testbed.robot.links import Link
 from testbed.robot.locks import Lock
-from testbed.robot.model_xml import read_xml
-from testbed.robot.repair import Bodies, Repair, repaired
+from testbed.robot.parsing import capture_stderr, errors_of, plain, read_xml
+from testbed.robot.repair import Bodies, Link, Repair, repaired
 from testbed.robot.rotations import from_rpy
-from testbed.robot.stderr import captured_stderr
 from testbed.robot.tree import Joint, Kind, Tree
 
 
@@ -37,16 +34,7 @@ def read_urdf(
 ) -> Tree:
     """The tree of a URDF file; the bedplate frame is the root link's frame.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        repair: Bodies in place of those that cannot be; None takes the nearest that can.
-        lock: Joints to be held, which are no joints of the tree.
-
-    Raises:
-        ModelError: The file is not a URDF, or holds what is not supported; FreeRootError and
-            MimicError are such.
-        InertiaError: A link cannot be a rigid body, and none is given in its place.
+    Arguments and errors are those of `load_tree`.
     """
     root, found, warnings = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
     return _tree_of(_built(root, path), root.get("name", ""), (*found.notes, *warnings))
@@ -59,24 +47,16 @@ def repaired_xml(
     repair: Bodies | None = None,
     lock: Lock | None = None,
 ) -> tuple[ET.Element, Repair, tuple[str, ...]]:
-    """The file's links and joints with bodies that can be, for every reader.
-
-    Args:
-        path: The file.
-        weld_root: As in `read_urdf`.
-        repair: As there.
-        lock: As there.
+    """The file's links and joints with bodies that can be, for all readers; else as `read_urdf`.
 
     Returns:
         The root element; what was repaired; and a line for each thing that was accepted with a
         warning.
-
-    Raises:
-        ModelError: As there.
     """
     root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
     elements = {link.get("name", ""): link for link in root.findall("link")}
-    suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link, path))}
+    with errors_of(path):
+        suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
     links, parents = _links(root, path)
     found = repaired(links, suspects, parents, repair, path.name)
     for name, inertia in found.links.items():
@@ -89,10 +69,7 @@ def read_links(
 ) -> tuple[Link, ...]:
     """The links of a URDF file in the bodies of its tree, carriers before what they carry.
 
-    Args:
-        path: The file, which `read_urdf` has read.
-        weld_root: As then.
-        lock: As then.
+    Arguments are those with which `read_urdf` has read it.
     """
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock)
     return _links(root, path)[0]
@@ -137,7 +114,7 @@ def _link_inertia(link: ET.Element) -> Inertia:
 
 def _built(root: ET.Element, path: Path) -> pin.Model:
     """The file's mechanism as Pinocchio has it."""
-    with captured_stderr() as said:
+    with capture_stderr() as said:
         try:
             model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
         except Exception as error:  # Pinocchio raises whatever its parser meets
@@ -147,13 +124,13 @@ def _built(root: ET.Element, path: Path) -> pin.Model:
     return model
 
 
-def _link_flaw(link: ET.Element, path: Path) -> str | None:
+def _link_flaw(link: ET.Element) -> str | None:
     """What is wrong with the link's inertia as it stands, if anything."""
     name, inertial = link.get("name", "?"), link.find("inertial")
     if inertial is None:
         return None
     if inertial.find("mass") is None or inertial.find("inertia") is None:
-        raise ModelError(f"{path}: the inertial of link '{name}' lacks a mass or an inertia")
+        raise ModelError(f"the inertial of link '{name}' lacks a mass or an inertia")
     origin = inertial.find("origin")
     place = numbers_of(origin, "xyz", "0 0 0") + numbers_of(origin, "rpy", "0 0 0")
     if not np.isfinite(place).all():
@@ -177,7 +154,7 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
         link.remove(old)
     if inertia.pseudo.any():
         new = ET.SubElement(link, "inertial")
-        ET.SubElement(new, "origin", xyz=plain(list(inertia.com)), rpy="0 0 0")
+        ET.SubElement(new, "origin", xyz=plain(inertia.com), rpy="0 0 0")
         ET.SubElement(new, "mass", value=plain([inertia.mass]))
         moments = {key: plain([inertia.central[at]]) for key, at in TENSOR.items()}
         ET.SubElement(new, "inertia", moments)

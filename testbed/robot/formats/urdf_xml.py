@@ -1,23 +1,27 @@
 """A URDF file's XML, made fit for any parser: checked, of plain numbers, locked joints fixed.
 
-What parsers pass over in silence is found here: numbers that urdfdom drops, loops, links
-that hang nowhere, floating and planar joints, misspelled elements.
+What parsers pass over in silence is found here: loops, links that hang nowhere, floating and planar
+joints, misspelled elements. urdfdom drops a whole inertial whose mass is "3 " and says so only on
+standard error; other parsers take other texts. What is no plain number is refused, and what is one
+is written as every parser takes it, so that Pinocchio and MuJoCo read the same numbers.
 """
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ET
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 
-from testbed.errors import FreeRootError, ModelError
-from testbed.robot.formats.urdf_numbers import numbers_of, plain, rewrite_numbers
-from testbed.robot.locks import Coupling, Lock, Travel, held_positions
-from testbed.robot.model_xml import read_xml
+from testbed.errors import FreeRootError, ModelError, quoted
+from testbed.robot.inertia import HEAVIEST
+from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
+from testbed.robot.parsing import decimals, errors_of, plain, read_xml
 from testbed.robot.rotations import about, from_rpy, to_rpy
-from testbed.robot.tree import UNIT
+from testbed.robot.tree import FARTHEST, UNIT
 
 DEEPEST_LINKS = 1_500
 """Links in a row: Pinocchio's parser overflows its stack between 2000 and 4000."""
@@ -30,6 +34,62 @@ _PARTS = {
 }
 """What counts of an element; the rest is for simulators, drawings and drives."""
 
+TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+"""Entries of an inertia, by attribute."""
+
+RIGHT = 1e-5
+"""Angles of rpy so near a multiple of a right angle are one, rounded in the file [rad]."""
+
+
+@dataclass(frozen=True)
+class _Numbers:
+    """What an attribute holds.
+
+    Attributes:
+        count: So many numbers.
+        absent: What it is where it is not given; None where it must be.
+        greatest: Magnitude that none of them exceeds.
+        signed: Whether they may be negative.
+        angles: Whether right angles are meant where they nearly are.
+    """
+
+    count: int
+    absent: str | None
+    greatest: float = float("inf")
+    signed: bool = True
+    angles: bool = False
+
+
+_PLACE = {
+    "xyz": _Numbers(3, "0 0 0", FARTHEST),
+    "rpy": _Numbers(3, "0 0 0", FARTHEST, angles=True),
+}
+_ATTRIBUTES = {
+    "origin": _PLACE,
+    "axis": {"xyz": _Numbers(3, "1 0 0", FARTHEST)},
+    "mass": {"value": _Numbers(1, None, HEAVIEST)},
+    "inertia": {
+        key: _Numbers(1, None, HEAVIEST) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    },
+    "limit": {
+        **{key: _Numbers(1, "0") for key in ("lower", "upper")},
+        **{key: _Numbers(1, "0", signed=False) for key in ("effort", "velocity")},
+    },
+    "dynamics": {"damping": _Numbers(1, "0"), "friction": _Numbers(1, "0", signed=False)},
+    "mimic": {"multiplier": _Numbers(1, "1"), "offset": _Numbers(1, "0")},
+    "box": {"size": _Numbers(3, None, FARTHEST)},
+    "sphere": {"radius": _Numbers(1, None, FARTHEST)},
+    "cylinder": {key: _Numbers(1, None, FARTHEST) for key in ("radius", "length")},
+    "capsule": {key: _Numbers(1, None, FARTHEST) for key in ("radius", "length")},
+    "mesh": {"scale": _Numbers(3, "1 1 1", FARTHEST)},
+    "color": {"rgba": _Numbers(4, None, 1.0)},
+}
+_TEXTS = {"mimic": "joint", "mesh": "filename"}
+"""Attributes that hold no numbers."""
+_EXTENDED = ("limit", "dynamics", "mimic", "mesh")
+"""Elements to which vendors add attributes of their own."""
+_NO_NUMBERS = ("nan", "inf", "infinity")
+
 
 def supported_xml(
     path: Path,
@@ -38,21 +98,12 @@ def supported_xml(
     lock: Lock | None = None,
     keep_visuals: bool = False,
 ) -> tuple[ET.Element, tuple[str, ...]]:
-    """The file's links and joints, checked for what is supported.
+    """The file's links and joints, checked for what is supported; held joints become fixed ones.
 
-    Args:
-        path: The file.
-        weld_root: Weld a floating root to the bedplate instead of refusing it.
-        lock: Joints to be held, which become fixed ones.
-        keep_visuals: Keep what is to be seen.
+    Arguments and errors are those of `load_tree`; `keep_visuals` keeps what is to be seen.
 
     Returns:
         The root element, and a line for each thing that was accepted with a warning.
-
-    Raises:
-        ModelError: The file is not URDF, or holds what is not supported; FreeRootError for a
-            floating root, MimicError for a joint that follows another that moves.
-        UnknownName: A joint to be held is not there.
     """
     root = _checked(path, weld_root, keep_visuals)
     return root, _hold(root.findall("joint"), lock or {}, path)
@@ -64,23 +115,35 @@ def _checked(path: Path, weld_root: bool, keep_visuals: bool = False) -> ET.Elem
     root.set("name", root.get("name") or path.stem)  # parsers want one
     links, joints = root.findall("link"), root.findall("joint")
     shown = root.findall("material") if keep_visuals else []
-    for link in links:
-        _keep(link, _PARTS["link"], path, also=("visual",) if keep_visuals else ())
-        for inertial in link.findall("inertial"):
-            _keep(inertial, _PARTS["inertial"], path, owner=f"link '{link.get('name', '?')}'")
-    for joint in joints:
-        _keep(joint, _PARTS["joint"], path)
-    root[:] = [*shown, *links, *joints]
-    carriers = _check_structure(links, joints, path)
-    for joint in joints:
-        _check_kind(joint, carriers, path, weld_root)
-        rewrite_numbers(joint, f"{path}: joint '{joint.get('name')}'")
-        _check_axis(joint, path)
-        if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
-            raise ModelError(f"{path}: joint '{joint.get('name')}': <mimic> names no joint")
-    for link in links:
-        for inertial in link.findall("inertial"):
-            rewrite_numbers(inertial, f"{path}: link '{link.get('name')}'", allow_nan=True)
+    with errors_of(path):
+        for link in links:
+            _keep(link, _PARTS["link"], also=("visual",) if keep_visuals else ())
+            for inertial in link.findall("inertial"):
+                _keep(inertial, _PARTS["inertial"], owner=f"link '{link.get('name', '?')}'")
+        for joint in joints:
+            _keep(joint, _PARTS["joint"])
+        root[:] = [*shown, *links, *joints]
+        carriers = _carriers(links, joints)
+        for joint in joints:
+            name, kind = f"joint '{joint.get('name')}'", joint.get("type", "?")
+            if kind == "floating" and link_at(joint, "parent") not in carriers:
+                if not weld_root:
+                    raise FreeRootError(path.name, joint.get("name", "?"))
+                joint.set("type", "fixed")
+            elif kind not in _SUPPORTED:
+                raise ModelError(
+                    f"{name} is of type '{kind:.40}', which is not supported (supported: "
+                    f"{', '.join(_SUPPORTED)})"
+                )
+            rewrite_numbers(joint, name)
+            axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
+            if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
+                raise ModelError(f"{name} has no direction: its <axis> xyz is {axis}")
+            if not all(mimic.get("joint") for mimic in joint.findall("mimic")):
+                raise ModelError(f"{name}: <mimic> names no joint")
+        for link in links:
+            for inertial in link.findall("inertial"):
+                rewrite_numbers(inertial, f"link '{link.get('name')}'", allow_nan=True)
     return root
 
 
@@ -113,7 +176,7 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
 
 def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
     """Make locked joints fixed ones, in the place where they are held."""
-    held, warnings = held_positions(_travels(joints), lock, path.name)
+    held, warnings = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
         name = joint.get("name", "")
         if name in held:
@@ -146,59 +209,48 @@ def _move_origin(joint: ET.Element, position: float) -> None:
 
 
 def _keep(
-    element: ET.Element,
-    parts: tuple[str, ...],
-    path: Path,
-    *,
-    owner: str = "",
-    also: tuple[str, ...] = (),
+    element: ET.Element, parts: tuple[str, ...], *, owner: str = "", also: tuple[str, ...] = ()
 ) -> None:
     """Leave only the parts that count, each once."""
     owner = owner or f"{element.tag} '{element.get('name', '?')}'"
     for child in list(element):
         if child.tag in parts:
             if len(element.findall(child.tag)) > 1:
-                raise ModelError(f"{path}: {owner} has more than one <{child.tag}>")
+                raise ModelError(f"{owner} has more than one <{child.tag}>")
         elif child.tag not in also:
             meant = get_close_matches(str(child.tag).lower(), parts, n=1, cutoff=0.8)
             if meant:
-                raise ModelError(
-                    f"{path}: {owner} holds <{child.tag:.40}>; did you mean <{meant[0]}>?"
-                )
+                raise ModelError(f"{owner} holds <{child.tag:.40}>; did you mean <{meant[0]}>?")
             element.remove(child)
 
 
-def _check_structure(
-    links: list[ET.Element], joints: list[ET.Element], path: Path
-) -> dict[str, ET.Element]:
-    """Whether the links hang together as one tree; the joint that carries each."""
+def _carriers(links: list[ET.Element], joints: list[ET.Element]) -> dict[str, ET.Element]:
+    """The joint that carries each link; the links hang together as one tree."""
     for what, elements in (("link", links), ("joint", joints)):
         names = [element.get("name", "") for element in elements]
         if "" in names:
-            raise ModelError(f"{path}: a {what} has no name")
+            raise ModelError(f"a {what} has no name")
         if len(set(names)) < len(names):
             twice = next(name for k, name in enumerate(names) if name in names[:k])
-            raise ModelError(f"{path}: two {what}s have the name '{twice}'")
+            raise ModelError(f"two {what}s have the name '{twice}'")
     known = {link.get("name", "") for link in links}
     carriers: dict[str, ET.Element] = {}
     for joint in joints:
         name, child = joint.get("name", ""), link_at(joint, "child")
         for end in ("parent", "child"):
             if link_at(joint, end) not in known:
-                raise ModelError(
-                    f"{path}: joint '{name}' has no {end} link '{link_at(joint, end)}'"
-                )
+                raise ModelError(f"joint '{name}' has no {end} link '{link_at(joint, end)}'")
         if child in carriers:
             raise ModelError(
-                f"{path}: link '{child}' is carried by joint '{carriers[child].get('name')}' and "
-                f"by joint '{name}'; closed loops are not supported"
+                f"link '{child}' is carried by joint '{carriers[child].get('name')}' and by joint "
+                f"'{name}'; closed loops are not supported"
             )
         carriers[child] = joint
-    _check_tree(known, carriers, path)
+    _check_tree(known, carriers)
     return carriers
 
 
-def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) -> None:
+def _check_tree(known: set[str], carriers: dict[str, ET.Element]) -> None:
     """Whether all links hang on one root, and not too deep: parsers recurse along them."""
     roots = [name for name in known if name not in carriers]
     below: dict[str, list[str]] = {}
@@ -210,16 +262,14 @@ def _check_tree(known: set[str], carriers: dict[str, ET.Element], path: Path) ->
         reached.update(level)
         depth += 1
         if depth > DEEPEST_LINKS:
-            raise ModelError(f"{path}: a chain of more than {DEEPEST_LINKS} links")
+            raise ModelError(f"a chain of more than {DEEPEST_LINKS} links")
     if len(reached) < len(known):
         lost = min(known - reached)
-        raise ModelError(
-            f"{path}: link '{lost}' hangs on no root; its chain of joints is a closed loop"
-        )
+        raise ModelError(f"link '{lost}' hangs on no root; its chain of joints is a closed loop")
     if len(roots) > 1:
-        listed = ", ".join(f"'{name}'" for name in sorted(roots)[:5])
         raise ModelError(
-            f"{path}: {len(roots)} links are carried by no joint ({listed}); a robot has one such"
+            f"{len(roots)} links are carried by no joint ({quoted(sorted(roots))}); a robot "
+            "has one such"
         )
 
 
@@ -229,24 +279,59 @@ def link_at(joint: ET.Element, end: str) -> str:
     return "" if element is None else element.get("link", "")
 
 
-def _check_kind(
-    joint: ET.Element, carriers: dict[str, ET.Element], path: Path, weld_root: bool
-) -> None:
-    name, kind = joint.get("name", "?"), joint.get("type", "?")
-    if kind == "floating" and link_at(joint, "parent") not in carriers:
-        if not weld_root:
-            raise FreeRootError(path.name, name)
-        joint.set("type", "fixed")
-    elif kind not in _SUPPORTED:
-        raise ModelError(
-            f"{path}: joint '{name}' is of type '{kind:.40}', which is not supported "
-            f"(supported: {', '.join(_SUPPORTED)})"
-        )
+def rewrite_numbers(owner: ET.Element, where: str, *, allow_nan: bool = False) -> None:
+    """Read the numbers of an element's parts strictly, and write them plainly.
+
+    Args:
+        owner: A joint or an inertial; its parts are changed.
+        where: Owner, for messages.
+        allow_nan: Leave texts like "nan" as NaN: an inertia that is none is told as such.
+
+    Raises:
+        ModelError: Names the attribute that holds something else.
+    """
+    for part in owner:
+        for key, numbers in _ATTRIBUTES.get(part.tag, {}).items():
+            text = part.get(key, numbers.absent)
+            if text is None:
+                raise ModelError(f"{where}: <{part.tag}> has no {key}")
+            part.set(key, _plain(text, numbers, f"{where}: <{part.tag}> {key}", allow_nan))
+        if part.tag in _ATTRIBUTES:
+            _check_attributes(part, where)
 
 
-def _check_axis(joint: ET.Element, path: Path) -> None:
-    axis = numbers_of(joint.find("axis"), "xyz", "1 0 0")
-    if joint.get("type") != "fixed" and max(np.abs(axis)) < UNIT:
-        raise ModelError(
-            f"{path}: joint '{joint.get('name')}' has no direction: its <axis> xyz is {axis}"
-        )
+def numbers_of(element: ET.Element | None, key: str, absent: str = "0") -> list[float]:
+    """The numbers of an attribute that has been rewritten."""
+    text = absent if element is None else element.get(key, absent)
+    return [float(word) for word in text.split()]
+
+
+def _plain(text: str, numbers: _Numbers, where: str, allow_nan: bool) -> str:
+    values = decimals(text, numbers.count)
+    if values is None:
+        words = text.lower().split()
+        if allow_nan and len(words) == numbers.count:
+            finite = [w for w in words if w.lstrip("+-") not in _NO_NUMBERS]
+            if len(finite) < len(words) and all(decimals(word, 1) for word in finite):
+                return " ".join(["nan"] * numbers.count)
+        wanted = "a decimal number" if numbers.count == 1 else f"{numbers.count} decimal numbers"
+        raise ModelError(f"{where}={text!r:.60} is not {wanted}")
+    for value in values:
+        if abs(value) > numbers.greatest:
+            raise ModelError(f"{where} holds {value:g}; {numbers.greatest:g} is the limit")
+        if value < 0 and not numbers.signed:
+            raise ModelError(f"{where} holds {value:g}, which cannot be negative")
+    if numbers.angles:
+        right = [round(2 * angle / math.pi) * math.pi / 2 for angle in values]
+        values = [r if abs(a - r) <= RIGHT else a for a, r in zip(values, right, strict=True)]
+    return plain(values)
+
+
+def _check_attributes(part: ET.Element, where: str) -> None:
+    """Whether an attribute is a misspelled one."""
+    known = {*_ATTRIBUTES[part.tag], _TEXTS.get(part.tag, "")} - {""}
+    for key in sorted(set(part.attrib) - known):
+        meant = get_close_matches(key.lower(), known, n=1, cutoff=0.85)
+        if meant or part.tag not in _EXTENDED:
+            hint = f"did you mean {meant[0]}?" if meant else f"it has {', '.join(sorted(known))}"
+            raise ModelError(f"{where}: <{part.tag}> holds the unknown {key!r:.40}; {hint}")

@@ -13,23 +13,22 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from testbed.errors import ModelError
+from testbed.errors import ModelError, few
 from testbed.robot.formats.mjcf_compile import FULL
-from testbed.robot.formats.mjcf_spec import parsed
+from testbed.robot.formats.mjcf_spec import parse
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, comment
 from testbed.robot.inertia import Inertia
-from testbed.robot.tree import Joint
+from testbed.robot.parsing import plain
 
 _TURNS = ("diaginertia", "quat", "axisangle", "xyaxes", "zaxis", "euler")
 """Other ways to say an inertia's axes."""
 _LOSSES = {"frictionloss": "coulomb", "damping": "viscous", "armature": "rotor_inertia"}
-_LEAST_NAMED = 6
 
 
-def edited_mjcf(
+def edit_mjcf(
     path: Path,
     links: Mapping[str, Inertia],
-    joints: Mapping[str, tuple[Joint, Joint]],
+    joints: Mapping[str, Mapping[str, float]],
     note: list[str],
 ) -> tuple[bytes, tuple[str, ...]]:
     """The file's bytes with other inertials, friction and armatures.
@@ -37,7 +36,7 @@ def edited_mjcf(
     Args:
         path: The file.
         links: New inertias about and along the bodies' frames, by body.
-        joints: By name, as the file has them and as they are to be.
+        joints: By name, friction and rotor inertia where they have changed.
         note: Lines of a comment that says where the numbers come from.
 
     Returns:
@@ -47,7 +46,7 @@ def edited_mjcf(
         ModelError: The file cannot be edited: inertias are computed from geoms whatever
             inertials say, or bodies stand in other files or are copies.
     """
-    spec = parsed(path)
+    spec = parse(path)
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         raise ModelError(
             f'{path}: compiler inertiafromgeom="true" makes MuJoCo pass over all inertials; set it '
@@ -63,12 +62,13 @@ def edited_mjcf(
     world = document.root.named("worldbody")
     places = dict(_bodies(spec.worldbody, world, path))
     for name, inertia in links.items():
-        _set_inertial(document, places[name][0], inertia)
+        document.put(places[name][0], "inertial", **_inertial(inertia))
     for _, own in places.values():
         for joint, element in own:
-            if joint in joints:
-                _set_losses(document, element, *joints[joint])
-    return document.edited(), tuple(_changed_by_compiler(spec, links))
+            losses = joints.get(joint, {})
+            said = {key: plain([losses[what]]) for key, what in _LOSSES.items() if what in losses}
+            document.set(element, **said)
+    return document.edit(), tuple(_changed_by_compiler(spec, links))
 
 
 _Joints = list[tuple[str, Element]]
@@ -102,57 +102,32 @@ def _within(element: Element) -> Iterator[Element]:
             yield child
 
 
-def _set_inertial(document: XmlBytes, body: Element, inertia: Inertia) -> None:
+def _inertial(inertia: Inertia) -> dict[str, str | None]:
     """The mass centre, the mass, and the inertia about it, along the body's axes."""
-    central = inertia.central
-    said = {
-        "pos": " ".join(repr(float(x)) for x in inertia.com),
-        "mass": repr(inertia.mass),
-        "fullinertia": " ".join(repr(float(central[at])) for at in FULL),
-    }
-    if not central.any():  # MuJoCo takes no full inertia that is zero
-        said["diaginertia"] = "0 0 0"
-        del said["fullinertia"]
-    there = body.named("inertial")
-    if there:
-        others = {key: None for key in ("fullinertia", *_TURNS) if key not in said}
-        document.set(there[0], **said, **others)
-    else:
-        listed = " ".join(f'{key}="{value}"' for key, value in said.items())
-        document.insert(body, f"<inertial {listed}/>")
-
-
-def _set_losses(document: XmlBytes, element: Element, before: Joint, after: Joint) -> None:
-    """Friction, damping and armature, where they have changed."""
-    changed = {
-        key: repr(float(getattr(after, what)))
-        for key, what in _LOSSES.items()
-        if getattr(after, what) != getattr(before, what)
-    }
-    if changed:
-        document.set(element, **changed)
+    central, others = inertia.central, dict.fromkeys(("fullinertia", *_TURNS))
+    said = {"pos": plain(inertia.com), "mass": plain([inertia.mass]), **others}
+    if central.any():
+        return said | {"fullinertia": plain(central[at] for at in FULL)}
+    return said | {"diaginertia": "0 0 0"}  # MuJoCo takes no full inertia that is zero
 
 
 def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:
     """Settings of the file's compiler that make other bodies of those that are written."""
     compiler = spec.compiler
-    bounds = {"boundmass": compiler.boundmass, "boundinertia": compiler.boundinertia}
-    for setting, least in bounds.items():
-        light = [name for name, own in links.items() if _least(setting, own) < least]
+    masses = {name: own.mass for name, own in links.items()}
+    moments = {name: np.linalg.eigvalsh(own.central)[0] for name, own in links.items()}
+    for setting, least, values in (
+        ("boundmass", compiler.boundmass, masses),
+        ("boundinertia", compiler.boundinertia, moments),
+    ):
+        light = [name for name, value in values.items() if value < least]
         if light:
-            more = f" and {len(light) - _LEAST_NAMED} more" if len(light) > _LEAST_NAMED else ""
             yield (
                 f'compiler {setting}="{least:g}" makes MuJoCo raise what is written of '
-                f"{', '.join(light[:_LEAST_NAMED])}{more}: take it out of the file"
+                f"{few(light)}: take it out of the file"
             )
     if compiler.balanceinertia:
         yield (
             'compiler balanceinertia="true" is of no use any more: all bodies that were written '
             "can exist; it may be taken out of the file"
         )
-
-
-def _least(setting: str, inertia: Inertia) -> float:
-    if setting == "boundmass":
-        return inertia.mass
-    return float(np.linalg.eigvalsh(inertia.central)[0])

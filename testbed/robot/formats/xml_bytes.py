@@ -7,7 +7,7 @@ Source    XML 1.0, fifth edition: a start tag's attributes stand between quotes,
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from xml.parsers import expat
 
@@ -95,7 +95,12 @@ class XmlBytes:
             element: Whose.
             values: By name; letters, digits and blanks only.
         """
-        there = dict(self._places(element))
+        tag = _TAG.match(self.data, element.start)
+        assert tag is not None
+        there = {  # where it starts, with the blank before; its value, with quotes; its end
+            each[1].decode(errors="replace"): (each.start(), each.start(2), each.end(2))
+            for each in _ATTRIBUTE.finditer(self.data, tag.start(1), tag.end(1))
+        }
         missing = b""
         for name, value in values.items():
             place = there.get(name)
@@ -118,7 +123,8 @@ class XmlBytes:
             element: Into which.
             text: Of lines, the first of which gets a line of its own, indented as is usual here.
         """
-        indent = self._indent(element)
+        before = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
+        indent = before if before.isspace() else b""
         inner = self._line + indent + b"  " + text.encode("ascii")
         if element.alone:
             close = b">" + inner + self._line + indent + f"</{element.tag}>".encode()
@@ -129,7 +135,21 @@ class XmlBytes:
         else:
             self._changes.append((element.opened, element.opened, inner))
 
-    def edited(self) -> bytes:
+    def put(self, element: Element, tag: str, **values: str | None) -> None:
+        """Change attributes of the first child of a name, which is put in if there is none.
+
+        Args:
+            element: In which it stands.
+            tag: Its name.
+            values: As for `set`.
+        """
+        there = element.named(tag)
+        if there:
+            self.set(there[0], **values)
+        else:
+            self.insert(element, as_tag(tag, values))
+
+    def edit(self) -> bytes:
         """The bytes with all changes."""
         pieces, last = [], 0
         for start, end, text in sorted(self._changes, key=lambda change: change[:2]):
@@ -137,25 +157,15 @@ class XmlBytes:
             last = end
         return b"".join([*pieces, self.data[last:]])
 
-    def _places(self, element: Element) -> Iterator[tuple[str, tuple[int, int, int]]]:
-        """By attribute: where it starts, with the blank before; its value, with quotes; its end."""
-        found = _TAG.match(self.data, element.start)
-        assert found is not None
-        for each in _ATTRIBUTE.finditer(self.data, found.start(1), found.end(1)):
-            yield each[1].decode(errors="replace"), (each.start(), each.start(2), each.end(2))
 
-    def _indent(self, element: Element) -> bytes:
-        """Blanks before an element, if nothing else is on its line before it."""
-        before = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
-        return before if before.isspace() else b""
+def as_tag(tag: str, values: Mapping[str, str | None]) -> str:
+    """An element without content."""
+    listed = "".join(f' {key}="{value}"' for key, value in values.items() if value is not None)
+    return f"<{tag}{listed}/>"
 
 
 def comment(lines: list[str]) -> str:
-    """A comment of some lines: ASCII, and no two dashes in a row.
-
-    Args:
-        lines: Of any text.
-    """
+    """A comment of some lines: ASCII, and no two dashes in a row."""
     plain = " ".join(" ".join(lines).split()).encode("ascii", "backslashreplace").decode()
     while "--" in plain:
         plain = plain.replace("--", "- -")

@@ -1,18 +1,18 @@
-"""A robot as it is drawn: on a plate, and of sticks where no file draws it."""
+"""A robot as it is drawn: by its model file, else of sticks; on a plate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.robot.model_file import ModelFile
+from testbed.robot.locks import Lock
+from testbed.robot.model_file import ModelFile, model_format
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.load_shapes import load_shapes
-from testbed.robot.visuals.shapes import DrawnShapes, Shape
-from testbed.robot.visuals.sticks import sticks
+from testbed.robot.visuals.shapes import DrawnShapes, Shape, bounds, sticks
 
 STEEL = (0.62, 0.64, 0.68, 1.0)
 """Colour of a plate that the model file does not draw."""
@@ -71,21 +71,26 @@ class Appearance:
         return 0.0 if widest is None else float(widest[1][2])
 
 
-def bounds(shape: Shape) -> tuple[Array, Array]:
-    """Least and largest coordinates of a shape in its body's frame, (3,) each [m]."""
-    if shape.kind == "mesh":
-        corners = shape.vertices @ shape.rotation.T + shape.position
-        return corners.min(axis=0), corners.max(axis=0)
-    turn = shape.rotation
-    if shape.kind == "box":
-        half = np.abs(turn) @ shape.size
-    elif shape.kind == "ellipsoid":
-        half = np.sqrt(turn**2 @ shape.size**2)
+def load_shapes(
+    path: str | Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
+) -> DrawnShapes:
+    """What the model file gives to be seen of the robot, and what of it cannot be shown.
+
+    Args:
+        path: The model file, MJCF or URDF.
+        tree: The tree read from it.
+        weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that are held, as when the tree was read.
+
+    Raises:
+        ModelError: The file cannot be read.
+    """
+    path = Path(path)
+    if model_format(path) == "mjcf":
+        from testbed.robot.visuals.mjcf_shapes import read_shapes as read
     else:
-        radius, length = shape.size
-        ends = np.sqrt(np.maximum(1 - turn[:, 2] ** 2, 0)) if shape.kind == "cylinder" else 1.0
-        half = length * np.abs(turn[:, 2]) + radius * ends
-    return shape.position - half, shape.position + half
+        from testbed.robot.visuals.urdf_shapes import read_shapes as read
+    return read(path, tree, weld_root=weld_root, lock=lock)
 
 
 def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:

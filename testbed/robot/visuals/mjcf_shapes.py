@@ -10,7 +10,6 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.robot.formats.mjcf_compile import (
-    MASSLESS,
     compile_spec,
     drop_unreadable_meshes,
     no_mujoco_warnings,
@@ -36,17 +35,9 @@ _SEEN_GROUPS = 3
 def read_shapes(
     path: Path, tree: Tree, *, weld_root: bool = False, lock: Lock | None = None
 ) -> DrawnShapes:
-    """What MuJoCo's own viewer shows, but for floors.
-
-    Args:
-        path: The MJCF file.
-        tree: The tree read from it.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that are held.
-    """
+    """What MuJoCo's own viewer shows, but for floors; arguments are those of `load_shapes`."""
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     stated_inertias(spec)  # impossible ones would keep it from being compiled
-    spec.compiler.boundmass = spec.compiler.boundinertia = MASSLESS
     warnings: tuple[str, ...] = ()
     try:
         with no_mujoco_warnings():

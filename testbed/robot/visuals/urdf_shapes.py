@@ -13,13 +13,12 @@ import numpy as np
 import pinocchio as pin
 
 from testbed.arrays import Array
-from testbed.errors import ModelError
-from testbed.robot.formats.urdf_numbers import rewrite_numbers
-from testbed.robot.formats.urdf_xml import supported_xml
+from testbed.errors import WIDTH, ModelError, few
+from testbed.robot.formats.urdf_xml import rewrite_numbers, supported_xml
 from testbed.robot.locks import Lock
-from testbed.robot.stderr import captured_stderr
+from testbed.robot.model_file import find_mesh
+from testbed.robot.parsing import capture_stderr
 from testbed.robot.tree import Tree
-from testbed.robot.visuals.mesh_files import find_mesh
 from testbed.robot.visuals.shapes import DrawnShapes, Shape
 
 _GREY = np.array([0.7, 0.72, 0.75, 1.0])
@@ -30,11 +29,7 @@ def read_shapes(
 ) -> DrawnShapes:
     """The file's visual elements; mesh files are looked for beside the file and above it.
 
-    Args:
-        path: The URDF file.
-        tree: The tree read from it.
-        weld_root: Whether a floating root was welded to the bedplate.
-        lock: Joints that are held.
+    Arguments are those of `load_shapes`.
 
     Raises:
         ModelError: Pinocchio refuses the shapes.
@@ -43,9 +38,8 @@ def read_shapes(
     lost: list[str] = []
     missing = [line for link in root.findall("link") for line in _prepared(link, path, lost)]
     if lost:
-        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
         missing.append(
-            f"not drawn, as it is neither beside the model file nor above it: {lost[0]}{more}"
+            f"not drawn, as it is neither beside the model file nor above it: {few(lost, WIDTH)}"
         )
     coloured = root.find("link/visual/material") is not None
     root.set("version", "1.2")  # capsules are new in it
@@ -74,7 +68,7 @@ def _shapes(
 def _built(root: ET.Element) -> tuple[pin.Model, pin.GeometryModel]:
     """The robot, and what there is to see of it."""
     text = ET.tostring(root, encoding="unicode")
-    with captured_stderr() as said, warnings.catch_warnings():
+    with capture_stderr() as said, warnings.catch_warnings():
         warnings.simplefilter("ignore")
         model = pin.buildModelFromXML(text)
         seen = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.VISUAL, "")

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Literal
 
 from testbed.errors import UnknownName
-from testbed.symbolic.equations import Equations, Listing
+from testbed.symbolic.equations import Listing
 from testbed.symbolic.languages.c import c
 from testbed.symbolic.languages.latex import latex
 from testbed.symbolic.languages.paper import paper
@@ -42,10 +42,13 @@ def write_equations(listing: Listing, language: Language, source: str = "") -> s
 def as_document(listing: Listing, text: str) -> dict[str, Any]:
     """Equations as a document for programs: their text, parameters and operations.
 
+    A matrix has the minimal parameters on the barycentric ones; there is none of these themselves.
+
     Args:
         listing: The equations.
         text: As written.
     """
+    sets = [listing.minimal.get(each.kind.model) for each in listing.equations]
     return {
         "robot": listing.tree.name,
         "form": listing.form,
@@ -55,16 +58,10 @@ def as_document(listing: Listing, text: str) -> dict[str, Any]:
             each.kind.name: {
                 "shape": each.shape,
                 each.vector: [{"name": p.name, "unit": p.unit} for p in each.parameters],
-                "matrix": _matrix(listing, each),
+                "matrix": None if minimal is None else minimal.matrix.tolist(),
                 "operations": asdict(each.program.count),
             }
-            for each in listing.equations
+            for each, minimal in zip(listing.equations, sets, strict=True)
         },
         "text": text,
     }
-
-
-def _matrix(listing: Listing, each: Equations) -> list[list[float]] | None:
-    """The minimal parameters on the barycentric ones; None where these stand themselves."""
-    minimal = listing.minimal.get(each.kind.model)
-    return None if minimal is None else minimal.matrix.tolist()

@@ -6,15 +6,17 @@ from dataclasses import replace
 
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Nature, Number
-from testbed.symbolic.languages.code import COORDINATES, function_name, given
 from testbed.symbolic.languages.text import (
+    COORDINATES,
     Style,
     decimal,
+    function_name,
+    inputs,
     own_name,
     preface,
     terms,
     used_constants,
-    wrapped,
+    wrap,
 )
 
 
@@ -26,12 +28,7 @@ STYLE = Style(own_name, _number, plus_first=True)
 
 
 def c(listing: Listing, source: str) -> str:
-    """Equations as C functions.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
-    """
+    """C functions; arguments as for `write_equations`."""
     lines = ["/*", *(f" * {line}".rstrip() for line in preface(listing, source)), " */"]
     lines += ["#include <math.h>", ""]
     for name, value, unit in used_constants(listing):
@@ -42,11 +39,11 @@ def c(listing: Listing, source: str) -> str:
 
 
 def _comment(each: Equations) -> list[str]:
-    lines = wrapped("/*", each.kind.says.split(), " * ")
+    lines = wrap("/*", each.kind.says.split(), " * ")
     if not each.kind.is_regressor:
         names = [f"{p.name} [{p.unit}]," for p in each.parameters]
         names[-1:] = [name.rstrip(",") for name in names[-1:]]
-        lines += wrapped(f" * {each.vector}:", names, " * ")
+        lines += wrap(f" * {each.vector}:", names, " * ")
     return [*lines, " */"]
 
 
@@ -58,13 +55,17 @@ def _function(each: Equations, joints: int) -> list[str]:
     size = "".join(f"[{max(1, size)}]" for size in each.shape)
     arguments.append(f"double result{size}")
     separated = [f"{part}," for part in arguments[:-1]] + [f"{arguments[-1]})"]
-    lines = [f"void {function_name(each)}(", *wrapped("   ", separated, "    "), "{"]
-    lines += [f"    const double {name} = {source};" for name, source in given(each, STYLE)]
-    targets = {name: _element(place) for name, place in each.places.items()}
+    lines = [f"void {function_name(each)}(", *wrap("   ", separated, "    "), "{"]
+    lines += [f"    const double {name} = {source};" for name, source in inputs(each, STYLE)]
+    targets = {
+        name: "result" + "".join(f"[{index}]" for index in place)
+        for name, place in each.places.items()
+    }
     style = replace(STYLE, name=lambda factor: targets.get(factor, factor.name))
     for label, value in program.lines:
         target = targets.get(label, f"const double {label.name}")
-        lines += _assigned(target, terms(value, style))
+        lines += wrap(f"    {target} =", terms(value, style), "        ")
+        lines[-1] += ";"
     return [*lines, *_unused(each), "}"]
 
 
@@ -79,13 +80,3 @@ def _unused(each: Equations) -> list[str]:
     if not each.kind.is_regressor and Nature.PARAMETER not in natures:
         names.append(each.vector)
     return [f"    (void){name};" for name in names]
-
-
-def _element(place: tuple[int, ...]) -> str:
-    return "result" + "".join(f"[{index}]" for index in place)
-
-
-def _assigned(target: str, pieces: list[str]) -> list[str]:
-    lines = wrapped(f"    {target} =", pieces, "        ")
-    lines[-1] += ";"
-    return lines

@@ -18,12 +18,7 @@ _GREEK = {"w": r"\omega", "wd": r"\dot\omega", "zdd": r"\ddot z"}
 
 
 def latex(listing: Listing, source: str) -> str:
-    """Equations as a document for pdflatex, one display an equation.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
-    """
+    """A document for pdflatex, one display an equation; arguments as for `write_equations`."""
     lines = [f"% {line}".rstrip() for line in preface(listing, source)]
     lines += [r"\documentclass{article}", r"\usepackage{amsmath}", r"\allowdisplaybreaks"]
     lines += [r"\begin{document}"]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.expression import Expression, Factor
+from testbed.symbolic.equations import Listing
+from testbed.symbolic.expression import Expression
 from testbed.symbolic.languages.text import (
     Style,
     definitions,
@@ -11,34 +11,26 @@ from testbed.symbolic.languages.text import (
     header,
     terms,
     used_constants,
-    wrapped,
+    wrap,
 )
 
-_TITLES = {
-    "joint-forces": "Equations",
-    "base-wrench": "Reaction",
-    "dynamic-regressor": "Regressor of the joint forces",
-    "reaction-regressor": "Regressor of the reaction",
-    "mass-matrix": "Mass matrix",
-    "gravity-forces": "Gravity",
-}
+STYLE = Style(lambda factor: factor.name.replace("mbar", "mm"), fraction, parameter_first=True)
 
 
 def paper(listing: Listing, source: str) -> str:
-    """Equations in the paper's notation.
+    """The paper's notation; arguments as for `write_equations`.
 
     qp2 and qpp2 are the velocity and acceleration of joint 2, S223 is sin(2 q2 + q3). Lines
     that begin with * are comments; lines that begin with a blank continue the one before.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
     """
     lines = [f"* {line}".rstrip() for line in header(listing, source)]
     lines += [f"* {name} = {value:.12g}" for name, value, _ in used_constants(listing)]
     lines += _definitions(listing)
     for each in listing.equations:
-        lines += ["", f"* {_TITLES[each.kind.name]}", *_equations(each)]
+        lines += ["", f"* {each.kind.title}"]
+        for name, value in each.program.lines:
+            if value or len(each.shape) == 1:
+                lines += wrap(f"{name.name} =", terms(value, STYLE), " ")
     return "\n".join(lines) + "\n"
 
 
@@ -51,25 +43,9 @@ def _definitions(listing: Listing) -> list[str]:
             lines += ["", f"* {title}"]
             for name, value in listing.definitions:
                 if name.rstrip("xyz0123456789") == head:
-                    lines += wrapped(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
+                    lines += wrap(f"{name.replace('mbar', 'mm')} =", terms(value, STYLE), " ")
     made = [f"* {line}" for line in definitions(listing)]
     return [*lines, "", *made] if made else lines
-
-
-def _equations(each: Equations) -> list[str]:
-    program = each.program
-    lines: list[str] = []
-    for name, value in program.lines:
-        if value.terms or len(each.shape) == 1:
-            lines += wrapped(f"{name.name} =", terms(value, STYLE), " ")
-    return lines
-
-
-def _name(factor: Factor) -> str:
-    return factor.name.replace("mbar", "mm")
-
-
-STYLE = Style(_name, fraction, parameter_first=True)
 
 
 def line(value: Expression) -> str:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from testbed.symbolic.equations import Equations, Listing
-from testbed.symbolic.languages.code import done_with, function_name, given, referred
 from testbed.symbolic.languages.text import (
     Style,
     decimal,
+    function_name,
+    inputs,
+    last_uses,
     own_name,
     preface,
+    references,
     terms,
     used_constants,
-    wrapped,
+    wrap,
 )
 
+MOST_TERMS = 500
+"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
 STYLE = Style(own_name, decimal, plus_first=True)
 
 _FIRST_LINES = ("# -*- coding: utf-8 -*-", "# Written by testbed.")
@@ -42,12 +47,7 @@ def _in_blocks(function, shape, motion, parameters, size):
 
 
 def python(listing: Listing, source: str) -> str:
-    """Equations as a Python module.
-
-    Args:
-        listing: The equations.
-        source: Where the robot comes from.
-    """
+    """A Python module; arguments as for `write_equations`."""
     lines = [*_FIRST_LINES, *(f"# {line}".rstrip() for line in preface(listing, source))]
     lines += ["", "import numpy as np", "from numpy import cos, sin", ""]
     lines += [f"JOINTS = {listing.tree.n}", "BLOCK = 4096  # samples at once"]
@@ -73,25 +73,25 @@ def _front(each: Equations) -> list[str]:
     """The function people call."""
     name, size = function_name(each), len(each.parameters)
     takes, shape = ", ".join(each.kind.takes), str(each.shape)
-    given = "" if each.kind.is_regressor else f", {each.vector}"
+    vector = "" if each.kind.is_regressor else f", {each.vector}"
     needs = "" if each.kind.is_regressor else f" and {each.vector} of shape ({size},)"
     comma = "," if len(each.kind.takes) == 1 else ""
     return [
-        f"def {name}({takes}{given}):",
+        f"def {name}({takes}{vector}):",
         f'    """{each.kind.says}',
         "",
         f"    Takes {takes} of shape (..., joints){needs}; gives (..., {shape.strip('(),')}).",
         '    """',
         f"    motion = ({takes}{comma})",
-        f"    return _in_blocks(_{name}, {shape}, motion{given or ', None'}, {size})",
+        f"    return _in_blocks(_{name}, {shape}, motion{vector or ', None'}, {size})",
     ]
 
 
 def _body(each: Equations) -> list[str]:
     """The lines of the program, on one block: coordinates (joints, samples)."""
-    name, again, done = function_name(each), referred(each), done_with(each.program)
+    name, again, done = function_name(each), references(each), last_uses(each.program)
     lines = [f"def _{name}({', '.join(each.kind.takes)}, {each.vector}, result):"]
-    lines += [f"    {name} = {source}" for name, source in given(each, STYLE)]
+    lines += [f"    {name} = {source}" for name, source in inputs(each, STYLE)]
     for label, value in each.program.lines:
         pieces = terms(value, STYLE)
         if label not in each.places:
@@ -111,19 +111,15 @@ def _deleted(names: list[str]) -> list[str]:
     return [f"    del {', '.join(names[k : k + 8])}" for k in range(0, len(names), 8)]
 
 
-MOST_TERMS = 500
-"""Terms of one Python expression; a few thousand overflow the compiler's stack."""
-
-
 def _assigned(target: str, pieces: list[str]) -> list[str]:
     """One assignment; a sum longer than the compiler can take is added up in parts."""
     lines = []
     for first in range(0, len(pieces), MOST_TERMS):
         part = pieces[first : first + MOST_TERMS]
         sign = "+=" if first else "="
-        short = wrapped(f"    {target} {sign}", part, "")
+        short = wrap(f"    {target} {sign}", part, "")
         if len(short) == 1:
             lines += short
         else:
-            lines += [f"    {target} {sign} (", *wrapped("       ", part, "        "), "    )"]
+            lines += [f"    {target} {sign} (", *wrap("       ", part, "        "), "    )"]
     return lines

@@ -12,11 +12,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 
-from testbed.symbolic.angles import almost_right
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor, Nature, Number, Term
+from testbed.symbolic.program import Program, leaves
+from testbed.symbolic.robot import almost_right
 
 WIDTH = 96
+COORDINATES = {Nature.POSITION: "q", Nature.VELOCITY: "qp", Nature.ACCELERATION: "qpp"}
+"""As functions of programs have them."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,15 @@ def fraction(value: Number) -> str:
 
 def terms(value: Expression, style: Style) -> list[str]:
     """Every term with its sign, the first one's plus left out."""
-    written: list[str] = []
-    order = _is_subtracted if style.plus_first else _is_no_result
+
+    def order(term: Term) -> bool:
+        """First what is added; or another equation's left-hand side: Q2 = Q3 + ..."""
+        factors, size = term
+        if style.plus_first:
+            return size < 0
+        return not (len(factors) == 1 and re.fullmatch(r"Q\d+", factors[0].name))
+
+    texts: list[str] = []
     for factors, size in sorted(value.terms, key=order):
         parameters = [f for f in factors if f.nature is Nature.PARAMETER]
         rest = [f for f in factors if f.nature is not Nature.PARAMETER]
@@ -68,30 +78,20 @@ def terms(value: Expression, style: Style) -> list[str]:
         names, others = (_product(each, style) for each in (parameters, rest))
         parts = [*names, *number, *others] if style.parameter_first else [*number, *names, *others]
         sign = "-" if size < 0 else "+"
-        lead = f"{sign} " if written else sign.replace("+", "")
-        written.append(lead + style.times.join(parts))
-    return written or ["0"]
-
-
-def _is_subtracted(term: Term) -> bool:
-    return term[1] < 0
-
-
-def _is_no_result(term: Term) -> bool:
-    """False for another equation's left-hand side: Q2 = Q3 + ..."""
-    (factors, _) = term
-    return not (len(factors) == 1 and re.fullmatch(r"Q\d+", factors[0].name))
+        lead = f"{sign} " if texts else sign.replace("+", "")
+        texts.append(lead + style.times.join(parts))
+    return texts or ["0"]
 
 
 def _product(factors: list[Factor], style: Style) -> list[str]:
     """Factors as written, repeated ones as powers if the language has them."""
     if style.power is None:
         return [_factor(factor, style) for factor in factors]
-    written = []
+    texts = []
     for factor, times in Counter(factors).items():
         name = _factor(factor, style)
-        written.append(style.power(name, times) if times > 1 else name)
-    return written
+        texts.append(style.power(name, times) if times > 1 else name)
+    return texts
 
 
 def _factor(factor: Factor, style: Style) -> str:
@@ -100,7 +100,7 @@ def _factor(factor: Factor, style: Style) -> str:
     return style.name(factor)
 
 
-def wrapped(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
+def wrap(start: str, pieces: list[str], indent: str, width: int = WIDTH) -> list[str]:
     """Pieces after a start in lines of a width; further lines are indented."""
     lines = [start]
     for piece in pieces:
@@ -172,3 +172,44 @@ def used_constants(listing: Listing) -> list[tuple[str, float, str]]:
         for factor in sorted(symbols)
         if factor.nature is Nature.CONSTANT
     ]
+
+
+def function_name(each: Equations) -> str:
+    """Of the function that computes them."""
+    return each.kind.name.replace("-", "_")
+
+
+def inputs(each: Equations, style: Style) -> Iterator[tuple[str, str]]:
+    """Names and where they come from: qp1 from qp[0], K3d from delta_d[2] / 2, S2 from sin(q2)."""
+    program = each.program
+    for symbol in program.symbols:
+        if symbol.nature in COORDINATES:
+            letter = COORDINATES[symbol.nature]
+            yield symbol.name, f"{letter}[{symbol.rank}]"
+    used = set(program.symbols)
+    for k, parameter in enumerate(each.parameters):
+        if parameter.symbol is not None and parameter.symbol in used:
+            divided = f" / {style.number(parameter.times)}" if parameter.times != 1 else ""
+            yield parameter.symbol.name, f"{each.vector}[{k}]{divided}"
+    for wave in program.waves:
+        if wave.content is not None:
+            function = "cos" if wave.nature is Nature.COSINE else "sin"
+            yield wave.name, f"{function}({' '.join(terms(wave.content, style))})"
+
+
+def references(each: Equations) -> set[Factor]:
+    """Results that other lines refer to."""
+    factors = (f for _, value in each.program.steps for f in leaves(value))
+    return {factor for factor in factors if factor in each.places}
+
+
+def last_uses(program: Program) -> dict[Factor, list[str]]:
+    """After which line which auxiliary variables are needed no more."""
+    last: dict[Factor, Factor] = {}
+    made = {name for name, _ in program.steps} - program.results
+    for name, value in program.steps:
+        last |= dict.fromkeys((f for f in leaves(value) if f in made), name)
+    done: dict[Factor, list[str]] = {}
+    for factor, name in last.items():
+        done.setdefault(name, []).append(factor.name)
+    return done

@@ -1,0 +1,124 @@
+"""The default answer, all checks and sigmas, beside what people write themselves.
+
+A script on Pinocchio makes rows of every sample, filters and decimates them, as users of its
+regressors do; one on iDynTree makes rows of every tenth sample of filtered signals. Both then call
+lstsq: no sigma, no checks. They read the same recordings, in the same process, in turns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import idyntree.bindings as idt
+import numpy as np
+import pinocchio as pin
+from scipy import signal
+
+import testbed as tb
+from benchmarks.random_recordings import ROOT, recorded
+from benchmarks.timing import least
+from testbed.arrays import Array
+from testbed.identification.estimate import METHODS, Method
+from testbed.recordings.recording import Recording
+
+ROBOTS = {"puma": ROOT / "models/puma562.urdf", "ur5": ROOT / "tests/golden/robots/ur5.urdf"}
+SECONDS = (20, 200)
+EVERY = 10
+"""Samples from one row to the next."""
+CUTOFF = 5.0
+"""Of the scripts' filters [Hz]."""
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def _filtered(signals: Array, rate: float) -> Array:
+    b, a = signal.butter(4, CUTOFF, fs=rate)
+    return np.asarray(signal.filtfilt(b, a, signals, axis=0))
+
+
+def _motion(recording: Recording) -> tuple[Array, Array, Array]:
+    q = _filtered(recording.position, recording.rate)
+    qd = np.gradient(q, 1 / recording.rate, axis=0)
+    return q, qd, np.gradient(qd, 1 / recording.rate, axis=0)
+
+
+def _measured(recording: Recording, method: Method) -> Array:
+    return recording.measured("wrench" if method == "external" else "torque")
+
+
+def pinocchio_script(file: Path, recording: Recording, method: Method) -> Array:
+    """Rows of every sample, filtered and decimated."""
+    root = (pin.JointModelFreeFlyer(),) if method == "external" else ()
+    robot = pin.buildModelFromUrdf(str(file), *root)
+    data, still, made = robot.createData(), np.zeros(6 if root else 0), []
+    at = np.array([0, 0, 0, 0, 0, 0, 1.0] if root else [])
+    rows = slice(6) if root else slice(None)
+    for q, qd, qdd in zip(*_motion(recording), strict=True):
+        states = (np.concatenate(each) for each in ((at, q), (still, qd), (still, qdd)))
+        made.append(pin.computeJointTorqueRegressor(robot, data, *states)[rows].copy())
+    columns = signal.decimate(np.array(made), EVERY, axis=0)
+    wanted = _filtered(_measured(recording, method), recording.rate)[::EVERY]
+    return _least_squares(columns, wanted)
+
+
+def idyntree_script(file: Path, recording: Recording, method: Method) -> Array:
+    """Rows of every tenth sample of filtered signals."""
+    loader, dynamics = idt.ModelLoader(), idt.KinDynComputations()
+    loader.loadReducedModelFromFile(str(file), list(recording.names))
+    dynamics.loadRobotModel(loader.model())
+    dynamics.setFrameVelocityRepresentation(idt.BODY_FIXED_REPRESENTATION)
+    n, links = len(recording.names), loader.model().getNrOfLinks()
+    regressor, still = idt.MatrixDynSize(6 + n, 10 * links), idt.Twist.Zero()
+    rest, here, gravity = idt.Vector6(), idt.Transform.Identity(), idt.Vector3()
+    rest.zero()
+    for axis, value in enumerate(GRAVITY):
+        gravity.setVal(axis, value)
+    rows, made = slice(6) if method == "external" else slice(6, None), []
+    s, sd, sdd = (idt.VectorDynSize(n) for _ in range(3))
+    for states in zip(*(each[::EVERY] for each in _motion(recording)), strict=True):
+        for kept, values in zip((s, sd, sdd), states, strict=True):
+            for joint, value in enumerate(values):
+                kept.setVal(joint, value)
+        dynamics.setRobotState(here, s, still, sd, gravity)
+        dynamics.inverseDynamicsInertialParametersRegressor(rest, sdd, regressor)
+        made.append(regressor.toNumPy()[rows].copy())
+    wanted = _filtered(_measured(recording, method), recording.rate)[::EVERY]
+    return _least_squares(np.array(made), wanted)
+
+
+def _least_squares(rows: Array, wanted: Array) -> Array:
+    found, *_ = np.linalg.lstsq(rows.reshape(-1, rows.shape[2]), wanted.ravel(), rcond=1e-8)
+    return np.asarray(found)
+
+
+def answers(rounds: int) -> Iterator[dict[str, Any]]:
+    """Times by robot, length and method [us a sample], and their ratios."""
+    for name, file in ROBOTS.items():
+        tree = tb.load_tree(file)
+        for seconds in SECONDS:
+            recording = recorded(tree, "default", "white", seconds, 0)
+            for method in METHODS:
+                yield _compared(name, file, tree, recording, method, rounds)
+
+
+def _compared(
+    name: str, file: Path, tree: tb.Tree, recording: Recording, method: Method, rounds: int
+) -> dict[str, Any]:
+    tasks: dict[str, Callable[[], object]] = {
+        "testbed": partial(tb.identify, tree, recording, method, threads=1),
+        "idyntree": partial(idyntree_script, file, recording, method),
+        "pinocchio": partial(pinocchio_script, file, recording, method),
+    }
+    tasks["testbed"]()  # the compiled kernel is loaded
+    best = least(tasks, rounds)
+    return {
+        "benchmark": "answer",
+        "robot": name,
+        "method": method,
+        "samples": recording.samples,
+        "us_a_sample": {task: round(t / recording.samples * 1e6, 2) for task, t in best.items()},
+        "over_pinocchio": round(best["pinocchio"] / best["testbed"], 1),
+        "over_idyntree": round(best["idyntree"] / best["testbed"], 2),
+    }

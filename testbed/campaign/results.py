@@ -1,0 +1,390 @@
+"""What came of a campaign: whatever was computed is there, once, and whole.
+
+campaign.toml     what was asked for, every default written out
+results.parquet   a row a run of the campaign, in order
+earlier.parquet   rows of runs that are not the campaign's any more: another version of the code,
+                  levels that were taken out; they are found again where they are asked for again
+new/              rows that have come since the table was written, a file a bundle
+recordings/       a Parquet file a run, where they are kept
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from sys import intern
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import tomli_w
+from numpy.typing import NDArray
+
+from testbed.campaign.bundle import Outcome
+from testbed.campaign.campaign import Campaign, CampaignTables, Place
+from testbed.errors import ExperimentError, RecordingError
+from testbed.experiment.experiment_tables import METRICS
+from testbed.files import replacing
+from testbed.identification.estimate import METHODS
+
+RESULTS, EARLIER, CAMPAIGN = "results.parquet", "earlier.parquet", "campaign.toml"
+NEW, RECORDINGS, LOCK = "new", "recordings", "lock"
+
+OWN = {RESULTS, EARLIER, CAMPAIGN, NEW, RECORDINGS, LOCK}
+"""Names that make a folder a campaign's."""
+
+LEAST_NEW = 1000
+"""New rows that are worth writing the table again, unless it is larger than that."""
+
+FORMAT = "testbed campaign 1"
+"""Name and version of the layout, kept in the file."""
+
+KEY = b"testbed"
+"""Under which the schema keeps the metadata."""
+
+AT_ONCE = 10_000
+"""Rows of a group: what is held twice while a table is written."""
+
+NUMBERS = ("truth", "values", "sigma", "relative_error")
+"""Of every estimate, a list each in the order of its names."""
+
+
+def schema_of(campaign: Campaign) -> pa.Schema:
+    """The columns of a campaign's table, and what is said of it there."""
+    fields = [
+        pa.field("run", pa.string()),
+        pa.field("status", pa.string()),
+        pa.field("error", pa.string()),
+        pa.field("command", pa.string()),
+        pa.field("cell", pa.int32()),
+        pa.field("replicate", pa.int32()),
+        pa.field("seed", pa.int64()),
+    ]
+    for k, name in enumerate(campaign.factors):
+        named = any(isinstance(cell.levels[k], str) for cell in campaign.cells)
+        fields.append(pa.field(f"factor/{name}", pa.string() if named else pa.float64()))
+    fields += [pa.field(f"metric/{name}", pa.float64()) for name in METRICS]
+    for method in METHODS:
+        fields.append(pa.field(f"{method}/names", pa.list_(pa.string())))
+        fields += [pa.field(f"{method}/{kind}", pa.list_(pa.float64())) for kind in NUMBERS]
+    fields.append(pa.field("warnings", pa.list_(pa.string())))
+    about = {
+        "format": FORMAT,
+        "name": campaign.tables.name,
+        "claim": campaign.tables.claim,
+        "experiment": campaign.base.name,
+        "cells": len(campaign.cells),
+        "methods": list(campaign.tables.methods),
+        "logarithmic": [f.name for f in campaign.tables.factor if f.log],
+    }
+    return pa.schema(fields, metadata={KEY: json.dumps(about, sort_keys=True)})
+
+
+def write_rows(path: Path, parts: Iterable[pa.Table], schema: pa.Schema) -> None:
+    """Write a table; it appears whole or not at all.
+
+    Args:
+        path: The file.
+        parts: Its rows, a group each.
+        schema: Of the table.
+    """
+    with replacing(path) as fresh, pq.ParquetWriter(fresh, schema, compression="zstd") as writer:
+        for part in parts:
+            writer.write_table(part)
+
+
+def read_rows(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
+    """Read a table.
+
+    Args:
+        path: The file.
+        columns: Only these; those that it lacks are left out.
+
+    Raises:
+        RecordingError: It is no campaign's table, or damaged.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            if about(file.schema_arrow).get("format") != FORMAT:
+                raise ValueError(f"it is not of the layout '{FORMAT}'")
+            there = file.schema_arrow.names
+            wanted = None if columns is None else [name for name in columns if name in there]
+            return file.read(wanted)
+    except (pa.ArrowException, OSError, ValueError, KeyError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise RecordingError(f"{path}: not a readable table of a campaign: {reason}") from None
+
+
+def about(schema: pa.Schema) -> dict[str, Any]:
+    """What a table says of its campaign."""
+    found = json.loads((schema.metadata or {}).get(KEY, b"{}"))
+    return found if isinstance(found, dict) else {}
+
+
+class StoredRows:
+    """Rows of several tables of one campaign, which stay in their files until they are asked for.
+
+    Attributes:
+        where: Number of the row that counts for each run: what has a result goes first, then what
+            comes first.
+    """
+
+    def __init__(self, files: Sequence[Path], schema: pa.Schema) -> None:
+        """Look which runs are there.
+
+        Args:
+            files: The tables, perhaps with other columns.
+            schema: Of what is read.
+
+        Raises:
+            RecordingError: One is no campaign's table, or damaged.
+        """
+        self._files, self._schema = tuple(files), schema
+        self.where: dict[str, int] = {}
+        starts: list[int] = [0]
+        killed: set[str] = set()
+        for file in files:
+            there = read_rows(file, ["run", "status"])
+            marks = zip(texts_of(there, "run"), texts_of(there, "status"), strict=True)
+            for row, (run, status) in enumerate(marks, start=starts[-1]):
+                if run not in self.where or (run in killed and status != "killed"):
+                    self.where[run] = row
+                    (killed.add if status == "killed" else killed.discard)(run)
+            starts.append(starts[-1] + len(there))
+        self._starts = np.array(starts)
+
+    def of_file(self, file: Path) -> range:
+        """Numbers of the rows of a file."""
+        if file not in self._files:
+            return range(0)
+        k = self._files.index(file)
+        return range(int(self._starts[k]), int(self._starts[k + 1]))
+
+    def parts(self, rows: Sequence[int]) -> Iterator[pa.Table]:
+        """The rows of these numbers, in this order; not too many at once."""
+        for first in range(0, len(rows), AT_ONCE):
+            yield self._taken(np.array(rows[first : first + AT_ONCE]))
+
+    def _taken(self, rows: NDArray[np.int64]) -> pa.Table:
+        files = np.searchsorted(self._starts, rows, side="right") - 1
+        order = np.argsort(files, kind="stable")
+        tables = []
+        for k in np.unique(files):
+            own = rows[files == k] - self._starts[k]
+            tables.append(_fitted(_rows_at(self._files[k], own), self._schema))
+        every = pa.concat_tables(tables)
+        return every.take(pa.array(np.argsort(order))).combine_chunks()
+
+
+def _rows_at(path: Path, rows: NDArray[np.int64]) -> pa.Table:
+    """Some rows of a file; only the groups that hold them are read."""
+    with pq.ParquetFile(path) as file:
+        sizes = np.array([file.metadata.row_group(g).num_rows for g in range(file.num_row_groups)])
+        ends = np.cumsum(sizes)
+        group = np.searchsorted(ends, rows, side="right")
+        wanted = np.unique(group)
+        before = np.cumsum([0, *sizes[wanted][:-1]])
+        at = rows - (ends - sizes)[group] + before[np.searchsorted(wanted, group)]
+        return file.read_row_groups(wanted.tolist()).take(pa.array(at))
+
+
+def _fitted(table: pa.Table, schema: pa.Schema) -> pa.Table:
+    """The same rows with a schema's columns: those that are missing are empty."""
+    columns = []
+    for field in schema:
+        if field.name in table.column_names:
+            columns.append(table[field.name].cast(field.type))
+        else:
+            columns.append(pa.nulls(len(table), field.type))
+    return pa.table(columns, schema=schema)
+
+
+def texts_of(rows: pa.Table, column: str) -> list[str]:
+    """A column of text, equal texts only once in memory: a large campaign knows each many times.
+
+    Args:
+        rows: The table.
+        column: Its name.
+    """
+    return [intern(each) for part in rows[column].chunks for each in part.to_pylist()]
+
+
+class CampaignFolder:
+    """The rows of a campaign, on disk; written by one process alone.
+
+    Attributes:
+        path: The folder.
+        places: Of all runs of the campaign, by hash.
+        status: Of every run that is there, by hash.
+        figures: Values of the figure that a rule for stopping looks at, by hash.
+    """
+
+    def __init__(self, path: Path, campaign: Campaign, places: Mapping[str, Place]) -> None:
+        """Look what is there; everything that was left half-way is put in order.
+
+        Args:
+            path: The folder; made if it is not there.
+            campaign: Whose it is.
+            places: Of all runs of the campaign, by hash, in order.
+        """
+        self.path, self.places = path, places
+        self._campaign, self._schema = campaign, schema_of(campaign)
+        self.status: dict[str, str] = {}
+        self.figures: dict[str, float | None] = {}
+        self._waiting = self._written = self._number = 0
+        if any(file.exists() for file in self._files()):
+            self.compact()
+
+    def _files(self) -> list[Path]:
+        """All tables, the oldest first."""
+        new = sorted((self.path / NEW).glob("*.parquet"))
+        return [self.path / RESULTS, self.path / EARLIER, *new]
+
+    def add(self, outcomes: Sequence[Outcome]) -> None:
+        """Keep what came of a bundle: safe on disk when this returns."""
+        for outcome in outcomes:
+            if outcome.recording is not None:
+                with replacing(self.path / RECORDINGS / f"{outcome.run}.parquet") as fresh:
+                    fresh.write_bytes(outcome.recording)
+        rows = pa.Table.from_pylist([self._row(each) for each in outcomes], schema=self._schema)
+        self._number += 1
+        name = f"{self._number:08d}-{outcomes[0].run}.parquet"
+        write_rows(self.path / NEW / name, [rows], self._schema)
+        self._note(rows)
+        self._waiting += len(rows)
+        if self._waiting >= max(LEAST_NEW, self._written):
+            self.compact()
+
+    def _row(self, outcome: Outcome) -> dict[str, Any]:
+        row: dict[str, Any] = {
+            "run": outcome.run,
+            "status": outcome.status,
+            "error": outcome.error,
+            "warnings": list(outcome.warnings),
+        }
+        row |= self._known(outcome.run, outcome.status)
+        row |= {f"metric/{name}": value for name, value in (outcome.metrics or {}).items()}
+        for method, estimate in (outcome.estimates or {}).items():
+            row |= {f"{method}/{kind}": values for kind, values in estimate.items()}
+        return row
+
+    def _known(self, run: str, status: str) -> dict[str, Any]:
+        """Columns that the campaign knows of a run by its place."""
+        campaign, place = self._campaign, self.places[run]
+        row: dict[str, Any] = {
+            "cell": place.cell,
+            "replicate": place.replicate,
+            "seed": campaign.seed(*place),
+            "command": "" if status == "done" else campaign.command(*place),
+        }
+        for name, level in zip(campaign.factors, campaign.cells[place.cell].levels, strict=True):
+            named = self._schema.field(f"factor/{name}").type == pa.string()
+            row[f"factor/{name}"] = str(level) if named else float(level)
+        return row
+
+    def _note(self, rows: pa.Table) -> None:
+        runs = texts_of(rows, "run")
+        self.status |= dict(zip(runs, texts_of(rows, "status"), strict=True))
+        if self._campaign.tables.stop is not None:
+            values = rows[f"metric/{self._campaign.tables.stop.figure}"].to_pylist()
+            self.figures |= dict(zip(runs, values, strict=True))
+
+    def compact(self) -> None:
+        """All rows into one table, and what is not the campaign's any more into another one.
+
+        A file is removed only when what it holds stands elsewhere.
+        """
+        there = [file for file in self._files() if file.exists()]
+        stored, earlier = StoredRows(there, self._schema), self.path / EARLIER
+        others = [row for run, row in stored.where.items() if run not in self.places]
+        if others or earlier.exists():  # what comes back from there stays until it stands elsewhere
+            kept = sorted({*others, *stored.of_file(earlier)})
+            write_rows(earlier, stored.parts(kept), self._schema)
+            there = [file for file in self._files() if file.exists()]
+            stored = StoredRows(there, self._schema)
+        mine = [stored.where[run] for run in self.places if run in stored.where]
+        placed = (self._placed(part) for part in stored.parts(mine))
+        write_rows(self.path / RESULTS, placed, self._schema)
+        for file in there:
+            if file.parent.name == NEW:
+                file.unlink()
+        if earlier.exists():
+            self._leave_others(earlier)
+        self._waiting, self._written = 0, len(mine)
+        pa.default_memory_pool().release_unused()
+
+    def _leave_others(self, earlier: Path) -> None:
+        """Rows of the campaign stand in its own table now, and need not in that of others."""
+        stored = StoredRows([earlier], self._schema)
+        others = [row for run, row in stored.where.items() if run not in self.places]
+        if len(others) < len(stored.of_file(earlier)):
+            write_rows(earlier, stored.parts(others), self._schema)
+
+    def _placed(self, rows: pa.Table) -> pa.Table:
+        """Rows, noted, with what this campaign says of them: they may come from an earlier one."""
+        columns: dict[str, list[object]] = {}
+        marks = zip(texts_of(rows, "run"), texts_of(rows, "status"), strict=True)
+        for run, status in marks:
+            for name, value in self._known(run, status).items():
+                columns.setdefault(name, []).append(value)
+        for name, values in columns.items():
+            index, field = self._schema.get_field_index(name), self._schema.field(name)
+            rows = rows.set_column(index, field, pa.array(values, field.type))
+        self._note(rows)
+        return rows
+
+    def failures(self) -> list[tuple[str, str]]:
+        """Runs without a result: what makes each again, and why it has none."""
+        rows = read_rows(self.path / RESULTS, ["status", "command", "error"]).to_pylist()
+        return [(row["command"], row["error"]) for row in rows if row["status"] != "done"]
+
+    def missing(self, runs: Collection[str]) -> list[str]:
+        """Which of some runs have no result yet; those that were killed have none.
+
+        Args:
+            runs: By hash.
+        """
+        return [run for run in runs if self.status.get(run, "killed") == "killed"]
+
+
+@contextmanager
+def own_folder(path: Path, tables: CampaignTables) -> Iterator[None]:
+    """A campaign's folder for one process alone.
+
+    Args:
+        path: The folder; made if it is not there.
+        tables: What is asked for; kept in it.
+
+    Raises:
+        ExperimentError: Something else is there, or another process is writing there.
+    """
+    if path.exists() and not path.is_dir():
+        raise ExperimentError(f"'{path}' is a file; name a folder with --out")
+    present = {each.name for each in path.iterdir()} if path.is_dir() else set()
+    others = sorted(name for name in present - OWN if not name.startswith("."))
+    if present and CAMPAIGN not in present and others:
+        raise ExperimentError(
+            f"'{path}' is no campaign's folder: it holds {', '.join(others[:3])}; name another "
+            "with --out"
+        )
+    path.mkdir(parents=True, exist_ok=True)
+    lock = os.open(path / LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(lock)
+        raise ExperimentError(f"another command is writing to '{path}'; wait for it") from None
+    except OSError:
+        pass  # a file system without locks
+    try:
+        with replacing(path / CAMPAIGN) as fresh:
+            said = tables.model_dump(mode="json", exclude_none=True)
+            fresh.write_text(tomli_w.dumps(said), encoding="utf-8")
+        yield
+    finally:
+        os.close(lock)

@@ -1,0 +1,284 @@
+"""Whether a recording can be true of a robot at all, before anything is estimated.
+
+Masses need only be right within a factor of a few. A recording is refused where the data by some
+hypotheses about its mapping are far more likely than as they are, and explained well; where no
+mapping explains what a plate has measured; and where a robot would have a negative weight. Where
+that is less clear, or torques are only too small or too large, there are warnings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import RecordingError
+from testbed.identification.finding import Finding, in_lines
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.source import Source
+from testbed.robot.rotations import from_rpy
+from testbed.robot.tree import Tree
+from testbed.sanity.explanation import Explanation
+from testbed.sanity.findings import (
+    Alternatives,
+    Doubt,
+    at_rest,
+    negative_weight,
+    odd_sizes,
+    other_zero,
+    out_of_range,
+    spikes,
+    still_joints,
+    undecided,
+    unexplained_plate,
+    wrong_mapping,
+)
+from testbed.sanity.hypotheses import Hypothesis, in_words
+from testbed.sanity.plate import WrenchFit
+from testbed.sanity.remedies import Remedy, remedies_for
+from testbed.sanity.search import Progress, Search
+
+CERTAIN, LIKELY = 12.0, 6.0
+"""Differences of minus the logarithm of likelihood from which a hypothesis is certain, or likely.
+"""
+
+WELL, NOISY, TIMES = 0.4, 3.0, 4.0
+"""Part of a channel's variance that may be left where a hypothesis is called certain, times its
+noise's part that may be left besides; and times less than before that must be left."""
+
+SAME = np.deg2rad(3.0)
+"""Difference of zeros that are no other ones [rad]."""
+
+ALONG = 1e-3
+"""By how much a turn's axis may differ from a joint's."""
+
+MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
+"""Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
+a weight counts as a moment [m]."""
+
+MOST_SAMPLES = 200_000
+"""Samples that are looked at, from the recording's middle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """What speaks for and against a recording.
+
+    Attributes:
+        doubts: What is certainly wrong, and what may be.
+        sizes: Torques are so many times what the model file's masses say; nan where they do not
+            tell, (n,) or (0,).
+        remedies: What would make it right, to be applied together; empty where nothing is wrong.
+        alternatives: What else explains it.
+        as_read: The recording as it is; None where nothing can be told.
+        explanations: What explains it, the best first; none where nothing can be told.
+        undecided: What of the positions is left open, where nothing of the mapping is wrong; empty
+            where that is nothing, or was not looked at.
+    """
+
+    doubts: tuple[Doubt, ...]
+    sizes: Array = field(default_factory=lambda: np.zeros(0))
+    remedies: tuple[Remedy, ...] = ()
+    alternatives: Alternatives = field(default_factory=Alternatives)
+    as_read: Explanation | None = None
+    explanations: tuple[Explanation, ...] = ()
+    undecided: str = ""
+
+    @property
+    def certain(self) -> tuple[Finding, ...]:
+        """What is certainly wrong."""
+        return tuple(each.finding for each in self.doubts if each.certain)
+
+    @property
+    def likely(self) -> tuple[Finding, ...]:
+        """What may be wrong."""
+        return tuple(each.finding for each in self.doubts if not each.certain)
+
+    @property
+    def best(self) -> Explanation | None:
+        """What explains the recording best."""
+        return self.explanations[0] if self.explanations else None
+
+    @property
+    def wrench_fit(self) -> WrenchFit | None:
+        """The plate as it was read beside what explains it; None where there is none."""
+        return None if self.as_read is None else self.as_read.fit.plate.wrench_fit()
+
+    def require(self, *, align: bool = False) -> None:
+        """Stop where something is certainly wrong.
+
+        Args:
+            align: Whether clocks are set right besides.
+
+        Raises:
+            RecordingError: Says what is wrong, and what would make it right.
+        """
+        late = len(self.certain) == 1 and [each.kind for each in self.remedies] == ["late"]
+        if self.certain and not (align and late):
+            lines = "; ".join(in_lines(self.certain))
+            raise RecordingError(f"the recording cannot be true of this robot: {lines}")
+
+
+def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Assessment:
+    """What speaks for and against a recording.
+
+    Args:
+        tree: The robot, its masses right within a factor of a few; not used for estimates.
+        source: The recording.
+        progress: Told how much of the search is done.
+
+    Raises:
+        RecordingError: It is of another robot.
+    """
+    check_robot(source, tree)
+    tree = tree.with_gravity(source.facts.get("gravity"))
+    first = max(0, (source.samples - MOST_SAMPLES) // 2)
+    part = source.part(first, min(source.samples, first + MOST_SAMPLES)).ordered(tree)
+    odd = tuple(spikes(part))
+    if odd:
+        return Assessment(odd)
+    mapping: Mapping[str, Any] = source.facts.get("mapping", {})
+    search = Search(tree, part, mapping, progress)
+    beyond = tuple(out_of_range(tree, part.position))
+    if search.instants is None:
+        return Assessment(beyond)
+    rest = tuple(at_rest(tree, search.instants))
+    if rest:
+        return Assessment((*beyond, *rest))
+    return _judge(tree, mapping, source.tare, beyond, search)
+
+
+def _judge(
+    tree: Tree, mapping: Mapping[str, Any], tare: Array | None, beyond: Sequence[Doubt],
+    search: Search,
+) -> Assessment:  # fmt: skip
+    """What explanations say for and against a recording; `beyond`: of positions out of range."""
+    as_read, explanations = search.best()
+    best = explanations[0]
+    sizes, torques = best.torques.sizes, len(best.torques.unexplained)
+    gain = as_read.cost - best.cost
+    clear = gain > CERTAIN and _explains(as_read, best)
+    plate = tuple(unexplained_plate(best))
+    foreign = any(each.certain for each in plate)
+    still = tuple(still_joints(tree, as_read))
+    if any(each.number for each in still) and (foreign or not clear):
+        return Assessment(tuple(Doubt(foreign, each) for each in still), sizes)
+    wrong = []
+    if gain > LIKELY and not foreign:
+        wrong = [_timed(each, best) for each in best.hypotheses if each.kind != "torque_size"]
+    zero = None if foreign or not best.has_plate else zero_hypothesis(best, tare)
+    hypotheses = wrong if zero is None else [*wrong, zero]
+    before = as_read.unexplained
+    before[:torques] = best.torques.unexplained_as_recorded
+    remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
+    others = _alternatives(tree, explanations)
+    doubts = [] if wrong else list(beyond)
+    if not (wrong and clear):
+        doubts += plate
+    if wrong:
+        doubts.append(Doubt(clear, wrong_mapping(tree, remedies, others, gain)))
+    if not foreign:
+        if best.has_plate:
+            doubts += negative_weight(best, tare)
+        if zero is not None and not wrong:
+            doubts.append(Doubt(False, other_zero(remedies[-1])))
+        sized = any(each.kind == "torque_size" for each in best.hypotheses)
+        doubts += odd_sizes(tree, sizes, mapping, certain=sized)
+    doubts += [Doubt(False, each) for each in still]
+    unclear = "" if wrong or foreign else undecided(tree, search.undecided())
+    return Assessment(tuple(doubts), sizes, remedies, others, as_read, tuple(explanations), unclear)
+
+
+def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:
+    """The same; that a plate is late, by what was fitted beside, too."""
+    if hypothesis.kind != "late":
+        return hypothesis
+    return replace(hypothesis, values=(hypothesis.values[0] + best.plate.late,))
+
+
+def _explains(as_read: Explanation, best: Explanation) -> bool:
+    """Whether channels that are explained better than as they were read are explained well."""
+    before, after = as_read.unexplained, best.unexplained
+    for each in best.hypotheses:
+        if each.kind == "torque_order":  # what is left of a column, whosever it is
+            after[list(each.values)] = best.torques.unexplained
+    better = (before > TIMES * after) & (before > NOISY * as_read.noise)
+    better |= any(each.kind == "shift" for each in best.hypotheses) & (before < WELL)
+    return bool(better.any() and (after < WELL + NOISY * best.noise)[better].all())
+
+
+def zero_hypothesis(
+    best: Explanation, tare: Array | None, least: float = MOVED
+) -> Hypothesis | None:
+    """That a plate shows something without the robot, if it clearly does.
+
+    Args:
+        best: What explains the recording best; with a wrench.
+        tare: What the recording says that it shows, (6,) [N, N m]; None for the model's pedestal.
+        least: Parts of the robot's weight by which it must be another one.
+    """
+    prior = best.fit.prior
+    zero, sigma = best.fit.plate.zero(best.plate)
+    smallest = least * prior.weight * np.repeat([1.0, ARM], 3)
+    moved = np.abs(zero - prior.zero(tare)) > np.maximum(smallest, CLEAR * sigma)
+    return Hypothesis("tare", (), tuple(np.round(zero, 3).tolist())) if moved.any() else None
+
+
+def _alternatives(tree: Tree, explanations: Sequence[Explanation]) -> Alternatives:
+    """What else explains a recording, that is none like the best, which comes first."""
+    best, *others = explanations
+    most = best.cost + best.tolerance
+    equals = dict.fromkeys(_equal_zeros(tree, best.hypotheses))
+    for each in others:
+        if each.cost <= most and each.count <= best.count and not _alike(each, best):
+            words = " and ".join(in_words(tree, hypothesis) for hypothesis in each.hypotheses)
+            equals[words or "nothing wrong"] = None
+    worse = [each for each in others if each.cost > most and each.hypotheses != best.hypotheses]
+    if not worse:
+        return Alternatives(equals=tuple(equals))
+    nearest = min(worse, key=lambda each: each.cost)
+    more, least = (
+        float((each.plate if each.has_plate else each.torques).unexplained.sum())
+        for each in (nearest, best)
+    )
+    kinds = tuple(dict.fromkeys(each.kind for each in nearest.hypotheses))
+    return Alternatives(kinds, more / (least + 1e-9), tuple(equals))
+
+
+def _equal_zeros(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[str]:
+    """Zeros of the first joint that are the same as a turn of the plate's frame about its axis."""
+    roots = [joint for joint in tree.joints if joint.parent < 0]
+    for each in hypotheses:
+        if each.kind != "turn" or len(roots) != 1 or not roots[0].revolute or tree.floating:
+            continue
+        turn, axis = from_rpy(each.values), roots[0].carried_axis
+        if np.linalg.norm(turn @ axis - axis) < ALONG:
+            sine = float(axis @ [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0],
+                                 turn[1, 0] - turn[0, 1]]) / 2  # fmt: skip
+            angle = np.arctan2(sine, (np.trace(turn) - 1) / 2)
+            yield f"another zero of '{roots[0].name}' ({-np.rad2deg(angle):.4g} deg)"
+
+
+def _alike(one: Explanation, other: Explanation) -> bool:
+    """Whether two explanations are the same, zeros and turns to a few degrees."""
+    pairs = zip_longest(_sorted(one), _sorted(other), fillvalue=Hypothesis("zero"))
+    return all(a == b or _near(a, b) for a, b in pairs)
+
+
+def _sorted(one: Explanation) -> list[Hypothesis]:
+    return sorted(one.hypotheses, key=lambda each: (each.kind, each.joints))
+
+
+def _near(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether two hypotheses are one, but for what noise makes of it."""
+    if (one.kind, one.joints) != (other.kind, other.joints):
+        return False
+    if one.kind == "turn":
+        cosine = (np.trace(from_rpy(one.values) @ from_rpy(other.values).T) - 1) / 2
+        return bool(cosine > np.cos(SAME))
+    zeros = one.kind == "zero" and np.allclose(one.values, other.values, atol=SAME)
+    return one.kind in ("shift", "tare") or zeros

@@ -1,0 +1,179 @@
+"""A recording held against its robot before anything is estimated: the room's front door.
+
+The verdict is kept with the recording, so that nothing is held against a robot twice.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from testbed.errors import RecordingError
+from testbed.parameters.barycentric import standard
+from testbed.recordings.geometry import geometry
+from testbed.recordings.importing.import_report import ImportReport
+from testbed.recordings.importing.mapping import read_mapping
+from testbed.recordings.importing.pieces import pieces
+from testbed.recordings.measured_base import on_its_base
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+from testbed.robot.tree import Tree
+from testbed.sanity.assessment import MOST_SAMPLES, assess
+from testbed.sanity.search import Progress
+from testbed.sanity.time_offset import TimeOffset, align_mapping, in_mapping, time_offsets
+
+UNCHECKED = "the recording was not held against the robot (--unchecked)"
+
+RESTS = 5e-3
+"""By how much a base that is welded may seem to move [m]."""
+
+FACT = "verdict"
+"""Where a recording keeps it."""
+
+METHOD = 2
+"""Of the check; another number and what was kept counts no more."""
+
+BLOCK = 100_000
+"""Samples that are read at once."""
+
+
+@dataclass(frozen=True)
+class CheckReport:
+    """What a recording held against its robot shows.
+
+    Attributes:
+        offsets: How late torques and wrench are.
+        doubts: What may be wrong.
+        delays: Signals that are late, with lines for the mapping.
+        notes: What the data leave open.
+    """
+
+    offsets: tuple[TimeOffset, ...] = ()
+    doubts: tuple[str, ...] = ()
+    delays: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All that may be wrong."""
+        return (*self.doubts, *self.delays)
+
+
+def check_recording(
+    tree: Tree, source: Source, *, align: bool = False, unchecked: bool = False,
+    progress: Progress | None = None,
+) -> CheckReport:  # fmt: skip
+    """Hold a recording against its robot; one that keeps a verdict is not held again.
+
+    Args:
+        tree: The robot, its masses right within a factor of a few.
+        source: The recording.
+        align: Whether clocks are set right besides: a late plate does not stop then.
+        unchecked: Whether to accept it without a search for what is wrong.
+        progress: Told how much of the search is done.
+
+    Raises:
+        RecordingError: The recording cannot be true of this robot; says what would make it right.
+    """
+    source = on_its_base(source, tree)
+    notes: list[str] = []
+    doubts = [] if tree.floating else _base_motion(source)
+    if doubts and not unchecked:
+        raise RecordingError(doubts[0])
+    if unchecked:
+        doubts.append(UNCHECKED)
+    else:
+        verdict = source.facts.get(FACT) or {}
+        if verdict.get("of") == digest(tree, source):
+            return CheckReport(doubts=tuple(verdict["warnings"]))
+        assessment = assess(tree, source, progress)
+        assessment.require(align=align)
+        doubts += [each.text for each in assessment.likely]
+        notes += [assessment.undecided] * bool(assessment.undecided)
+    offsets = time_offsets(tree, source)
+    mapping = source.facts.get("mapping", {})
+    delays = [f"{each.text}; {in_mapping(each, mapping)}" for each in offsets if each.matters]
+    return CheckReport(tuple(offsets), tuple(doubts), tuple(delays), tuple(notes))
+
+
+def _base_motion(source: Source) -> list[str]:
+    """What is wrong where a base moves and the robot's is taken as welded."""
+    if "base" not in source.signals:
+        return []
+    base = source.part(0, min(source.samples, MOST_SAMPLES)).measured("base")
+    distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
+    if distance <= RESTS:
+        return []
+    return [
+        f"the recording's base moves by {distance:.2g} m, and the robot's is taken as welded to "
+        "the bedplate: add --set robot.base=measured"
+    ]
+
+
+def import_and_check(
+    path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False,
+    progress: Progress | None = None,
+) -> tuple[tuple[Recording, ...], list[str], CheckReport]:  # fmt: skip
+    """Recordings made by a mapping file, the longest of which is held against its robot.
+
+    Args:
+        path: The mapping file.
+        tree: The robot, its masses right within a factor of a few.
+        align: Whether delays and drifts of clocks are taken back.
+        unchecked: Whether to accept them without a search for what is wrong.
+        progress: Told how much of the search is done.
+
+    Returns:
+        The recording, or its pieces where a source was silent for too long, with the verdict;
+        where it was cut, in words; and what it shows before anything is taken back.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is damaged, or the recording cannot be true of this robot.
+    """
+    recordings, cuts = pieces(path)
+    longest = max(recordings, key=lambda each: each.samples)
+    report = check_recording(tree, longest, align=align, unchecked=unchecked, progress=progress)
+    if align:
+        imported = ImportReport.from_dict(longest.facts["import"])
+        recordings, cuts = pieces(path, align_mapping(read_mapping(path), imported, report.offsets))
+        report = replace(report, delays=())
+    if not unchecked:
+        most = max(each.samples for each in recordings)
+        recordings = tuple(
+            _with_verdict(each, tree, report) if each.samples == most else each
+            for each in recordings
+        )
+    return recordings, cuts, report
+
+
+def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:
+    """A recording that keeps what was said of it."""
+    of = digest(tree, on_its_base(recording, tree))
+    verdict = {"of": of, "warnings": list(report.warnings)}
+    return replace(recording, facts={**recording.facts, FACT: verdict})
+
+
+def digest(tree: Tree, source: Source) -> str:
+    """Of all that a verdict depends on: the data, what the mapping says, the robot.
+
+    Args:
+        tree: The robot.
+        source: The recording.
+    """
+    facts = [
+        METHOD, source.names, source.rate, source.facts.get("mapping"),
+        source.facts.get("gravity"), geometry(tree), standard(tree).tolist(),
+        tree.gravity.tolist(), [joint.position_range.tolist() for joint in tree.joints],
+        None if source.tare is None else source.tare.tolist(), tree.floating,
+    ]  # fmt: skip
+    sha = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for first in range(0, source.samples, BLOCK):
+        part = source.part(first, min(source.samples, first + BLOCK))
+        for values in (part.time, part.position, part.torque, part.wrench):
+            sha.update(b"" if values is None else values.tobytes())
+    return sha.hexdigest()

@@ -1,0 +1,372 @@
+"""What may be wrong with a recording, in words; each kind of finding has a code."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import few, round_significant
+from testbed.identification.finding import Finding, components
+from testbed.recordings.columns import AXES
+from testbed.recordings.importing.draft import in_toml
+from testbed.recordings.recording import Recording
+from testbed.robot.tree import Tree
+from testbed.sanity.explanation import BRAKED, Explanation
+from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
+from testbed.sanity.instants import Instants
+from testbed.sanity.plate import MIXED
+from testbed.sanity.remedies import Remedy, in_mapping
+
+SPIKES, REST, STILL = "channel.spikes", "robot.rest", "position.still"
+RANGE, SIZE, MAPPING = "position.range", "torque.size", "mapping"
+SILENT, CROSSTALK, FOREIGN = "plate.silent", "plate.crosstalk", "plate.foreign"
+WEIGHT, ZERO = "plate.weight", "plate.zero"
+
+USUAL: Mapping[str, tuple[tuple[str, ...], str]] = {
+    SPIKES: (("spikes",), "cut them out by `start` and `stop` in the mapping, or repair the file"),
+    REST: (("a robot at rest", "columns that are not positions"), "record a motion of all joints"),
+    STILL: (
+        ("a dead encoder", "a column that is not its position", "a joint held by its brake"),
+        "look at the columns of [position]; of joints at rest nothing is identified",
+    ),
+    SILENT: (
+        ("columns that are not the plate's", "a plate that was not read"),
+        "look at the columns of [wrench]",
+    ),
+    CROSSTALK: (
+        ("crosstalk", "a calibration matrix that is not used"),
+        "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
+    ),
+    FOREIGN: (
+        ("another robot", "columns that are not the plate's", "a plate that drifts"),
+        "look at the columns of [position] and [wrench], and at the model",
+    ),
+    WEIGHT: (
+        ("a plate that was zeroed under the robot", "the opposite sense of the wrench"),
+        "in the mapping: [wrench] tare, what the plate shows without the robot",
+    ),
+}
+"""By code: usual causes, and what to do."""
+
+RESTS, ROUNDING = 1e-3, 1e-9
+"""Motion of joints below which they rest [rad or m]; part of a value that a filter's rounding
+changes at most."""
+
+RARE, FEWEST, APART = 1e-3, 5, 3
+"""Part of the samples, and number, that may be spikes; samples after which one is over."""
+
+FAR, LITTLE = 2.0, 1e-2
+"""Ranges of all other samples by which a spike lies outside; part of the largest range of its
+signal's channels that each has at least."""
+
+OUTSIDE = 1.0
+"""Ranges of a joint by which its positions must leave it to be certainly wrong."""
+
+UNEXPLAINED, NOISY = 0.05, 3.0
+"""Share of a channel that no reading of a right recording leaves; times the noise's own besides."""
+
+PULLED = -0.1
+"""Parts of the robot's weight below which a robot weighs less than nothing."""
+
+SMALL, LARGE = 0.4, 2.5
+"""Times what the model file says beyond which torques are doubted."""
+
+LEAST, MOST = 0.25, 4.0
+"""The same where they are refused: no masses are so wrong."""
+
+SMALLER = {"N m": "N mm", "A": "mA", "V": "mV", "kN m": "N m", "N": "mN"}
+"""Units a thousand times smaller."""
+
+CLEARLY = 1.2
+"""Times as much as the best leaves from which another explanation leaves more."""
+
+
+class Doubt(NamedTuple):
+    """A finding, and whether it is certain or only likely."""
+
+    certain: bool
+    finding: Finding
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """What else explains a recording.
+
+    Attributes:
+        runner_up: Kinds of hypotheses of the next best explanation; empty if there is none.
+        times: So many times more is left by that.
+        equals: What explains the same, in words.
+    """
+
+    runner_up: tuple[str, ...] = ()
+    times: float = 1.0
+    equals: tuple[str, ...] = ()
+
+
+def share(part: float) -> str:
+    """A part of a channel's variance as a person reads it.
+
+    Args:
+        part: 1 for all.
+    """
+    return f"{100 * min(part, 1.0):.3g}%"
+
+
+def spikes(recording: Recording) -> Iterator[Doubt]:
+    """Channels with a few samples far outside of all others.
+
+    Args:
+        recording: Or a part of one.
+    """
+    for signal in (name for name in ("position", "torque", "wrench") if name in recording.signals):
+        values = recording.measured(signal)
+        edge = min(max(FEWEST, int(RARE * len(values))), len(values) // 4)
+        ordered = np.partition(values, (edge, len(values) - 1 - edge), axis=0)
+        low, high = ordered[edge], ordered[-1 - edge]
+        room = FAR * np.maximum(high - low, LITTLE * (high - low).max())
+        outside = (values < low - room) | (values > high + room)
+        lasting = outside[APART:] & outside[:-APART]
+        for k in np.flatnonzero(outside.any(axis=0) & ~lasting.any(axis=0)):
+            at = np.flatnonzero(outside[:, k])
+            name = f"the plate's {AXES[k]}"
+            if signal != "wrench":
+                name = f"the {signal} of '{recording.names[k]}'"
+            first = ", ".join(f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at[:3])
+            more = f" and {len(at) - 3} more" if len(at) > 3 else ""
+            text = f"is {first}{more}, and between {low[k]:.4g} and {high[k]:.4g} else"
+            yield Doubt(True, _finding(SPIKES, name, text, len(at)))
+
+
+def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Doubt]:
+    """Positions that no joint of this robot can have.
+
+    Args:
+        tree: The robot.
+        position: (M, n) [rad or m].
+        outside: Ranges by which they leave the joint's range.
+    """
+    lines, turning = [], False
+    for joint, q in zip(tree.joints, position.T, strict=True):
+        low, high = joint.position_range
+        room = outside * (high - low)
+        if q.min() < low - room or q.max() > high + room:
+            turning |= joint.revolute
+            lines.append(
+                f"'{joint.name}' {q.min():.4g} to {q.max():.4g} (its range is {low:.4g} to "
+                f"{high:.4g} {'rad' if joint.revolute else 'm'})"
+            )
+    if lines:
+        more = f" and {len(lines) - 2} more" if len(lines) > 2 else ""
+        unit = "deg" if turning else "mm"
+        yield Doubt(True, Finding(
+            "positions",
+            f"are such as no joint has: {', '.join(lines[:2])}{more}",
+            float(len(lines)),
+            (f"positions in {unit}", "positions on the motors' side of the gears"),
+            f'in the mapping: [position] unit = "{unit}", or side = "motor" and a table [gear]',
+            RANGE,
+        ))  # fmt: skip
+
+
+def at_rest(tree: Tree, instants: Instants) -> Iterator[Doubt]:
+    """A robot that does not move, or else a plate that shows one value throughout.
+
+    Args:
+        tree: The robot.
+        instants: Of the recording.
+    """
+    moved = np.ptp(instants.position, axis=0)[list(own_joints(tree))].max(initial=0.0)
+    wrench = instants.wrench
+    if moved < RESTS and len(own_joints(tree)):
+        text = (
+            f"rests: no joint moves by more than {moved:.2g} rad or m, so nothing of units, "
+            "signs, orders and frames can be told"
+        )
+        yield Doubt(False, _finding(REST, "the robot", text, moved))
+    elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
+        text = f"shows the same throughout, {components(wrench[0])} N, N m, while joints move"
+        yield Doubt(True, _finding(SILENT, "the plate", text, 0.0))
+
+
+def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Finding]:
+    """Joints that rest throughout by their positions, those first that their torques say move.
+
+    Args:
+        tree: The robot.
+        as_read: The recording as it is; without torques, the plate's channels count.
+    """
+    moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
+    if not moves.size:
+        moves = np.full(tree.n, not as_read.plate.explained(BRAKED))
+    position = as_read.fit.instants.position
+    still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
+    dead = [k for k in still if moves[k]]
+    if still:
+        more = ", and what was measured is not explained by a joint at rest" if dead else ""
+        names = few([tree.names[k] for k in dead or still])
+        causes = () if dead else ("a joint at rest", *USUAL[STILL][0])
+        text = f"is the same throughout{more}"
+        yield _finding(STILL, f"the position of {names}", text, len(dead), causes)
+
+
+def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
+    """A plate that no mapping explains.
+
+    Args:
+        best: What explains the recording best.
+    """
+    evidence, plate = best.fit.plate, best.plate
+    if plate.explained(MIXED):
+        return
+    shares, noise = plate.unexplained, plate.noise
+    channel = int(np.argmax(shares - NOISY * noise))
+    certain = not plate.explained(UNEXPLAINED)
+    text = (
+        f"{share(shares[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
+    )
+    if evidence.mixed(shares):
+        text = f"mixes its channels: {text}, {share(evidence.least_in_time)} by a matrix of all six"
+        yield Doubt(certain, _finding(CROSSTALK, "the plate", text, shares[channel]))
+    else:
+        text = f"has measured another robot, or in other columns: {text}"
+        yield Doubt(certain, _finding(FOREIGN, "the plate", text, shares[channel]))
+
+
+def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
+    """A robot that pulls its plate up.
+
+    Args:
+        best: What explains the recording best; with a wrench.
+        tare: What the recording says that it shows without the robot, as of `Prior.zero`.
+    """
+    prior = best.fit.prior
+    force = (best.fit.plate.wrench(best.plate).mean(axis=0) - prior.zero(tare))[:3]
+    size = float(np.linalg.norm(prior.tree.gravity))
+    carried = float(-force @ prior.tree.gravity / size**2) if size else 0.0
+    if carried * size < PULLED * prior.weight:
+        text = (
+            f"is pulled up: the robot would weigh {carried:.3g} kg, the mean force is "
+            f"{components(force)} N"
+        )
+        yield Doubt(True, _finding(WEIGHT, "the plate", text, carried))
+
+
+def other_zero(remedy: Remedy) -> Finding:
+    """A plate whose zero is another one, and nothing else wrong.
+
+    Args:
+        remedy: Of the kind `tare`.
+    """
+    text = f"shows {components(np.array(remedy.values))} N, N m without the robot, by rough masses"
+    remedies = f"identify with --set identification.tare=unknown, or {_mapping([remedy])}"
+    return _finding(
+        ZERO, "the plate", text, np.abs(remedy.values).max(), (KINDS["tare"].words,), remedies
+    )
+
+
+def wrong_mapping(
+    tree: Tree, remedies: Sequence[Remedy], others: Alternatives, gain: float
+) -> Finding:
+    """A mapping that hypotheses contradict, and what would make it right.
+
+    Args:
+        tree: The robot.
+        remedies: To be applied together.
+        others: What else explains the recording.
+        gain: How much likelier the data are with the remedies [nats].
+    """
+    names = list(dict.fromkeys(name for each in remedies for name in each.joints))
+    joints = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
+    if len(names) == len(own_joints(tree)) > 1:
+        joints = "all joints"
+    tables = {KINDS[each.kind].table for each in remedies}
+    subjects = [f"the {'plate' if name == 'wrench' else name}" for name in ("wrench", "base")
+                if name in tables]  # fmt: skip
+    worst = max(remedies, key=lambda each: each.before - each.after)
+    text = (
+        f"cannot be as recorded: {share(worst.before)} of {worst.channel} is unexplained, "
+        f"{share(worst.after)} with the remedy"
+        if worst.before > CLEARLY * worst.after
+        else "cannot be as recorded with masses near the model file's: with the remedy the log "
+        f"likelihood rises by {gain:.0f}"
+    )
+    if others.runner_up:
+        own = {each.kind for each in remedies}
+        next_best = ", ".join(KINDS[kind].words for kind in others.runner_up if kind not in own)
+        more = "as much, with masses less likely"
+        if others.times > CLEARLY:
+            more = f"{others.times:.2g} times as much"
+        text += f"; the next best explanation, {next_best or 'of other values'}, leaves {more}"
+    if others.equals:
+        text += f"; the data cannot tell this from {', or '.join(others.equals)}"
+    causes = " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
+    subject = " and ".join([*subjects, *([joints] if names else [])])
+    return _finding(MAPPING, subject, text, worst.before, (causes,), _mapping(remedies))
+
+
+def odd_sizes(
+    tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
+) -> Iterator[Doubt]:
+    """Torques that are far from what masses of that order make.
+
+    Args:
+        tree: The robot.
+        sizes: Times what the model file's masses say, nan where that is not known, (n,) or (0,).
+        mapping: What the recording's mapping file says; empty if it has none.
+        certain: Whether other sizes explain the torques far better.
+    """
+    finite = sizes[np.isfinite(sizes)]
+    certain = certain and not ((finite > LEAST) & (finite < MOST)).all()
+    least, most = (LEAST, MOST) if certain else (SMALL, LARGE)
+    odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
+    if not odd:
+        return
+    listed = ", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6])
+    if all(sizes[k] < 1 for k in odd):
+        word, causes = "small", ("torques on the motors' side of the gears",
+                                 "currents taken for torques")  # fmt: skip
+        needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
+        remedy = (
+            f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
+            f"with gain about {needed}"
+        )
+    else:
+        word, causes = "large", ("a unit such as N mm", "masses of another robot")
+        unit = str((mapping.get("torque") or {}).get("unit"))
+        thousand = 0.5 < np.median(finite) / 1e3 < 2.0 and unit in SMALLER
+        remedy = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
+    text = f"is too {word}: it is so many times what the model's masses make: {listed}"
+    remedy = f"in the mapping: {remedy}"
+    yield Doubt(certain, _finding(SIZE, "the torque", text, sizes[odd[0]], causes, remedy))
+
+
+def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
+    """A line of what data leave open of positions; empty where that is nothing.
+
+    Args:
+        tree: The robot.
+        hypotheses: That explain a recording about as well as none.
+    """
+    parts = []
+    for kind, what in (("zero", "zero"), ("position_sign", "sign"), ("position_order", "order")):
+        joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
+        if joints:
+            parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
+    return f"these data do not decide, of the positions, {'; '.join(parts)}" if parts else ""
+
+
+def _mapping(remedies: Sequence[Remedy]) -> str:
+    return f"in the mapping: {in_mapping(remedies)}"
+
+
+def _finding(
+    code: str, subject: str, text: str, number: float, causes: tuple[str, ...] = (),
+    remedy: str = "",
+) -> Finding:  # fmt: skip
+    """A finding of a code, with its usual causes and remedy unless others are named."""
+    usual = USUAL.get(code, ((), ""))
+    return Finding(subject, text, float(number), causes or usual[0], remedy or usual[1], code)
