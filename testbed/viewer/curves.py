@@ -111,7 +111,7 @@ def thinned(time: Array, values: Array) -> tuple[Array, Array]:
         Instants, (N,), and values, (N, k); what was given, where it is not faster.
     """
     last = len(time) - 1
-    size = int(last / max((time[-1] - time[0]) * BINS, 1e-9))
+    size = int(last / max((time[-1] - time[0]) * BINS, 1e-9) + 1e-9)
     if size < FEW:
         return time, values
     starts = np.arange(0, len(time), size)
