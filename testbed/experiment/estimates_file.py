@@ -1,23 +1,22 @@
 """All that came of a run, in one file: who looks at the run folder computes nothing again.
 
-A ZIP archive of two members: JSON, in which an array is its shape, and the arrays' numbers one
-after the other. Minimal sets and laws are names there, and are made again. What a field may be
-is what its class says: nothing in such a file is code, or becomes the name of a file.
+Compressed JSON: fields by name, arrays with their shapes. Minimal sets and laws are names there,
+and are made again. What a field may be is what its class says: nothing in such a file is code, or
+becomes the name of a file.
 """
 
 from __future__ import annotations
 
+import gzip
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, cast, get_args, get_origin, get_type_hints
-from zipfile import ZIP_DEFLATED, ZipFile, ZipInfo
 
 import numpy as np
 
-from testbed.arrays import Array
 from testbed.dynamics.drive_set import drive_set
 from testbed.experiment.run import Run
 from testbed.files import replacing
@@ -35,22 +34,22 @@ FIELDS = (
 )  # fmt: skip
 """Of a run, that are in its file."""
 
-TEXT, NUMBERS = "run.json", "numbers"
-"""The archive's members."""
+LARGEST = 500_000_000
+"""Bytes of the JSON; a humanoid's has a tenth."""
 
-NAMES: Mapping[type, Callable[[Any], Any]] = {
+LEAVES: Mapping[type, type | UnionType] = {bool: bool, float: float | int, int: int, str: str}
+"""What JSON may say for plain values."""
+
+Made = Mapping[Any, Callable[[Any], Any]]
+
+PLAIN: Made = {
+    np.ndarray: lambda array: [array.shape, array.ravel().tolist()],
     MinimalSet: lambda found: found.model,
     DriveSet: lambda found: [term.name(found.tree) for term in found.asked],
     JointLaw: lambda law: law.kind,
     Nuisance: lambda nuisance: nuisance.kind,
 }
-"""What stands for values that are made again."""
-
-LEAVES: Mapping[type, type | UnionType] = {bool: bool, float: float | int, int: int, str: str}
-"""What JSON may say for plain values."""
-
-LARGEST = 2_000_000_000
-"""Bytes of both; a humanoid's have a tenth."""
+"""What stands in a file for values that have no fields there."""
 
 
 def write_estimates(run: Run, path: Path, source: Mapping[str, str]) -> None:
@@ -61,12 +60,9 @@ def write_estimates(run: Run, path: Path, source: Mapping[str, str]) -> None:
         path: Where to; what stands there is replaced.
         source: What it came of.
     """
-    arrays: list[Array] = [np.zeros(0)]
-    said = {name: _plain(getattr(run, name), arrays) for name in FIELDS}
-    text = json.dumps({"source": source, "run": said})
-    with replacing(path) as fresh, ZipFile(fresh, "w", ZIP_DEFLATED) as file:
-        file.writestr(_member(TEXT), text)
-        file.writestr(_member(NUMBERS), np.concatenate(arrays).tobytes())
+    content = {"source": source, "run": {name: _plain(getattr(run, name)) for name in FIELDS}}
+    with replacing(path) as fresh:
+        fresh.write_bytes(gzip.compress(json.dumps(content).encode(), mtime=0))
 
 
 def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | None:
@@ -81,15 +77,12 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
         None where there is no such file, or what it holds came of something else.
     """
     try:
-        with ZipFile(path) as file:
-            if sum(member.file_size for member in file.infolist()) > LARGEST:
-                return None
-            content = json.loads(file.read(TEXT))
-            if content["source"] != source:
-                return None
-            reader = _Reader(run, np.frombuffer(file.read(NUMBERS)))
-        hints = get_type_hints(Run)
-        found = {name: reader.read(hints[name], content["run"][name]) for name in FIELDS}
+        with gzip.open(path) as file:
+            content = json.loads(file.read(LARGEST))
+        if content["source"] != source:
+            return None
+        hints, made = get_type_hints(Run), _made_again(run)
+        found = {name: _value(hints[name], content["run"][name], made) for name in FIELDS}
         for each in found["estimates"].values():
             if each.names != (each.drives or each.minimal).names:
                 return None
@@ -99,64 +92,44 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
     return replace(run, settings=settings, **found)
 
 
-def _member(name: str) -> ZipInfo:
-    """Of an archive that is the same whenever it is written."""
-    member = ZipInfo(name)
-    member.compress_type = ZIP_DEFLATED
-    return member
-
-
-def _plain(value: Any, arrays: list[Array]) -> Any:
-    """A value as JSON takes it, its arrays put aside."""
-    if isinstance(value, np.ndarray):
-        arrays.append(np.asarray(value, dtype=np.float64).ravel())
-        return value.shape
-    if type(value) in NAMES:
-        return NAMES[type(value)](value)
+def _plain(value: Any) -> Any:
+    """A value as JSON takes it."""
+    if type(value) in PLAIN:
+        return PLAIN[type(value)](value)
     if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name), arrays) for each in fields(value)}
+        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
     if isinstance(value, Mapping):
-        return [[key, _plain(each, arrays)] for key, each in value.items()]
-    if isinstance(value, tuple):
-        return [_plain(each, arrays) for each in value]
-    return value
+        return [[key, _plain(each)] for key, each in value.items()]
+    return [_plain(each) for each in value] if isinstance(value, tuple) else value
 
 
-class _Reader:
-    """Values of what `_plain` made, in the same order."""
+def _made_again(run: Run) -> Made:
+    """What makes values of what `PLAIN` says of them."""
+    tree, settings = run.tree, run.settings
+    sets = {MODEL_OF[method]: set_of(tree, method, settings) for method in METHODS}
+    return {
+        np.ndarray: lambda said: np.array(said[1], dtype=np.float64).reshape(said[0]),
+        MinimalSet: sets.__getitem__,
+        DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),
+        JointLaw: joint_law,
+        Nuisance: {each.kind: each for each in (*NUISANCES, *TESTED)}.__getitem__,
+    }
 
-    def __init__(self, run: Run, numbers: Array) -> None:
-        tree, settings = run.tree, run.settings
-        sets = {MODEL_OF[method]: set_of(tree, method, settings) for method in METHODS}
-        nuisances = {each.kind: each for each in (*NUISANCES, *TESTED)}
-        self._numbers, self._at = numbers, 0
-        self._named: dict[Any, Callable[[Any], Any]] = {
-            MinimalSet: sets.__getitem__,
-            DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),
-            JointLaw: joint_law,
-            Nuisance: nuisances.__getitem__,
-            np.ndarray: self._array,
-        }
 
-    def read(self, kind: Any, value: Any) -> Any:
-        """What JSON says, as a value of that kind."""
-        origin, args = get_origin(kind), get_args(kind)
-        if origin is UnionType:
-            return None if value is None else self.read(args[0], value)
-        if origin is tuple:
-            return tuple(self.read(args[0], each) for each in value)
-        if origin is Mapping:
-            return {key: self.read(args[1], each) for key, each in value}
-        if (origin or kind) in self._named:
-            return self._named[origin or kind](value)
-        if is_dataclass(kind):
-            hints, make = get_type_hints(kind), cast(Any, kind)
-            return make(**{f.name: self.read(hints[f.name], value[f.name]) for f in fields(kind)})
-        there = value in args if origin is Literal else isinstance(value, LEAVES[kind])
-        if not there:
-            raise ValueError(f"{value!r} is none of {kind}")
-        return value
-
-    def _array(self, shape: list[int]) -> Array:
-        first, self._at = self._at, self._at + int(np.prod(shape))
-        return self._numbers[first : self._at].reshape(shape)
+def _value(kind: Any, said: Any, made: Made) -> Any:
+    """What JSON says, as a value of a kind."""
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is UnionType:
+        return None if said is None else _value(args[0], said, made)
+    if origin is tuple:
+        return tuple(_value(args[0], each, made) for each in said)
+    if origin is Mapping:
+        return {key: _value(args[1], each, made) for key, each in said}
+    if (origin or kind) in made:
+        return made[origin or kind](said)
+    if is_dataclass(kind):
+        hints, make = get_type_hints(kind), cast(Any, kind)
+        return make(**{f.name: _value(hints[f.name], said[f.name], made) for f in fields(kind)})
+    if not (said in args if origin is Literal else isinstance(said, LEAVES[kind])):
+        raise ValueError(f"{said!r} is none of {kind}")
+    return said

@@ -5,7 +5,7 @@ motion.toml       the motion, if the experiment runs one of a file
 model/            the model file and what it refers to: a run folder needs nothing else
 recording.parquet what was measured (and, apart, what happened)
 unseen.parquet    what was measured on another motion, on which the estimates are validated
-estimates.zip     all that came of it, for `read_run`
+estimates.json.gz all that came of it, for `read_run`
 result.json       estimates, truth, metrics, verdicts, versions; written after the others
 """
 
@@ -29,7 +29,7 @@ from testbed.recordings.recording import Recording
 from testbed.robot.model_file import copy_model, model_format
 
 EXPERIMENT, RECORDING, RESULT = "experiment.toml", "recording.parquet", "result.json"
-MOTION, UNSEEN, ESTIMATES = "motion.toml", "unseen.parquet", "estimates.zip"
+MOTION, UNSEEN, ESTIMATES = "motion.toml", "unseen.parquet", "estimates.json.gz"
 MODEL = "model"
 """Folder of the model file and what it refers to."""
 

@@ -92,20 +92,14 @@ def predictions(
     """
     tree = in_its_gravity(tree, recording, gravity)
     tare = tare_of(tree, recording)
-    wrench: dict[Method, Array] = {}
-    torque: dict[Method, Array] = {}
-    whole: Array | None = None
-    for method in METHODS:
-        if method not in estimates:
-            continue
-        theta = parameters_of(estimates[method], whole)
-        if method == "external":
-            whole = theta
-        joints, plate = linear(tree, motion, theta[..., None])
-        torque[method] = joints[..., 0] + own_torque(motion, estimates[method])
-        if whole is not None:
-            wrench[method] = plate[..., 0] + tare
-    return wrench, torque
+    theta = np.zeros((tree.n, 10, len(estimates)))
+    methods = [method for method in METHODS if method in estimates]
+    for k, method in enumerate(methods):  # the external one comes first
+        theta[..., k] = parameters_of(estimates[method], theta[..., 0] if k else None)
+    joints, plate = linear(tree, motion, theta)
+    torque = {m: joints[..., k] + own_torque(motion, estimates[m]) for k, m in enumerate(methods)}
+    whole = methods if "external" in methods else []
+    return {m: plate[..., k] + tare for k, m in enumerate(whole)}, torque
 
 
 def own_torque(motion: Motion, estimate: Estimate) -> Array:

@@ -1,4 +1,8 @@
-"""Everything over time, and friction over velocity, as Rerun takes them: in columns."""
+"""Everything over time, and friction over velocity, as Rerun takes them: in columns.
+
+Of what was sampled faster than a screen shows, the least and the largest value of each fiftieth of
+a second are written: a spike of one sample is seen as it is.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +18,12 @@ from testbed.viewer.drive_notes import log_curve
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, safe
 
+BINS = 25.0
+"""Parts of a second of which extremes are shown: a plot of ten seconds has as many pixels [Hz]."""
+
+FEW = 4
+"""Samples of such a part, of which fewer are all shown."""
+
 MOST_POINTS = 2000
 """Points of a friction plot."""
 
@@ -22,11 +32,11 @@ THIN, THICKER = 1.0, 1.4
 
 
 def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
-    """Positions; torques and wrench, measured and predicted, every sample; residuals, smoothed."""
-    recording, inner = scene.run.recording, clock(scene.motion.t)
+    """Positions; torques and wrench, measured and predicted; residuals, smoothed."""
+    recording, inner = scene.run.recording, scene.motion.t
     names = scene.run.tree.names
     series(
-        stream, f"{at}/position", clock(recording.time), recording.position, names,
+        stream, f"{at}/position", recording.time, recording.position, names,
         palette(len(names)),
     )  # fmt: skip
     for signal in scene.predictions.signals:
@@ -42,14 +52,14 @@ def log_signals(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
                     stream, f"{path}/friction", inner, rubbed[:, None], ["friction"],
                     [COLOURS["path"]],
                 )  # fmt: skip
-    index = clock(scene.smooth.motion.t)
+    time = scene.smooth.motion.t
     for signal in scene.smooth.signals:
         for c, channel in enumerate(signal.channels if signal.predicted else ()):
             rest = np.column_stack([signal.residual(m)[:, c] for m in signal.predicted])
             path = f"{at}/residual/{signal.kind}/{safe(channel)}"
             colours = [COLOURS[method] for method in signal.predicted]
             methods = list(signal.predicted)
-            series(stream, path, index, rest, methods, colours, layered(len(methods)))
+            series(stream, path, time, rest, methods, colours, layered(len(methods)))
 
 
 def layered(count: int) -> list[float]:
@@ -64,7 +74,7 @@ def layered(count: int) -> list[float]:
 def series(
     stream: rr.RecordingStream,
     path: str,
-    index: rr.TimeColumn,
+    time: Array,
     values: Array,
     labels: Sequence[str],
     colours: Sequence[Colour],
@@ -75,7 +85,7 @@ def series(
     Args:
         stream: Where to.
         path: The plot's place among the entities.
-        index: M instants.
+        time: (M,) [s].
         values: (M, k).
         labels: (k,).
         colours: (k,).
@@ -83,8 +93,33 @@ def series(
     """
     lines = rr.SeriesLines(names=list(labels), colors=list(colours), widths=widths)
     stream.log(path, lines, static=True)
-    columns = rr.Scalars.columns(scalars=np.ascontiguousarray(values))
-    stream.send_columns(path, indexes=[index], columns=columns)
+    instants, shown = thinned(time, values)
+    columns = rr.Scalars.columns(scalars=np.ascontiguousarray(shown))
+    stream.send_columns(path, indexes=[clock(instants)], columns=columns)
+
+
+def thinned(time: Array, values: Array) -> tuple[Array, Array]:
+    """The least and the largest value of each part of the time, in the order in which they come.
+
+    They stand at the part's ends, where those of a rising or a falling curve are.
+
+    Args:
+        time: Evenly spaced, (M,) [s].
+        values: (M, k).
+
+    Returns:
+        Instants, (N,), and values, (N, k); what was given, where it is not faster.
+    """
+    last = len(time) - 1
+    size = int(last / max((time[-1] - time[0]) * BINS, 1e-9) + 1e-9)
+    if size < FEW:
+        return time, values
+    starts = np.arange(0, len(time), size)
+    ends = np.minimum(starts + size - 1, last)
+    parts = values[np.minimum(starts[:, None] + np.arange(size), last)]
+    places = np.sort([parts.argmin(axis=1), parts.argmax(axis=1)], axis=0)
+    shown = np.take_along_axis(parts, places.swapaxes(0, 1), axis=1)
+    return time[np.column_stack([starts, ends]).ravel()], shown.reshape(-1, values.shape[1])
 
 
 def log_friction(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
@@ -156,5 +191,5 @@ def log_growth(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
                 continue
             labels = [names[k] for k in members]
             path = f"{at}/{method}/{body + 1}"
-            index, values = clock(grown.time[there]), errors[there][:, members]
-            series(stream, path, index, values, labels, palette(len(labels)))
+            values = errors[there][:, members]
+            series(stream, path, grown.time[there], values, labels, palette(len(labels)))

@@ -18,7 +18,7 @@ from testbed.robot.visuals.appearance import Appearance
 from testbed.viewer.blueprint import RATES, motion_blueprint
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import series
-from testbed.viewer.robot_drawing import clock, log_appearance, log_paths, send_poses
+from testbed.viewer.robot_drawing import log_appearance, log_paths, send_poses
 from testbed.viewer.scene import POSES, plain, safe, span_of
 
 
@@ -74,17 +74,16 @@ def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) 
 def _log_curves(
     stream: rr.RecordingStream, rules: Rules, motion: Fourier, times: Array, left: list[Slack]
 ) -> None:
-    index = clock(times)
     for k, kind in enumerate(left):
         colours = [COLOURS["external"]]
-        series(stream, f"/left/{k}", index, kind.left[:, None], [kind.label], colours)
+        series(stream, f"/left/{k}", times, kind.left[:, None], [kind.label], colours)
     for order, (rate, colour) in enumerate(
         zip(RATES, ("path", "external", "internal"), strict=True)
     ):
         values = motion.derivative(times, order)
         for j, name in enumerate(rules.tree.names):
             column = values[:, j : j + 1]
-            series(stream, f"/{rate}/{safe(name)}", index, column, [rate], [COLOURS[colour]])
+            series(stream, f"/{rate}/{safe(name)}", times, column, [rate], [COLOURS[colour]])
 
 
 def _notes(name: str, rules: Rules, proof: Proof) -> str:

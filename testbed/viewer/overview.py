@@ -14,7 +14,6 @@ from testbed.identification.estimate import METHODS, Method
 from testbed.identification.influence import by_influence
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import series
-from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, rounded_up
 
 MOST = 6
@@ -99,9 +98,9 @@ def log_overview(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
         there = np.isfinite(values).any(axis=1)
         if not there.any():
             continue
-        path, index = f"{at}/{k}", clock(each.time[there])
+        path, time = f"{at}/{k}", each.time[there]
         line = np.zeros((int(there.sum()), 1))
-        series(stream, f"{path}/aim", index, line, [zero], [COLOURS["measured"]], [3.0])
+        series(stream, f"{path}/aim", time, line, [zero], [COLOURS["measured"]], [3.0])
         labels = list(each.errors)
         colours = [COLOURS[label] for label in labels]
-        series(stream, path, index, values[there], labels, colours, [2.0] * len(labels))
+        series(stream, path, time, values[there], labels, colours, [2.0] * len(labels))

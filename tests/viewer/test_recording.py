@@ -24,7 +24,7 @@ from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.campaign_log import write_campaign_rrd
 from testbed.viewer.constant_bars import TALL, largest
-from testbed.viewer.curves import tick
+from testbed.viewer.curves import BINS, FEW, thinned, tick
 from testbed.viewer.heat_map import CELL, picture
 from testbed.viewer.log import write_rrd
 from testbed.viewer.motion_log import write_motion_rrd
@@ -65,21 +65,43 @@ def test_a_whole_recording_is_as_approved() -> None:
 
 @slow
 def test_signals_predictions_and_residuals_are_in_the_file() -> None:
-    """Every sample; curves one over the other are all seen."""
+    """Curves one over the other are all seen."""
     shown, path = scene("ur5"), rrd("ur5")
-    for signals, at in ((shown.predictions.signals, ""), (shown.smooth.signals, "/residual")):
-        for signal in signals:
+    for found, at in ((shown.predictions, ""), (shown.smooth, "/residual")):
+        for signal in found.signals:
             for c, channel in enumerate(signal.channels):
                 every = [signal.residual(m)[:, c] for m in METHODS] if at else [
                     signal.measured[:, c], *(signal.predicted[m][:, c] for m in METHODS)
                 ]  # fmt: skip
                 place = f"{at}/{signal.kind}/{channel}"
-                found = columns(path, place, SCALARS).reshape(-1, len(every))
-                np.testing.assert_array_equal(found, np.column_stack(every))
+                written = columns(path, place, SCALARS).reshape(-1, len(every))
+                _, wanted = thinned(found.motion.t, np.column_stack(every))
+                np.testing.assert_array_equal(written, wanted)
                 widths = columns(path, place, "SeriesLines:widths", static=True)
                 assert (np.diff(widths) <= -1.0).all()
-    found = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
-    np.testing.assert_array_equal(found, shown.run.recording.position)
+    written = columns(path, "/position", SCALARS).reshape(-1, shown.run.tree.n)
+    recording = shown.run.recording
+    np.testing.assert_array_equal(written, thinned(recording.time, recording.position)[1])
+
+
+@given(rngs, st.floats(10, 3000), st.integers(2, 5000))
+def test_what_is_thinned_looks_the_same(rng: np.random.Generator, rate: float, count: int) -> None:
+    """Spikes stay; a value is of its moment, that of a rising curve exactly; of slow ones all."""
+    time = 7.0 + np.arange(count) / rate
+    values = np.column_stack([rng.normal(size=(count, 2)), np.arange(count)])
+    values[rng.integers(count), 0] = -1e6
+    instants, shown = thinned(time, values)
+    assert len(shown) == len(instants) <= max(2 * FEW * BINS, 2.6 * BINS) * count / rate + 4
+    for end in (np.min, np.max):
+        np.testing.assert_array_equal(end(shown, axis=0), end(values, axis=0))
+    np.testing.assert_array_equal(time[shown[:, 2].astype(int)], instants)
+    if rate < FEW * BINS:
+        assert len(shown) == count
+    else:
+        step = 1 / BINS + 1 / rate
+        for k in range(0, len(shown), 7):
+            near = np.abs(time - instants[k]) <= step
+            assert np.isin(shown[k], values[near]).all()
 
 
 @slow
