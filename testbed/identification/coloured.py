@@ -19,7 +19,7 @@ from testbed.identification.noise.count_doubt import CountDoubt
 from testbed.identification.noise.dilution import Undiluted
 from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.found_noise import FoundNoise
-from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.noise.late import Lateness, lateness
 from testbed.identification.noise.noisy_columns import PositionNoise
 from testbed.identification.noise.repetition import RepetitionSums
@@ -170,10 +170,8 @@ def _by_facts(
     if units.facts is None or units.free is None:
         return np.zeros_like(units.grown)
     count, biases = len(units.fixed), directions.shape[1]
-    maps = np.zeros((len(directions), every.products.shape[2], count + biases))
-    maps[:, :count, :count], maps[:, -1, count:] = np.eye(count), directions
-    white = every.combined(maps).whitened(noise.coefficients)
-    normal = np.tensordot(noise.sigma**-2.0, white, 1)
+    white = Whitened(every.with_constants(directions), noise.coefficients[None])
+    normal = white.sums(noise.sigma[None] ** -2.0)[0, : count + biases, : count + biases]
     lead = linalg.block_diag(units.free.lead, np.eye(biases))
     across = lead.T @ normal
     fixed = np.pad(units.free.fixed, ((0, biases), (0, 0)))

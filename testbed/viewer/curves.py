@@ -1,7 +1,7 @@
 """Everything over time, and friction over velocity, as Rerun takes them: in columns.
 
-Of what was sampled faster than a screen shows, the least and the largest value of each fiftieth of
-a second are written: a spike of one sample is seen as it is.
+Of what was sampled faster than a screen shows, the least and the largest value of each
+twenty-fifth of a second are written: a spike of one sample is seen as it is.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from testbed.identification.noise.biases import constants, square_of_last
 from testbed.identification.noise.counts import Counts
 from testbed.identification.noise.dilution import undiluted
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
-from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
 from testbed.identification.noise.late import Lateness, lateness
 from testbed.identification.noise.repetition import Repetition, RepetitionSums
 from testbed.identification.period import period_of
@@ -71,6 +71,11 @@ def whitened(rows: Array, a: Array) -> Array:
     p, last = a.shape[1], rows.shape[1]
     parts = (a[:, i, None, None] * rows[:, p - 1 - i : last - 1 - i] for i in range(p))
     return np.asarray(rows[:, p:] - sum(parts))
+
+
+def by_channel(found: LaggedProducts, a: Array) -> Array:
+    """Products of whitened rows, (C, p, p): a whitening for each channel, that counts it alone."""
+    return Whitened(found, np.repeat(a[None], len(a), axis=0)).sums(np.eye(len(a)))
 
 
 def moments(rows: Array) -> Array:
@@ -125,13 +130,17 @@ def test_products_are_those_of_the_rows(
         a = rng.uniform(-0.5, 0.5, (3, order))
         parts = (whitened(rows, a) for rows in long)
         white = sum((part.swapaxes(1, 2) @ part for part in parts), np.zeros((3, 5, 5)))
-        np.testing.assert_allclose(found.whitened(a), white, atol=1e-10)
+        np.testing.assert_allclose(by_channel(found, a), white, atol=1e-10)
+        alone = Whitened(found, a[None]).sums(np.ones((1, 3)))[0]
+        np.testing.assert_allclose(alone, white.sum(axis=0), atol=1e-10)
         wanted = np.zeros((3, order + 1, order + 1))
         for rows in long:
             part = np.array([rows[:, order - i : rows.shape[1] - i] for i in range(order + 1)])
             wanted += np.einsum("ictp,pq,jctq->cij", part, inner, part)
         np.testing.assert_allclose(found.moments(inner[None], order)[0], wanted, atol=1e-9)
-    np.testing.assert_allclose(found.combined(maps).whitened(a), combined.whitened(a), atol=1e-10)
+    np.testing.assert_allclose(
+        by_channel(found.combined(maps), a), by_channel(combined, a), atol=1e-10
+    )
 
 
 def test_the_whitened_fit_is_least_squares_of_whitened_rows() -> None:

@@ -184,14 +184,18 @@ def _weighted(
     inverses = np.zeros((trials, *given.products.shape[2:]))
     spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
     for _ in range(REWEIGHTINGS):
-        for r, normal in enumerate(white.sums(spread**-2.0)):
-            found = inverse_and_solution(normal[:m, :m], normal[:m, m + r])
-            inverses[r, :m, :m], values[r] = found
+        inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
         taken = white.traces(inverses) / spread**2
         spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
-    for r, normal in enumerate(white.sums(spread**-2.0)):
-        inverses[r, :m, :m], _ = inverse_and_solution(normal[:m, :m], normal[:m, m + r])
-    return _Weighted(values, inverses[:, :m, :m], spread, taken)
+    inverse, _ = _solutions(white.sums(spread**-2.0), m)
+    return _Weighted(values, inverse, spread, taken)
+
+
+def _solutions(sums: Array, m: int) -> tuple[Array, Array]:
+    """Inverses of the normal matrices, (R, m, m), and each response's solution, (R, m)."""
+    each = [inverse_and_solution(one[:m, :m], one[:m, m + r]) for r, one in enumerate(sums)]
+    inverses, values = zip(*each, strict=True)
+    return np.stack(inverses), np.stack(values)
 
 
 def _spread(left: Array, free: Array) -> Array:

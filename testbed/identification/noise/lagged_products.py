@@ -135,14 +135,6 @@ class LaggedProducts:
                 found[..., i, j] = found[..., j, i] = whole[..., lag] - edges
         return found
 
-    def whitened(self, coefficients: Array) -> Array:
-        """e_t e_t' of e_t = z_t - sum over i of a_i z_(t-i), over t >= P, (C, q, q).
-
-        Args:
-            coefficients: a, channel by channel, (C, P), P at most K.
-        """
-        return Whitened(self, coefficients[None]).products
-
     def with_constants(self, directions: Array) -> LaggedProducts:
         """With constants after the unknowns' columns.
 
@@ -189,12 +181,6 @@ class Whitened:
             whole -= _together(self._edges[0], self._edges[0])
             self._given = replace(given.up_to(0), products=whole[None])
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
-
-    @property
-    def products(self) -> Array:
-        """Of the only whitening, (C, q, q)."""
-        found: Array = self._given.products[0]
-        return found
 
     def sums(self, weights: Array) -> Array:
         """Of all channels, (R, q, q).

@@ -48,10 +48,9 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
         matrix: Symmetric and positive definite, (m, m).
         right: (m,).
     """
-    unit, scale = _unit(matrix)
-    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
-    if failed or np.diagonal(factor).min(initial=1.0) ** 2 <= CLEAR:
-        root = inverse_root(matrix)
+    unit, scale, factor = _factor(matrix)
+    if factor is None:
+        root = _inverse_root(unit, scale)
         return root @ root.T, root @ (root.T @ right)
     solution, _ = linalg.lapack.dpotrs(factor, scale * right, lower=True)
     lower, _ = linalg.lapack.dpotri(factor, lower=True)
@@ -80,17 +79,24 @@ def inverse_root(matrix: Array) -> Array:
     Args:
         matrix: Symmetric and positive definite, (m, m).
     """
-    unit, scale = _unit(matrix)
-    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
-    if not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR:
-        inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
-        return np.asarray(scale[:, None] * inverse.T)
-    size, axes = eigh(unit)
-    return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
+    unit, scale, factor = _factor(matrix)
+    if factor is None:
+        return _inverse_root(unit, scale)
+    inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
+    return np.asarray(scale[:, None] * inverse.T)
 
 
-def _unit(matrix: Array) -> tuple[Array, Array]:
-    """The matrix with a diagonal of ones, and what makes it so, (m,)."""
+def _factor(matrix: Array) -> tuple[Array, Array, Array | None]:
+    """The matrix with a diagonal of ones, what makes it so, and its Cholesky factor if clear."""
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    return matrix * np.outer(scale, scale), scale
+    unit = matrix * np.outer(scale, scale)
+    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
+    clear = not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR
+    return unit, scale, factor if clear else None
+
+
+def _inverse_root(unit: Array, scale: Array) -> Array:
+    """By eigenvalues, where Cholesky's factor is not clear."""
+    size, axes = eigh(unit)
+    return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
