@@ -25,6 +25,8 @@ ROW = 13.7
 """Height of a named row [points]."""
 TICK, GAP = 3.5, 3.5
 """Length of a tick, and from there to its label [points]."""
+MOST_TICKS, APART = 6, 34.0
+"""Of a horizontal axis, and from one to the next at least [points]."""
 FONT, MIDDLE, NUMBERS, X_LABEL = 9.0, 3.2, 13.8, 27.0
 """Size of letters; from their middle, and from the horizontal axis, to their feet [points]."""
 WIDTHS = ("iIjlftr.,:;|!'()[]/ ·-⁻⁰¹²³⁴⁵⁶⁷⁸⁹", 0.42), ("mwMWOQDGHNU@%&<>+=−~^_$#", 0.95)
@@ -103,10 +105,9 @@ class Panel:
             parts += [text(title, left, top - GAP, "start"), *self._axes(frame)]
             parts += self._drawn(frame, curves)
             height = LOWER
-        ticks = across.ticks(6)
         parts += [
             text(across.label(tick), x, bottom + NUMBERS, "middle", "x")
-            for tick, x in zip(ticks.tolist(), frame.across(ticks).tolist(), strict=True)
+            for tick, x in zip(frame.ticks.tolist(), frame.across(frame.ticks), strict=True)
         ]
         parts.append(text(self.x_label, (left + WIDTH - RIGHT) / 2, bottom + X_LABEL, "middle"))
         return (
@@ -144,16 +145,16 @@ class Panel:
 
     def _axes(self, frame: Frame) -> Iterator[str]:
         """Grid, axes and ticks of one plot, and the labels of its vertical axis."""
-        labels, ticks = self._labels(frame.y), frame.x.ticks(6)
+        labels = self._labels(frame.y)
         heights = frame.up(np.array([*labels], dtype=float)).tolist()
-        at, rows = frame.across(ticks).tolist(), [] if self.names else heights
+        at, rows = frame.across(frame.ticks).tolist(), [] if self.names else heights
         left, right, top, bottom = frame.left, frame.right, frame.top, frame.bottom
         grid = [f"M{x:.1f},{bottom:.1f}V{top:.1f}" for x in at]
         grid += [f"M{left:.1f},{y:.1f}H{right:.1f}" for y in rows]
         yield stroke("".join(grid), "faint", 0.8, GRID)
         yield stroke(f"M{left:.1f},{top:.1f}V{bottom:.1f}H{right:.1f}", "faint", 0.8)
         marks = [f"M{x:.1f},{bottom:.1f}v{TICK}" for x in at]
-        minor = frame.across(frame.x.minor(ticks)).tolist()
+        minor = frame.across(frame.x.minor(frame.ticks)).tolist()
         marks += [f"M{x:.1f},{bottom:.1f}v{TICK / 2}" for x in minor]
         marks += [f"M{left:.1f},{y:.1f}h{-TICK}" for y in rows]
         minor = frame.up(frame.y.minor(np.array([*labels]))).tolist()
@@ -204,6 +205,11 @@ class Frame:
     bottom: float
     x: Scale
     y: Scale
+
+    @property
+    def ticks(self) -> Array:
+        """Of the horizontal axis: as many as there is room for their labels."""
+        return self.x.ticks(min(MOST_TICKS, int((self.right - self.left) / APART)))
 
     def across(self, values: Array) -> Array:
         """From the figure's left to values [points]."""
