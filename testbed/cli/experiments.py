@@ -56,7 +56,6 @@ def run(
     from testbed.experiment.carry_out import checked_elsewhere
     from testbed.experiment.evaluate import evaluate
     from testbed.experiment.experiment import Experiment
-    from testbed.experiment.results import result
     from testbed.experiment.run_folder import (
         check_folder,
         default_folder,
@@ -82,9 +81,9 @@ def run(
         raise RecordingError(f"{error}; the recording is kept in '{folder}'") from None
     with output.Progress("validating on an unseen motion") as progress:
         done = checked_elsewhere(done, progress)
-    write_result(done, folder)
+    result = write_result(done, folder)
     if as_json:
-        output.print_json(result(done) | {"folder": str(folder)})
+        output.print_json(result.document() | {"folder": str(folder)})
     elif done.estimates:
         terminal.print_run(done, folder, everything=everything)
     if not done.estimates:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.codec import encode
 from testbed.errors import ExperimentError, TestbedError
 from testbed.excitation.design import Design, Watch, Wish, design
 from testbed.excitation.fourier import Fourier
@@ -52,6 +54,23 @@ class Excitation:
     predicted: Prediction
     random: Fourier | None
     random_predicted: Prediction | None
+
+    def document(self) -> dict[str, Any]:
+        """For programs: what was designed, what it promises, what a random motion would."""
+        motion, random = self.design.motion, self.random_predicted
+        return {
+            "fundamental": motion.fundamental,
+            "harmonics": motion.harmonics,
+            "criterion": self.experiment.excitation.criterion,
+            "value": self.design.value,
+            "complete": self.design.complete,
+            "searches": [encode(search) for search in self.design.searches],
+            "predicted": encode(self.predicted),
+            "random": None if random is None else encode(random),
+            "gain": self.gain,
+            "warnings": self.warnings,
+            "proof": encode(self.design.proof),
+        }
 
     @property
     def gain(self) -> float | None:

@@ -12,16 +12,15 @@ result.json       estimates, truth, metrics, verdicts, versions; written after t
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from testbed.codec import json_text
 from testbed.errors import ExperimentError
-from testbed.experiment.estimates_file import read_estimates, write_estimates
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.results import result
+from testbed.experiment.results import Result, read_estimates, result_of, write_estimates
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
@@ -104,7 +103,7 @@ def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -
         recording.save(fresh / RECORDING)
 
 
-def write_result(run: Run, folder: Path) -> None:
+def write_result(run: Run, folder: Path) -> Result:
     """Write the result into a run folder that has its recording.
 
     Args:
@@ -113,10 +112,11 @@ def write_result(run: Run, folder: Path) -> None:
     """
     if run.unseen is not None:
         run.unseen.blind().save(folder / UNSEEN)
-    write_estimates(run, folder / ESTIMATES, _source(folder))
+    result = result_of(run, _source(folder))
+    write_estimates(result, folder / ESTIMATES)
     with replacing(folder / RESULT) as fresh:
-        text = json.dumps(result(run), indent=1, sort_keys=True)
-        fresh.write_text(text + "\n", encoding="utf-8")
+        fresh.write_bytes(json_text(result.document()) + b"\n")
+    return result
 
 
 def _identity(experiment: Experiment) -> str:

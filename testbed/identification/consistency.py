@@ -15,6 +15,7 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.codec import with_properties
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.conditions import conditions
 from testbed.identification.consistent_program import Scaled, scaled, solve
@@ -66,6 +67,8 @@ class Bent:
     covariance: Array
     widened: float
     distance: float
+
+    __get_pydantic_core_schema__ = with_properties("sigma", "sigmas")
 
     def __post_init__(self) -> None:
         p = len(self.names)

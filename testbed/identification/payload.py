@@ -13,6 +13,7 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array, readonly
+from testbed.codec import with_properties
 from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import scaled_inverse
@@ -60,6 +61,8 @@ class PayloadEstimate:
     rank: int
     chance: float
     warnings: tuple[str, ...] = ()
+
+    __get_pydantic_core_schema__ = with_properties("centre")
 
     def __post_init__(self) -> None:
         for name in ("values", "sigma"):

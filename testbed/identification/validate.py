@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.codec import with_properties
 from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (
     Estimate,
@@ -73,6 +74,8 @@ class Validation:
     noise: Array
     spread: Array
     zero_unknown: bool = False
+
+    __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio")
 
     def __post_init__(self) -> None:
         for name in ("signal", "residual", "mean", "noise", "spread"):

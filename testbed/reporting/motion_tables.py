@@ -11,7 +11,6 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from testbed.errors import plural
-from testbed.experiment.motion_results import binding
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -104,7 +103,7 @@ def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> 
             f"NOT proven: {failed} of {plural(len(proof.margins), 'limit')}; {proof.worst.words}"
         )
         return
-    held = binding(proof)
+    held = proof.binding
     console.print(
         f"proven at every moment: {plural(len(proof.margins), 'limit')}"
         + (f"; it comes up to {len(held)} of them" if held else "")

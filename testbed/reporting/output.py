@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -15,6 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
+from testbed.codec import json_text
 from testbed.errors import printable
 from testbed.stages import stage, stages
 
@@ -118,7 +118,7 @@ def printed_stages() -> Iterator[None]:
 
 def print_json(value: dict[str, Any]) -> None:
     """Print for programs."""
-    sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
+    sys.stdout.write(json_text(value).decode() + "\n")
 
 
 def print_lines(lines: Sequence[str], warnings: Sequence[str]) -> None:

@@ -1,4 +1,4 @@
-"""A payload as a table and sentences for the terminal, and for programs."""
+"""A payload as a table and sentences for the terminal."""
 
 from __future__ import annotations
 
@@ -79,46 +79,3 @@ def _place(centre: Any, sigma: Any) -> str:
         for axis, c, s in zip("xyz", centre, sigma, strict=True)
     ]
     return ", ".join(said)
-
-
-def payload_as_json(found: PayloadEstimate) -> dict[str, Any]:
-    """For programs: null where a parameter is not told.
-
-    Args:
-        found: The payload.
-    """
-    centre = found.centre
-    return {
-        "joint": found.joint,
-        "parameters": {
-            name: {
-                "value": float(found.values[k]) if found.told[k] else None,
-                "sigma": float(found.sigma[k]) if found.told[k] else None,
-                "unit": found.units[k],
-            }
-            for k, name in enumerate(found.names)
-        },
-        "centre": None if centre is None else [_numbers(each) for each in centre],
-        "rank": found.rank,
-        "chance": found.chance,
-        "warnings": list(found.warnings),
-    }
-
-
-def weighed_as_json(payload: Weighed, robot: Weighed) -> dict[str, Any]:
-    """For programs.
-
-    Args:
-        payload: The payload.
-        robot: The robot alone.
-    """
-    return {
-        "mass": {"value": payload.mass, "sigma": payload.sigma, "unit": "kg"},
-        "centre": [_numbers(payload.centre), _numbers(payload.centre_sigma)],
-        "robot_mass": {"value": robot.mass, "sigma": robot.sigma, "unit": "kg"},
-        "poses": payload.poses,
-    }
-
-
-def _numbers(values: Any) -> list[float | None]:
-    return [float(v) if np.isfinite(v) else None for v in values]

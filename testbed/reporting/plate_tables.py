@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -63,20 +63,3 @@ def plate_lines(plate: Calibration) -> list[str]:
             number = f"{each.name} {number_with_sigma(each.value, each.sigma)} {each.unit}"
             kinds.setdefault(each.kind, []).append(number.rstrip())
     return [", ".join(numbers) for numbers in kinds.values()]
-
-
-def plate_as_json(plate: Calibration) -> dict[str, Any]:
-    """For programs.
-
-    Args:
-        plate: The calibration.
-    """
-    return {
-        "robot": plate.robot,
-        "known": {name: list(both) for name, both in plate.known.items()},
-        "numbers": {
-            n.name: {"value": n.value, "sigma": n.sigma, "unit": n.unit} for n in plate.numbers
-        },
-        "matrix": plate.matrix.tolist(),
-        "matrix_sigma": plate.matrix_sigma.tolist(),
-    }
