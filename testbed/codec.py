@@ -7,6 +7,7 @@ pydantic is loaded when something is written or read.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -126,11 +127,11 @@ def json_text(content: Any, *, exact: bool = False) -> bytes:
         exact: For ourselves, in one line: NaN and Infinity stay what they are. Default for other
             programs, which know neither: null.
     """
-    from pydantic_core import to_json
+    from pydantic_core import to_jsonable_python
 
-    return to_json(
-        content, inf_nan_mode="constants" if exact else "null", indent=None if exact else 1
-    )
+    if exact:
+        return json.dumps(content).encode()
+    return json.dumps(to_jsonable_python(content, inf_nan_mode="null"), indent=1).encode()
 
 
 def from_json(text: bytes) -> Any:
@@ -139,9 +140,10 @@ def from_json(text: bytes) -> Any:
     Raises:
         ValueError: It is none.
     """
-    from pydantic_core import from_json as parsed
-
-    return parsed(text)
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
 
 
 def decode(kind: Any, content: Any, makers: Makers) -> Any:

@@ -185,7 +185,8 @@ def payload(
     from testbed.identification.identify import identify, in_its_gravity
     from testbed.identification.payload import payload as payload_of
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
-    from testbed.reporting import output, payload_table, terminal
+    from testbed.reporting import estimates as shown
+    from testbed.reporting import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
@@ -196,7 +197,7 @@ def payload(
             alone, carrying = (poses_at_rest(tree, source) for source in sources)
             weighed = weigh_payload(tree, alone, carrying, joint)
         words = {"payload": encode(weighed), "robot": encode(weigh(tree, alone))}
-        lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
+        lines = shown.weighed_lines(weighed, weigh(tree, alone))
         output.print_json(words) if as_json else output.print_lines(lines, tree.warnings)
         return
     estimates = []

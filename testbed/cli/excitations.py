@@ -74,7 +74,7 @@ def excite(
     from testbed.experiment.write_motion import write_motion
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.motion_tables import print_excitation
+    from testbed.reporting.motion import print_excitation
 
     if trajectory is not None:
         check_ending(trajectory)
@@ -91,7 +91,7 @@ def excite(
             write_trajectory(trajectory, found, rate)
         write_motion(out, found)
         if page is not None:
-            from testbed.reporting.motion_page import write_motion_page
+            from testbed.reporting.motion import write_motion_page
 
             write_motion_page(page, found)
     if as_json:
@@ -182,7 +182,7 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
     from testbed.codec import encode
     from testbed.experiment.motions import checked_motion
     from testbed.reporting import output
-    from testbed.reporting.motion_tables import print_proof
+    from testbed.reporting.motion import print_proof
 
     with output.Progress("proving"):
         found = checked_motion(file, settings)

@@ -169,7 +169,7 @@ def report(
     """
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.html import write_report
+    from testbed.reporting.run_page import write_report
 
     path = out or _beside(run, ".html")
     check_writable(path, path.with_suffix(".json"), read=(run, model, plate, validate))

@@ -13,14 +13,18 @@ from testbed.experiment.summary import accuracy_lines, headline, residual_line
 from testbed.identification.cross_check import findings_of
 from testbed.identification.estimate_text import OPEN_ZERO
 from testbed.identification.finding import folded
-from testbed.reporting.choice_table import choice_lines
-from testbed.reporting.consistent_table import consistent_lines, consistent_tables
-from testbed.reporting.drive_table import drive_lines, drive_tables
-from testbed.reporting.output import console, print_warnings
-from testbed.reporting.payload_table import payload_lines, payload_table
-from testbed.reporting.plate_tables import plate_lines, plate_tables
-from testbed.reporting.tables import quality_lines, result_tables
-from testbed.reporting.validation_tables import validation_tables
+from testbed.reporting.bodies import consistent_lines, consistent_tables
+from testbed.reporting.drives import drive_lines, drive_table
+from testbed.reporting.estimates import (
+    choice_lines,
+    parameter_tables,
+    payload_lines,
+    payload_table,
+    quality_lines,
+    validation_table,
+)
+from testbed.reporting.instrument import plate_lines, plate_table
+from testbed.reporting.output import console, print_tables, print_warnings
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -61,8 +65,7 @@ def print_estimates(
     for line in [*quality_lines(estimates), *lines] if everything else lines:
         out.print(line, soft_wrap=True)
     if bodies is not None:
-        for table in consistent_tables(bodies):
-            out.print(table)
+        print_tables(out, consistent_tables(bodies))
         for line in consistent_lines(bodies):
             out.print(printable(line), soft_wrap=True)
 
@@ -87,8 +90,7 @@ def _print_parameters(
     if not estimates:
         return
     most = None if everything else ROWS
-    for table in result_tables(out, estimates, truths, title, most):
-        out.print(table)
+    print_tables(out, *parameter_tables(estimates, truths, title, most))
     for name in (name for e in estimates for name in e.unidentifiable):
         out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
     count = len({name for e in estimates for name in e.names}) - ROWS
@@ -105,8 +107,7 @@ def print_validations(validations: Sequence[Validation], warnings: Sequence[str]
     """
     out = console()
     for found in validations:
-        for table in validation_tables(out, found):
-            out.print(table)
+        print_tables(out, [validation_table(found)])
     print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
 
 
@@ -119,13 +120,12 @@ def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None
         path: Where it is kept.
     """
     out = console()
-    for table in plate_tables(out, plate):
-        out.print(table)
+    print_tables(out, [plate_table(plate)])
     for line in plate_lines(plate):
         out.print(line, soft_wrap=True)
     estimates = [] if plate.estimate is None else [plate.estimate]
-    for table in result_tables(out, estimates, {}) if estimates else ():
-        out.print(table)
+    if estimates:
+        print_tables(out, *parameter_tables(estimates, {}))
     print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
     out.print(f"plate: {path}", soft_wrap=True)
 
@@ -143,8 +143,7 @@ def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
 
 
 def _print_drives(out: Console, drives: DriveFindings) -> None:
-    for table in drive_tables(out, drives.estimates):
-        out.print(table)
+    print_tables(out, [drive_table(drives.estimates)])
     for line in drive_lines(drives):
         out.print(line, soft_wrap=True)
 
@@ -157,7 +156,7 @@ def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
         warnings: About robot, recordings and payload.
     """
     out = console()
-    out.print(payload_table(found))
+    print_tables(out, [payload_table(found)])
     for line in payload_lines(found):
         out.print(line, soft_wrap=True)
     print_warnings(out, warnings)
