@@ -32,8 +32,8 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
     """
     kept = isinstance(value, np.ndarray) and not value.flags.writeable
     array = np.asarray(value, np.float64) if kept else np.array(value, np.float64, order="C")
-    if not array.size and None not in shape and 0 in shape:
-        array = array.reshape([each or 0 for each in shape])  # lists of nothing have one axis
+    if array.shape == (0,) and 0 in shape and None not in shape:
+        array = array.reshape([each or 0 for each in shape])  # a list of nothing has one axis
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )

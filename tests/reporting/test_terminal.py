@@ -190,8 +190,8 @@ def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
     assert score_figure({"external": {"a": np.zeros(19)}}) is None
     text = printed(100, print_summary, summary, [Path("file")])
     assert len(re.findall(r"^\s*\d+ ", text, re.MULTILINE)) >= len(summary.cells)
-    lines = printed(100, print_changes, list(changes(summary, summary))).splitlines()[1:]
-    assert all(" 1 " in f"{line} " for line in lines if line.strip())
+    lines = printed(100, print_changes, list(changes(summary, summary))).splitlines()[2:]
+    assert all(" 1 " in f"{line} " for line in lines if line.strip(" ─"))
 
 
 def test_progress_is_told_with_failures_and_the_inner_block(
