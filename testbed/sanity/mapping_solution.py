@@ -62,8 +62,8 @@ STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
 CLEAR = 4.0
 """Standard deviations from which a plate is late by a clock that it shares with the positions."""
 
-FAR = 0.05
-"""Standard deviation from which a place is not known [m]."""
+FAR, LOOSE = 0.05, 1.5e-3
+"""Standard deviations from which a place is not known, and may well be some millimetres off [m]."""
 
 NEAR = 14.2
 """Squared distance, in standard deviations, below which a turn is one that a person writes: one of
@@ -322,6 +322,11 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     )
     axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
     note += f"; {axes} cannot be told from these data" * bool(axes)
+    told = np.array(SHIFT)[spread <= FAR]
+    widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(told, told)]).max(initial=0.0))
+    if widest > LOOSE:
+        note += f"; the place cannot be told closer than +- {1e3 * widest:.1f} mm from these data"
+        note += ": faster motion would tell it"
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in plain or rpy]}
     draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
     force, moment = frame.units
