@@ -106,7 +106,10 @@ class Assessment:
     @property
     def wrench_fit(self) -> WrenchFit | None:
         """The plate as it was read beside what explains it; None where there is none."""
-        return None if self.as_read is None else self.as_read.fit.plate.wrench_fit()
+        as_read = self.as_read
+        if as_read is None or not as_read.has_plate:
+            return None
+        return as_read.fit.plate.wrench_fit(as_read.plate)
 
     def require(self, *, align: bool = False) -> None:
         """Stop where something is certainly wrong.

@@ -464,11 +464,13 @@ class PlateEvidence:
             precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
         return values[own], covariance[own, own]
 
-    def wrench_fit(self) -> WrenchFit | None:
-        """The channels as the mapping reads them, and what explains them; None without a plate."""
-        if not self.measured:
-            return None
-        wrench = self._instants.wrench
+    def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
+        """The channels by an explanation, and what parameters and constants make of them.
+
+        Args:
+            each: Of the plate.
+        """
+        wrench = self.wrench(each)
         size = np.maximum(wrench.std(axis=0), 1e-12)
         basis = model_directions(self._wrench_rows, 1 / size)
         fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size
