@@ -62,7 +62,7 @@ STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
 CLEAR = 4.0
 """Standard deviations from which a plate is late by a clock that it shares with the positions."""
 
-FAR, LOOSE = 0.05, 1.5e-3
+FAR, LOOSE = 0.02, 1.5e-3
 """Standard deviations from which a place is not known, and may well be some millimetres off [m]."""
 
 NEAR = 14.2
