@@ -268,7 +268,7 @@ def other_zero(remedy: Remedy) -> Finding:
         remedy: Of the kind `tare`.
     """
     text = f"shows {components(np.array(remedy.values))} N, N m without the robot, by rough masses"
-    remedies = f"identify with --set identification.tare=unknown, or {_mapping([remedy])}"
+    remedies = f"identify with --set identification.tare=unknown, or {in_mapping(remedy.lines)}"
     return _finding(
         ZERO, "the plate", text, np.abs(remedy.values).max(), (KINDS["tare"].words,), remedies
     )
@@ -311,7 +311,14 @@ def wrong_mapping(
         text += f"; the data cannot tell this from {', or '.join(others.equals)}"
     causes = " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
     subject = " and ".join([*subjects, *([joints] if names else [])])
-    return _finding(MAPPING, subject, text, worst.before, (causes,), _mapping(remedies))
+    return _finding(
+        MAPPING,
+        subject,
+        text,
+        worst.before,
+        (causes,),
+        in_mapping(line for each in remedies for line in each.lines),
+    )
 
 
 def odd_sizes(
@@ -363,10 +370,6 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
         if joints:
             parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
     return f"these data do not decide, of the positions, {'; '.join(parts)}" if parts else ""
-
-
-def _mapping(remedies: Sequence[Remedy]) -> str:
-    return f"in the mapping: {in_mapping(remedies)}"
 
 
 def _finding(

@@ -30,7 +30,7 @@ from testbed.sanity.explanation import Explanation
 from testbed.sanity.findings import CLEARLY, FOREIGN, SIZE, WEIGHT, share
 from testbed.sanity.hypotheses import in_words
 from testbed.sanity.plate import WrenchFit, frame_of
-from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN
+from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import align_mapping, time_offsets
 from testbed.toml_text import checked
@@ -355,10 +355,8 @@ def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] 
     """Angles that a person writes, if one of them is as near as the data tell."""
     for step in STEPS:
         roll, pitch, yaw = (round(angle / step) * step for angle in to_rpy(turn))
-        apart = from_rpy((roll, pitch, yaw)) @ turn.T
-        odd = (apart - apart.T) / 2
-        vector = np.array([odd[2, 1], odd[0, 2], odd[1, 0]])
-        if np.trace(apart) > 2 and vector @ np.linalg.solve(covariance, vector) < NEAR:
+        apart = rotation_vector(from_rpy((roll, pitch, yaw)) @ turn.T)
+        if apart @ np.linalg.solve(covariance, apart) < NEAR:
             return roll, pitch, yaw
     return None
 
