@@ -115,6 +115,17 @@ class LaggedProducts:
         found = self.symmetric @ inner.reshape(len(inner), -1).T
         return np.asarray(found.transpose(2, 0, 1))
 
+    def squares(self, combinations: Array) -> Array:
+        """b' of each lag's products b, (R, C, K + 1).
+
+        Args:
+            combinations: Each b, (R, q).
+        """
+        columns = combinations.shape[1]
+        products = self.symmetric.reshape(*self.symmetric.shape[:2], columns, columns)
+        found = (products @ combinations.T) * combinations.T
+        return np.asarray(found.sum(axis=2).transpose(2, 0, 1))
+
     def moments(self, inner: Array, order: int) -> Array:
         """z_(t-i)' B z_(t-j) summed over t >= P, (R, C, P + 1, P + 1).
 
@@ -188,12 +199,10 @@ class Whitened:
         Args:
             weights: Of the channels, (R, C).
         """
-        count, sequences, channels, rows, columns = self._edges.shape
         whole = self._given.sums(weights[..., None] * self._share)
-        weighted = self._edges * weights[:, None, :, None, None]
-        flat = count, sequences * channels * rows, columns
-        edges = weighted.reshape(flat).swapaxes(1, 2) @ self._edges.reshape(flat)
-        return np.asarray(whole - edges)
+        edges = self._edges * np.sqrt(weights)[:, None, :, None, None]
+        edges = edges.reshape(len(edges), -1, edges.shape[-1])
+        return np.asarray(whole - edges.swapaxes(1, 2) @ edges)
 
     def traces(self, inner: Array) -> Array:
         """Traces of each channel's times a matrix, (R, C).
@@ -204,6 +213,16 @@ class Whitened:
         edges = (self._edges @ inner[:, None, None]) * self._edges
         whole = (self._share * self._given.traces(inner)).sum(axis=2)
         return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
+
+    def squares(self, combinations: Array) -> Array:
+        """Of one combination of the columns for each whitening, channel by channel, (R, C).
+
+        Args:
+            combinations: (R, q).
+        """
+        edges = (self._edges @ combinations[:, None, None, :, None])[..., 0]
+        whole = (self._share * self._given.squares(combinations)).sum(axis=2)
+        return np.asarray(whole - (edges**2).sum(axis=(1, 3)))
 
 
 def _edges(given: LaggedProducts, alpha: Array) -> Array:
