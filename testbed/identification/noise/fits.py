@@ -87,12 +87,16 @@ Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
 """A fit for each response; the order of the noise is chosen where None is given."""
 
 
-def whitened_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
+def whitened_fits(
+    given: LaggedProducts, order: int | None = None, *, quick: bool = False
+) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
         order: Of the noise; None for what is best for the first residuals.
+        quick: Whether a turn's weights go on from those of the turn before, with one step: chances
+            of tests differ by a thousandth.
     """
     found = _weighted(given.up_to(0), given.rows)
     if order is None:  # by residuals as they are: of coloured noise weights alone take less
@@ -102,7 +106,7 @@ def whitened_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     given = given.up_to(order)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, found, order), order)
-        found = _weighted(given, given.after(order), coefficients)
+        found = _weighted(given, given.after(order), coefficients, found if quick else None)
     noises = map(Autoregression, coefficients, found.spread)
     each = zip(found.values, found.inverse, noises, strict=True)
     return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
@@ -167,7 +171,10 @@ class _Weighted(NamedTuple):
 
 
 def _weighted(
-    given: LaggedProducts, rows: Array | int, coefficients: Array | None = None
+    given: LaggedProducts,
+    rows: Array | int,
+    coefficients: Array | None = None,
+    before: _Weighted | None = None,
 ) -> _Weighted:
     """Unknowns and noise from products of the same rows.
 
@@ -175,15 +182,18 @@ def _weighted(
         given: The products.
         rows: How many, (C,) or one number.
         coefficients: Of the autoregressions that whiten them, (R, C, P); None for none.
+        before: What is to be improved by one step; None for all steps, from values of zero.
     """
     m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
     if coefficients is None:
         coefficients = np.zeros((trials, channels, 0))
     white, free = Whitened(given, coefficients), np.asarray(rows) - coefficients.shape[2]
     values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
+    if before is not None:
+        values, taken = before.values, before.taken
     inverses = np.zeros((trials, *given.products.shape[2:]))
     spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
-    for _ in range(REWEIGHTINGS):
+    for _ in range(REWEIGHTINGS if before is None else 1):
         inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
         taken = white.traces(inverses) / spread**2
         spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
@@ -215,7 +225,7 @@ def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
 
 
 def _of_residuals(given: LaggedProducts, values: Array) -> Array:
-    """b with b' z what a response's values leave of a row z, (R, q)."""
+    """B with b' z what a response's values leave of a row z, (R, q)."""
     trials, m = values.shape
     found = np.zeros((trials, given.products.shape[2]))
     found[:, :m], found[range(trials), range(m, m + trials)] = -values, 1.0
@@ -223,7 +233,7 @@ def _of_residuals(given: LaggedProducts, values: Array) -> Array:
 
 
 def _squares(combinations: Array) -> Array:
-    """b b' of each b, (R, q, q)."""
+    """B b' of each b, (R, q, q)."""
     return combinations[:, :, None] * combinations[:, None, :]
 
 

@@ -116,7 +116,7 @@ class LaggedProducts:
         return np.asarray(found.transpose(2, 0, 1))
 
     def squares(self, combinations: Array) -> Array:
-        """b' of each lag's products b, (R, C, K + 1).
+        """B' of each lag's products b, (R, C, K + 1).
 
         Args:
             combinations: Each b, (R, q).
