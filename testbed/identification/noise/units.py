@@ -199,7 +199,9 @@ class Units:
             lags: How many rows before.
             encoders: Their noise; None where none is to be made.
         """
-        every, seen, noise = LaggedSums(lags), LaggedSums(lags), LaggedSums(lags)
+        plate = passes.plan.layout.model == "reaction"
+        every, seen = LaggedSums(lags), LaggedSums(lags)
+        noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
         combined, made = np.column_stack([self.white, values]), NOTHING_MADE
         if encoders is not None:
             made = encoders.made(passes.plan, combined)
@@ -242,7 +244,7 @@ def units_of(start: least_squares.Fit, beside: Beside) -> Units:
         start: The solution, and the weights in whose units rows are taken.
         beside: Columns beside the robot's.
     """
-    white = square_root(start.inverse)
+    white = square_root(start.inverse[::-1, ::-1])[::-1, ::-1]  # own columns of later joints stay
     given = beside.facts
     if given is None or not len(given):
         return Units(square_root(start.weights), white, beside, None, None)
