@@ -7,7 +7,6 @@ each is another sum of these products. One look at the rows is enough, whatever 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -56,17 +55,11 @@ class LaggedProducts:
         """
         return self.rows - order * len(self.first)
 
-    @cached_property
-    def symmetric(self) -> Array:
-        """Half of each lag's products and of their transpose, (K + 1, C, q q)."""
+    @property
+    def flat(self) -> Array:
+        """Products lag by lag, channel by channel, ((K + 1) C, q q)."""
         lags, channels, columns, _ = self.products.shape
-        found = self.products
-        if not self.alike:
-            found = np.empty_like(found)
-            for own, each in zip(found, self.products, strict=True):
-                np.add(each, each.swapaxes(1, 2), out=own)
-                own /= 2
-        return found.reshape(lags, channels, columns**2)
+        return self.products.reshape(lags * channels, columns**2)
 
     def up_to(self, lag: int) -> LaggedProducts:
         """Of fewer lags.
@@ -77,10 +70,7 @@ class LaggedProducts:
         if lag == self.lags:
             return self
         first, last = self.first[:, :, :lag], self.last[:, :, self.lags - lag :]
-        found = replace(self, products=self.products[: lag + 1], first=first, last=last)
-        if "symmetric" in self.__dict__:
-            found.__dict__["symmetric"] = self.symmetric[: lag + 1]
-        return found
+        return replace(self, products=self.products[: lag + 1], first=first, last=last)
 
     def leading(self, count: int) -> LaggedProducts:
         """Of the first columns, and of the responses and ones.
@@ -111,9 +101,9 @@ class LaggedProducts:
         Args:
             weights: Of channels and lags, (R, C, K + 1).
         """
-        flat = weights.swapaxes(1, 2).reshape(len(weights), -1)
-        found = flat @ self.symmetric.reshape(flat.shape[1], -1)
-        return np.asarray(found.reshape(-1, *self.products.shape[2:]))
+        found = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
+        found = found.reshape(-1, *self.products.shape[2:])
+        return np.asarray(found if self.alike else (found + found.swapaxes(1, 2)) / 2)
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -121,8 +111,8 @@ class LaggedProducts:
         Args:
             inner: The matrices, symmetric, (R, q, q).
         """
-        found = self.symmetric @ inner.reshape(len(inner), -1).T
-        return np.asarray(found.transpose(2, 1, 0))
+        found = inner.reshape(len(inner), -1) @ self.flat.T
+        return np.asarray(found.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2))
 
     def squares(self, combinations: Array) -> Array:
         """B' of each lag's products b, (R, C, K + 1).
@@ -195,8 +185,10 @@ class Whitened:
         share[..., 1:] *= 2  # a lag's products, and their transpose
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
-            whole = share[0, :, None] @ given.symmetric.swapaxes(0, 1)
-            whole = whole.reshape(given.products.shape[1:])
+            whole = np.zeros(given.products.shape[1:])
+            for lag, products in enumerate(given.products):
+                whole += share[0, :, lag, None, None] * products
+            whole = (whole + whole.swapaxes(1, 2)) / 2
             whole -= _together(self._edges[0], self._edges[0])
             self._given = replace(given.up_to(0), products=whole[None], alike=True)
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
@@ -289,7 +281,8 @@ class LaggedSums:
             self._widen(channel, each.any(axis=0).nonzero()[0])
             part = each[:, self._own[channel]]
             before = np.lib.stride_tricks.sliding_window_view(part, rows, axis=0)[::-1]
-            self._products[channel] += part[self._lags :].T @ before.swapaxes(1, 2)
+            for own, then in zip(self._products[channel], before, strict=True):
+                own += part[self._lags :].T @ then.T
         self._rows += rows
         self._since += rows
         self._recent = run[:, rows:]

@@ -77,14 +77,21 @@ class Replicas:
         made, known, across = self._noise.finish(), self._known, self._across
         lags, channels, count, _ = across.shape
         m, own, size = count - 1, slice(count - 1, -1), count + REPLICAS
-        within = known.symmetric.reshape(lags, channels, m + 2, m + 2)
         products = np.zeros((lags, channels, size, size))
-        products[..., :m, :m], products[..., -1, -1] = within[..., :m, :m], within[..., -1, -1]
-        products[..., :m, -1] = products[..., -1, :m] = within[..., :m, -1]
+        products[..., :m, :m], products[..., -1, -1] = (
+            known.products[..., :m, :m],
+            known.products[..., -1, -1],
+        )
+        products[..., :m, -1], products[..., -1, :m] = (
+            known.products[..., :m, -1],
+            known.products[..., -1, :m],
+        )
         products[..., :m, own], products[..., -1, own] = across[..., :m, :], across[..., m, :]
         products[..., own, :m] = across[..., :m, :].swapaxes(2, 3)
-        products[..., own, -1] = across[..., m, :]
-        products[..., own, own] = made.symmetric.reshape(lags, channels, REPLICAS, REPLICAS)
+        products[..., own, -1], products[..., own, own] = across[..., m, :], made.products
+        for each in products:
+            each += each.swapaxes(1, 2)
+            each /= 2
         first, last = (
             np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
             for old, new in ((known.first, made.first), (known.last, made.last))
