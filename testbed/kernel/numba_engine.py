@@ -119,7 +119,7 @@ def _call(*arguments: object) -> None:
     Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
     to end, each of them may allocate and free one, which takes seconds in all.
     """
-    if compiled.signatures:
+    if compiled.overloads:
         compiled(*arguments)
     else:
         if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
