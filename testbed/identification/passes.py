@@ -38,7 +38,7 @@ SMALL = 0.3
 PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
 
-KEPT = 64e6
+KEPT = 200e6
 """Bytes of rows that are kept from the first pass to the next."""
 
 
