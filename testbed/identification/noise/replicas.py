@@ -60,10 +60,13 @@ class Replicas:
         lags, rows = len(self._across) - 1, columns.shape[1]
         before = self._before or tuple(np.zeros((len(ones), lags, z.shape[2])) for z in now)
         columns, noise = (np.concatenate(each, axis=1) for each in zip(before, now, strict=True))
+        around = np.zeros((*noise.shape[:2], lags + 1, REPLICAS))
         for lag in range(lags + 1):  # as a lag's products and their transpose come together only
             late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            self._across[lag] += columns[:, late].swapaxes(1, 2) @ noise[:, early] / 2
-            self._across[lag] += columns[:, early].swapaxes(1, 2) @ noise[:, late] / 2
+            around[:, late, lag] += noise[:, early] / 2
+            around[:, early, lag] += noise[:, late] / 2
+        found = columns.swapaxes(1, 2) @ around.reshape(*noise.shape[:2], -1)
+        self._across += np.moveaxis(found.reshape(*found.shape[:2], lags + 1, -1), 2, 0)
         self._before = columns[:, rows:], noise[:, rows:]
 
     def pause(self) -> None:
