@@ -21,6 +21,7 @@ from testbed.identification.noise.noisy_columns import NOTHING_MADE, Made, Posit
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
+from testbed.kernel.layout import Layout
 from testbed.stages import stage
 
 ROUNDING = 1e-12
@@ -237,14 +238,21 @@ def _together(first: Columns | None, second: Columns | None) -> Columns | None:
     return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
-def units_of(start: least_squares.Fit, beside: Beside) -> Units:
+def units_of(start: least_squares.Fit, beside: Beside, layout: Layout) -> Units:
     """Units that a weighted solution suggests.
+
+    Columns are made orthonormal from the bedplate outward, so that a joint's row still holds those
+    of its subtree only, or few more: the last ones.
 
     Args:
         start: The solution, and the weights in whose units rows are taken.
         beside: Columns beside the robot's.
+        layout: Of the rows.
     """
-    white = square_root(start.inverse[::-1, ::-1])[::-1, ::-1]  # own columns of later joints stay
+    seen = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
+    inward = np.argsort(np.argmax(seen[::-1], axis=0), kind="stable")
+    white = np.empty_like(start.inverse)
+    white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
     given = beside.facts
     if given is None or not len(given):
         return Units(square_root(start.weights), white, beside, None, None)
