@@ -1,4 +1,7 @@
-"""What the terminal shows at any width, and what programs are given in its place."""
+"""What the terminal shows at any width, and what programs are given in its place.
+
+If one fails, a person copies a number that was cut, or misses the line that matters.
+"""
 
 from __future__ import annotations
 

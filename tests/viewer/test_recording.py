@@ -1,4 +1,7 @@
-"""What is in the files for Rerun, read back."""
+"""What is in the files for Rerun, read back.
+
+If one fails, people look at another robot, signal or size than was measured or estimated.
+"""
 
 from __future__ import annotations
 
