@@ -182,8 +182,9 @@ def payload(
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
     """
     from testbed.codec import encode
-    from testbed.identification.identify import identify, in_its_gravity
+    from testbed.identification.identify import identify
     from testbed.identification.payload import payload as payload_of
+    from testbed.identification.problem import in_its_gravity
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal

@@ -82,7 +82,6 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.experiment.results import identified as result_of
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
@@ -116,6 +115,8 @@ def identify(
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
         warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recordings)]
     if as_json:
+        from testbed.experiment.results import identified as result_of
+
         result = result_of(estimates, reading.model_file(model), reading.tables(), warnings, bodies)
         output.print_json(result.document())
     else:

@@ -26,9 +26,9 @@ from testbed.identification.cross_check import findings_of
 from testbed.identification.drive_findings import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
 from testbed.identification.finding import Finding
-from testbed.identification.identify import set_of
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.nuisance import Nuisance
+from testbed.identification.problem import set_of
 from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation
 from testbed.parameters.joint_terms import DriveSet

@@ -24,7 +24,7 @@ from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.assessment import MOST_SAMPLES, assess
 from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import TimeOffset, align_mapping, in_mapping, time_offsets
+from testbed.sanity.time_offset import TimeOffset, align_mapping, remedy_of, time_offsets
 
 UNCHECKED = "the recording was not held against the robot (--unchecked)"
 
@@ -96,7 +96,7 @@ def check_recording(
         notes += [assessment.undecided] * bool(assessment.undecided)
     offsets = time_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
-    delays = [f"{each.text}; {in_mapping(each, mapping)}" for each in offsets if each.matters]
+    delays = [f"{each.text}; {remedy_of(each, mapping)}" for each in offsets if each.matters]
     return CheckReport(tuple(offsets), tuple(doubts), tuple(delays), tuple(notes))
 
 

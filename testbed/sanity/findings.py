@@ -18,7 +18,7 @@ from testbed.robot.tree import Tree
 from testbed.sanity.explanation import BRAKED, Explanation
 from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
-from testbed.sanity.plate import MIXED
+from testbed.sanity.plate import MIXED, WrenchFit
 from testbed.sanity.remedies import Remedy, in_mapping
 
 SPIKES, REST, STILL = "channel.spikes", "robot.rest", "position.still"
@@ -42,7 +42,7 @@ USUAL: Mapping[str, tuple[tuple[str, ...], str]] = {
         "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
     ),
     FOREIGN: (
-        ("another robot", "columns that are not the plate's", "a plate that drifts"),
+        ("another robot", "columns that are not the plate's", "a plate that drifts, or is noisy"),
         "look at the columns of [position] and [wrench], and at the model",
     ),
     WEIGHT: (
@@ -197,14 +197,12 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Finding]:
 
     Args:
         tree: The robot.
-        as_read: The recording as it is; without torques, the plate's channels count.
+        as_read: The recording as it is.
     """
     moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
-    if not moves.size:
-        moves = np.full(tree.n, not as_read.plate.explained(BRAKED))
     position = as_read.fit.instants.position
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
-    dead = [k for k in still if moves[k]]
+    dead = [k for k in still if moves.size and moves[k]]
     if still:
         more = ", and what was measured is not explained by a joint at rest" if dead else ""
         names = few([tree.names[k] for k in dead or still])
@@ -224,7 +222,7 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
         return
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
-    certain = not plate.explained(UNEXPLAINED)
+    certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
     text = (
         f"{share(shares[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
     )
@@ -234,6 +232,14 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
     else:
         text = f"has measured another robot, or in other columns: {text}"
         yield Doubt(certain, _finding(FOREIGN, "the plate", text, shares[channel]))
+
+
+def _noisy(fit: WrenchFit) -> bool:
+    """Whether what is left is noise: it changes from instant to instant, as no motion does."""
+    left = fit.wrench - fit.fit
+    noise = (np.diff(left, 2, axis=0) ** 2).mean(axis=0) / 6
+    slow = (left**2).mean(axis=0) - NOISY * noise
+    return bool((slow < UNEXPLAINED * fit.wrench.var(axis=0)).all())
 
 
 def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
@@ -262,7 +268,7 @@ def other_zero(remedy: Remedy) -> Finding:
         remedy: Of the kind `tare`.
     """
     text = f"shows {components(np.array(remedy.values))} N, N m without the robot, by rough masses"
-    remedies = f"identify with --set identification.tare=unknown, or {_mapping([remedy])}"
+    remedies = f"identify with --set identification.tare=unknown, or {in_mapping(remedy.lines)}"
     return _finding(
         ZERO, "the plate", text, np.abs(remedy.values).max(), (KINDS["tare"].words,), remedies
     )
@@ -305,7 +311,14 @@ def wrong_mapping(
         text += f"; the data cannot tell this from {', or '.join(others.equals)}"
     causes = " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
     subject = " and ".join([*subjects, *([joints] if names else [])])
-    return _finding(MAPPING, subject, text, worst.before, (causes,), _mapping(remedies))
+    return _finding(
+        MAPPING,
+        subject,
+        text,
+        worst.before,
+        (causes,),
+        in_mapping(line for each in remedies for line in each.lines),
+    )
 
 
 def odd_sizes(
@@ -357,10 +370,6 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
         if joints:
             parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
     return f"these data do not decide, of the positions, {'; '.join(parts)}" if parts else ""
-
-
-def _mapping(remedies: Sequence[Remedy]) -> str:
-    return f"in the mapping: {in_mapping(remedies)}"
 
 
 def _finding(
