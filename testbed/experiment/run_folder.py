@@ -20,7 +20,7 @@ from testbed.codec import json_text
 from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.results import Result, read_estimates, result_of, write_estimates
+from testbed.experiment.results import read_estimates, result_of, write_estimates
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
@@ -103,7 +103,7 @@ def write_recorded(experiment: Experiment, recording: Recording, folder: Path) -
         recording.save(fresh / RECORDING)
 
 
-def write_result(run: Run, folder: Path) -> Result:
+def write_result(run: Run, folder: Path) -> None:
     """Write the result into a run folder that has its recording.
 
     Args:
@@ -116,7 +116,6 @@ def write_result(run: Run, folder: Path) -> Result:
     write_estimates(result, folder / ESTIMATES)
     with replacing(folder / RESULT) as fresh:
         fresh.write_bytes(json_text(result.document()) + b"\n")
-    return result
 
 
 def _identity(experiment: Experiment) -> str:
