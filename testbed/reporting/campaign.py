@@ -159,7 +159,9 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
         shown = ["-" if math.isnan(x) else f"{round_significant(x, 3):g}" for x in values]
         rows.append([f"{number} {', '.join(map(str, levels)) or '-'}", *shown])
     heads = [name for name, *_ in metrics]
-    print_tables(out, [Table(["cell", *heads], rows, parts=[[head] for head in heads])])
+    print_tables(
+        out, [Table(["cell", *heads], rows, parts=[[k] for k in range(1, 1 + len(heads))])]
+    )
     if len(summary.cells) > LISTED:
         out.print(f"... {len(summary.cells) - LISTED} cells more")
     for file in files:

@@ -28,10 +28,10 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
     methods = [m for m in METHODS if m in comparison.methods]
     print_tables(
         out,
-        [_table(comparison, rows, methods, said=True)],
+        [_table(comparison.name, rows, methods, said=True)],
         [
-            *(_table(comparison, rows, [m], said=False) for m in methods),
-            _table(comparison, rows, [], said=True),
+            *(_table(comparison.name, rows, [m], said=False) for m in methods),
+            _table("", rows, [], said=True),
         ],
     )
     for row in rows:
@@ -44,9 +44,7 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
     out.print(f"verdict: {verdict} ({held} of {plural(len(rows), 'line')} as expected)")
 
 
-def _table(
-    comparison: Comparison, rows: Sequence[Compared], methods: Sequence[Method], *, said: bool
-) -> Table:
+def _table(title: str, rows: Sequence[Compared], methods: Sequence[Method], *, said: bool) -> Table:
     """Errors by some methods, and, if it is wanted, what is said first; the remedy's errors."""
     errors = [head for method in methods for head in (f"{method}: error", "max z")]
     heads = ["variant", *errors, *(["said first", "named"] if said else [])]
@@ -60,7 +58,7 @@ def _table(
         ]
         for row in rows
     ]
-    return Table(heads, cells, comparison.name, left=["said first", "named"])
+    return Table(heads, cells, title, left=["said first", "named"])
 
 
 def _numbers(run: Run | None, methods: Sequence[Method]) -> list[str]:

@@ -35,7 +35,7 @@ def drive_table(drives: Sequence[DriveEstimate]) -> Table:
     kinds = dict.fromkeys(term.law.kind for each in drives for term in each.terms)
     heads = ["torque constant", *kinds, "residual"]
     rows = [[each.joint, *(_cell(each, head) for head in heads)] for each in drives]
-    return Table(["joint", *heads], rows, TITLE, parts=[[head] for head in heads])
+    return Table(["joint", *heads], rows, TITLE, parts=[[k] for k in range(1, 1 + len(heads))])
 
 
 def _cell(drive: DriveEstimate, head: str) -> str:

@@ -182,7 +182,6 @@ def validation_table(found: Validation) -> Table:
     Args:
         found: By one method.
     """
-    parts = (("unit", "residual", "of signal", "mean"), ("noise", "sigma adds", "ratio", "rows"))
     numbers = (found.residual, 100 * found.relative_residual, found.mean, found.noise)
     columns = [
         found.channels,
@@ -195,9 +194,16 @@ def validation_table(found: Validation) -> Table:
         ),
         [str(rows) for rows in found.rows],
     ]
-    heads = ["channel", *parts[0], *parts[1]]
+    heads = ["channel", "unit", "residual", "of signal", "mean"]
+    heads += ["noise", "sigma adds", "ratio", "rows"]
     title = f"{found.method}, on another recording"
-    return Table(heads, list(zip(*columns, strict=True)), title, left=["unit"], parts=parts)
+    return Table(
+        heads,
+        list(zip(*columns, strict=True)),
+        title,
+        left=["unit"],
+        parts=(range(1, 5), range(5, 9)),
+    )
 
 
 def _text(number: float, unit: str = "") -> str:

@@ -85,7 +85,7 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
             words.append(f"{random[k]:.2%}" if np.isfinite(random[k]) else "-")
         return words
 
-    heads = ["parameter", "predicted sigma", "of its value", "random motion"]
+    heads = ["parameter", "predicted\nsigma", "of its\nvalue", "random\nmotion"]
     return Table(heads[: 3 + (random is not None)], [row(k) for k in rows])
 
 

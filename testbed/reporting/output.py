@@ -157,8 +157,7 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
         out: Where to.
         layouts: From wide to narrow.
     """
-    last = layouts[-1]
-    split = [t.part(heads) for t in last for heads in t.parts or (t.heads[1:],)]
+    split = [part for table in layouts[-1] for part in table.split]
     free = out.options.update(max_width=10_000)
     for tables in (*layouts, split):
         made = [_drawn(table) for table in tables]
@@ -173,9 +172,11 @@ def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
 def _drawn(table: Table, width: int | None = None) -> RichTable:
     """A table; the rows' names are folded so that it has a width, if any."""
     columns = list(zip(*([printable(cell) for cell in row] for row in table.rows), strict=True))
-    taken = [max(map(len, (h, *c))) for h, c in zip(table.heads, columns, strict=False)]
-    others = sum(each + 2 for each in taken[1:]) + 4
-    room = None if width is None else max(NAME, width - others)
+    taken = [
+        max(map(len, (*head.split("\n"), *cells)))
+        for head, cells in zip(table.heads[1:], columns[1:], strict=False)
+    ]
+    room = None if width is None else max(NAME, width - sum(taken) - 2 * len(taken) - 4)
     drawn = RichTable(
         title=printable(table.title) or None,
         title_justify="left",
@@ -189,7 +190,7 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
             justify="left" if words else "right",
             style="dim" if head == "unit" else "",
             overflow="fold",
-            no_wrap=room is None or k > 0,
+            no_wrap=not words or (k == 0 and room is None),
             max_width=room if k == 0 else None,
         )
     for row in table.rows:

@@ -23,20 +23,25 @@ class Table:
         rows: A cell a column.
         title: Above it.
         left: Heads of columns of words, which begin at the left as the first does.
-        parts: Heads of columns, the first apart, that stand together where not all have room.
+        parts: Columns, the first apart, that stand together where not all have room.
     """
 
     heads: Sequence[str]
     rows: Sequence[Sequence[str]]
     title: str = ""
     left: Sequence[str] = ()
-    parts: Sequence[Sequence[str]] = ()
+    parts: Sequence[Sequence[int]] = ()
 
-    def part(self, heads: Sequence[str]) -> Table:
-        """Its first column, and some others."""
-        own = [0, *(self.heads.index(head, 1) for head in heads)]
-        rows = [[row[k] for k in own] for row in self.rows]
-        return Table([self.heads[k] for k in own], rows, self.title, self.left)
+    @property
+    def split(self) -> list[Table]:
+        """A table for each part."""
+        found = []
+        for part in self.parts or [range(1, len(self.heads))]:
+            heads, *rows = (
+                [line[0], *(line[k] for k in part)] for line in (self.heads, *self.rows)
+            )
+            found.append(Table(heads, rows, self.title, self.left))
+        return found
 
     @property
     def markdown(self) -> str:
