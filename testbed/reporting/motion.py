@@ -80,9 +80,9 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
 
     def row(k: int) -> list[str]:
         predicted = found.predicted
-        words = [predicted.names[k], f"{predicted.sigma[k]:.2g}", f"{predicted.relative[k]:.2%}"]
+        words = [predicted.names[k], f"{predicted.sigma[k]:.2g}", f"{predicted.relative[k]:.3%}"]
         if random is not None:
-            words.append(f"{random[k]:.2%}" if np.isfinite(random[k]) else "-")
+            words.append(f"{random[k]:.3%}" if np.isfinite(random[k]) else "-")
         return words
 
     heads = ["parameter", "predicted\nsigma", "of its\nvalue", "random\nmotion"]

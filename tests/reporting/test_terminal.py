@@ -119,7 +119,7 @@ def test_a_motions_promises_and_limits_are_told_the_worst_first(width: int) -> N
     lines = [set(line.split()) for line in text.splitlines()]
     names, relative = found.predicted.names, found.predicted.relative
     for name, sigma, share in zip(names, found.predicted.sigma, relative, strict=True):
-        assert any({name, f"{sigma:.2g}", f"{share:.2%}"} <= line for line in lines)
+        assert any({name, f"{sigma:.2g}", f"{share:.3%}"} <= line for line in lines)
     assert "…" not in text
     short = printed(width, print_excitation, found, Path("m"))
     first = [line.split()[0] for line in short.splitlines() if line.strip()]
