@@ -6,7 +6,7 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +15,13 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 from testbed.dynamics.drive_set import drive_set
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import RecordingError, SettingsError, UnknownName, plural
 from testbed.identification.coloured import Refined, under_coloured_noise
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
-from testbed.identification.diagnosis import findings, quality_warnings
+from testbed.identification.diagnosis import diagnostics, quality
 from testbed.identification.estimate import (
     METHODS,
     MODEL_OF,
@@ -30,22 +31,21 @@ from testbed.identification.estimate import (
     channel_units,
     channels_of,
 )
-from testbed.identification.finding import folded
 from testbed.identification.instrument import (
     Side,
     Start,
     nuisance_covariance,
+    nuisance_diagnostics,
     nuisance_estimates,
-    nuisance_warnings,
     settled,
     side,
     trace_tests,
 )
-from testbed.identification.noise_warnings import zero_unknown
 from testbed.identification.normal_equations import NormalEquations, gather
 from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.residual_diagnostics import zero_unknown
 from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
@@ -114,7 +114,7 @@ def identify(
     if method == "internal":
         settings, choice = with_all_terms(tree, source, minimal, settings, threads, progress)
         drives = drive_set(tree, minimal, settings.words)
-    rows, warnings = _layout(tree, source, settings, minimal, drives)
+    rows, said = _layout(tree, source, settings, minimal, drives)
     names = minimal.names if drives is None else drives.names
     if not minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
@@ -144,9 +144,9 @@ def identify(
         plain = _estimate(method, tree, equations, found, minimal, drives)
         told = _with_instrument(plain, rows, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
-        wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += folded(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
-    made = drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
+        wrong = diagnostics(estimate, tree, passes.surveyor.survey(), tare)
+    said += [*wrong, *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
+    made = drawn(replace(estimate, diagnostics=ordered(said)), settings.ridge)
     open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
     return made.without([name for name in made.names if name in open_zero])
 
@@ -228,8 +228,8 @@ def tare_of(tree: Tree, source: Source) -> Array:
 
 def _layout(
     tree: Tree, source: Source, settings: Settings, minimal: MinimalSet, drives: DriveSet | None
-) -> tuple[Layout, list[str]]:
-    """The robot's rows, and warnings so far."""
+) -> tuple[Layout, list[Diagnostic]]:
+    """The robot's rows, and diagnostics so far."""
     terms = () if drives is None else drives.terms
     rows = layout(tree.without_inertias(), minimal, terms, settings.joined)
     if settings.covariance is not None and len(settings.covariance) != rows.width:
@@ -238,35 +238,24 @@ def _layout(
             f"weights is a covariance of {len(settings.covariance)} channels, the {method} method "
             f"has {rows.width}"
         )
-    tare, warnings = tare_of(tree, source), list(source.facts.get("warnings", ()))
+    tare, said = tare_of(tree, source), [*of_recording(source.facts)]
     if drives is None and source.tare is None and tare.any():
-        warnings.append(
-            "the recording does not say what of the wrench is the pedestal's; the model's "
-            f"pedestal is taken off (Fz {tare[2]:.4g} N)"
-        )
+        said.append(diagnose("plate.no-tare", "the tare", tare[2], method="external"))
     if drives is not None:
-        warnings += _not_asked_for(tree, settings)
+        said += _missing_terms(tree, settings)
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if drives is None and passing and len(segments_of(source)) > 1:
-        warnings.append(
-            f"{' and '.join(passing)} are one for all recordings: of a plate that was zeroed "
-            "between them, identify each alone"
-        )
-    return rows, warnings
+        said.append(diagnose("plate.common-offset", " and ".join(passing), method="external"))
+    return rows, said
 
 
-def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
+def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
     """Terms of the joints' torque that the model file states and the settings leave out."""
-    warnings = []
     for law in LAWS:
         given = law.coefficients(tree)
         if given.any() and law not in settings.laws:
             names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
-            warnings.append(
-                f"the model file states '{law.kind}' of {names}; joint torques contain it, and the "
-                f"internal estimate takes it for the robot's: add '{law.kind}' to terms"
-            )
-    return warnings
+            yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 
 def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
@@ -314,8 +303,7 @@ def _estimate(
         samples=tuple(int(n) for n in equations.used),
         condition=found.fit.condition,
         normal_equations=equations,
-        findings=(),
-        warnings=(),
+        diagnostics=(),
         minimal=minimal,
         drives=drives,
         joints=tree.names,
