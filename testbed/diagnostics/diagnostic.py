@@ -65,6 +65,8 @@ class Diagnostic:
         message, symptom = _message(self.code), _message(other.code).symptom
         if not symptom or message.alone or self.method not in ("", other.method):
             return False
+        if self.recording != other.recording:
+            return False
         return not _message(other.code).gross or self.significance is None
 
     def as_dict(self) -> dict[str, Any]:

@@ -9,9 +9,8 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.dynamics.drive_set import drive_set
-from testbed.errors import SettingsError, few
+from testbed.errors import SettingsError, components, few
 from testbed.identification.estimate import MODEL_OF, Estimate, Method
-from testbed.identification.finding import components
 from testbed.identification.nuisances.corrected import lastingly_corrected
 from testbed.identification.settings import Settings
 from testbed.kernel.layout import Layout, layout
