@@ -85,7 +85,7 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
         several, _, found = import_and_check(mapping, tree, progress=bar)
     max(several, key=lambda each: each.samples).save(made)
     last = f"{made}: testbed identify {made} --model {robot}"
-    output.print_lines([*found.notes, last], found.warnings)
+    output.print_lines([last], found.diagnostics)
 
 
 def _check_free(path: Path) -> None:
