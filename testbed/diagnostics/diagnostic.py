@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from functools import cache
 from importlib.resources import files
 from tomllib import loads
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 from warnings import warn
 
 Level = Literal["error", "warning", "info"]
@@ -170,10 +170,12 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
     Args:
         diagnostics: In order.
     """
+    every = list(diagnostics)
+    causes = {each.code for each in every if not each.follows}
     groups: dict[tuple[str, ...], list[Diagnostic]] = {}
     symptoms: dict[str, dict[str, None]] = {}
-    for each in diagnostics:
-        if each.follows:
+    for each in every:
+        if each.follows in causes:
             symptoms.setdefault(each.follows, {})[_message(each.code).symptom] = None
         else:
             groups.setdefault(_kind(each), []).append(each)
@@ -230,6 +232,12 @@ class Diagnosed:
         """Deprecated: sentences of `diagnostics`."""
         warn("warnings: use diagnostics", DeprecationWarning, stacklevel=2)
         return sentences(self.diagnostics)
+
+    @property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """Deprecated: errors among `diagnostics`."""
+        warn("findings: use diagnostics", DeprecationWarning, stacklevel=2)
+        return tuple(each for each in self.diagnostics if each.level == "error")
 
 
 @cache
@@ -295,7 +303,15 @@ def _finite(value: float | None) -> float | None:
 def _from_json(content: Any) -> Diagnostic:
     if isinstance(content, str):
         return Diagnostic(NOTE, content)
-    known = {each.name for each in fields(Diagnostic)}
-    if not (isinstance(content, dict) and {"code", "text"} <= content.keys() <= known):
+    if not (isinstance(content, dict) and {"code", "text"} <= content.keys()):
         raise ValueError("a diagnostic is neither a text nor a table with code and text")
-    return Diagnostic(**{**content, "causes": tuple(content.get("causes", ()))})
+    causes = content.get("causes", [])
+    known = {each.name: each.type for each in fields(Diagnostic) if each.name != "causes"}
+    given = {name: value for name, value in content.items() if name in known}
+    texts = isinstance(causes, list) and all(isinstance(each, str) for each in causes)
+    for name, value in given.items():
+        numbers = (float, int, type(None)) if "None" in str(known[name]) else str
+        texts = texts and isinstance(value, numbers)
+    if not (texts and given.get("level", "info") in get_args(Level)):
+        raise ValueError(f"the diagnostic '{given['code']}' has fields of other kinds")
+    return Diagnostic(**given, causes=tuple(causes))
