@@ -41,8 +41,11 @@ def as_markdown(of: str = "") -> str:
 
 
 def plain(text: str) -> str:
-    """A sentence with dots for what differs from case to case."""
-    return prose(re.sub(r"\{[^}]*\}", "…", text))
+    """A sentence with names for what differs from case to case."""
+    parts = re.split(r"\{(\w+)[^}]*\}", text)
+    parts[::2] = [prose(part) for part in parts[::2]]
+    parts[1::2] = [f"*{name.replace('_', ' ')}*" for name in parts[1::2]]
+    return "".join(parts)
 
 
 if __name__ == "__main__":

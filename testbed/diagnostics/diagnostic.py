@@ -126,7 +126,8 @@ def diagnose(
         details: What else its sentences hold.
     """
     message = _message(code)
-    shown = {"subject": subject, "value": value, "sigma": sigma, "method": method, **details}
+    numbers = {"value": value, "sigma": sigma, "significance": significance}
+    shown = {"subject": subject, "method": method, **numbers, **details}
     more = (part for name, part in message.optional.items() if details.get(name))
     return Diagnostic(
         code=code,

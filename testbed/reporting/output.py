@@ -152,4 +152,4 @@ def print_diagnostics(
         style = "yellow" if kind == "warning" else None
         out.print(f"{kind}: {printable(line)}", style=style, soft_wrap=True)
     if most is not None and len(lines) > most:
-        out.print(f"({plural(len(lines) - most, 'more warning')}: --all)", soft_wrap=True)
+        out.print(f"(--all prints {plural(len(lines) - most, 'more warning')})", soft_wrap=True)

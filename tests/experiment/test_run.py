@@ -270,7 +270,11 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     other = noisy(ideal(run.tree, seed=8), 4)
     done = validated(run, plus(other, wrench=[0, 0, 0, 0, 0, 50.0]))
     (new,) = {*done.diagnostics} - {*run.diagnostics}
-    assert (new.code, new.method, new.subject) == ("estimate.prediction", "external", "channel Mz")
+    assert (new.code, new.method, new.subject) == (
+        "estimate.prediction-offset",
+        "external",
+        "channel Mz",
+    )
     assert validated(run, ideal(robot("gantry"))).validation == {}
     asked = tb.Experiment.of_model(MODELS["gantry"], ["motion.candidates=5", "seed=3"])
     motions = [make(asked, robot("gantry")) for make in (motion_of, another_motion)]

@@ -38,7 +38,7 @@ TOLD = {
     "tare 0": "plate.tare of the tare's force",
     "moments in N mm": "estimate.impossible of the external estimate",
     "Fz of opposite sign": "plate.negative-mass of the robot's total mass",
-    "Mz of opposite sign": "channel.scale of channel Mz",
+    "Mz of opposite sign": "channel.residual of channel Mz",
     "Fy dead": "channel.constant of channel Fy",
     "My saturated at half": "channel.saturated of channel My",
     "torques of opposite sign": "friction.negative of the friction coulomb/waist",

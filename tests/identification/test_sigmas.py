@@ -93,7 +93,7 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
     other = plus(measured(tree, 1), wrench=20 + zero)
     held, false = (tb.validate(tree, other, each) for each in (found, tb.identify(tree, clean)))
     assert [each.code for each in held.diagnostics] == []
-    assert {each.code for each in false.diagnostics} == {"estimate.prediction"}
+    assert {each.code for each in false.diagnostics} == {"estimate.prediction-offset"}
 
 
 @pytest.mark.slow
