@@ -90,7 +90,7 @@ def calibrate(
     if as_json:
         output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
     else:
-        terminal.print_plate(plate, tree.warnings, out)
+        terminal.print_plate(plate, tree.diagnostics, out)
 
 
 @app.command()
@@ -150,7 +150,7 @@ def drives(
     if as_json:
         output.print_json(encode(found))
     else:
-        terminal.print_drives(found, [*tree.warnings, *bodies.warnings, *found.warnings])
+        terminal.print_drives(found, [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics])
 
 
 @app.command()
@@ -199,7 +199,7 @@ def payload(
             weighed = weigh_payload(tree, alone, carrying, joint)
         words = {"payload": encode(weighed), "robot": encode(weigh(tree, alone))}
         lines = shown.weighed_lines(weighed, weigh(tree, alone))
-        output.print_json(words) if as_json else output.print_lines(lines, tree.warnings)
+        output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
     estimates = []
     for source, name in zip(sources, ("without", "with"), strict=True):
@@ -214,5 +214,5 @@ def payload(
     if as_json:
         output.print_json(encode(found))
     else:
-        warnings = [*tree.warnings, *(w for e in estimates for w in e.warnings), *found.warnings]
-        terminal.print_payload(found, warnings)
+        known = [each for estimate in estimates for each in estimate.diagnostics]
+        terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])

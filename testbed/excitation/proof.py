@@ -19,6 +19,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.codec import with_properties
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.motion import Motion
 from testbed.excitation.approach import levers
 from testbed.excitation.clearance import FAR, DistanceMeter
@@ -147,7 +148,7 @@ class Rules:
         terms: Limits of efforts and plate.
         collision: Shapes and the pairs that are watched; None if nothing is.
         clearance: Distance that each pair keeps, (k,) [m].
-        notes: What could not be watched, a line each.
+        diagnostics: What could not be watched.
     """
 
     tree: Tree
@@ -156,7 +157,7 @@ class Rules:
     terms: Sequence[SmoothTerm]
     collision: CollisionModel | None
     clearance: Array
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def prove(motion: Fourier, rules: Rules) -> Proof:

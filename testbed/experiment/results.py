@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from testbed.codec import Makers, decode, encode, from_json, json_text
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.drive_set import drive_set
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.experiment_tables import Bound
@@ -22,10 +23,9 @@ from testbed.experiment.score import Score
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
 from testbed.identification.consistency import Consistent
-from testbed.identification.cross_check import findings_of
+from testbed.identification.cross_check import diagnostics_of
 from testbed.identification.drive_findings import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
-from testbed.identification.finding import Finding
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.problem import set_of
@@ -37,7 +37,7 @@ from testbed.robot.friction import JointLaw, joint_law
 from testbed.robot.model_file import ModelFile
 
 FIELDS = (
-    "estimates", "failures", "score", "warnings", "validation", "drives", "consistent", "findings",
+    "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",
 )  # fmt: skip
 """Of a run."""
 
@@ -80,8 +80,7 @@ class Result:
         estimates: By method.
         failures: Why a method has no estimate.
         score: Of the estimates, where the truth is known.
-        warnings: What a careful reader should know.
-        findings: What is wrong with the recording or its estimates.
+        diagnostics: What a careful reader should know.
         validation: By method, on another motion.
         drives: What the plate says of them.
         consistent: Bodies that can exist.
@@ -99,8 +98,7 @@ class Result:
     estimates: Mapping[Method, Estimate]
     failures: Mapping[Method, str] = field(default_factory=dict)
     score: Score | None = None
-    warnings: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
@@ -140,7 +138,7 @@ def identified(
     estimates: Iterable[Estimate],
     model: ModelFile,
     tables: RecordingTables,
-    warnings: Iterable[str] = (),
+    diagnostics: Iterable[Diagnostic] = (),
     consistent: Consistent | None = None,
 ) -> Result:
     """Estimates of a recording, and what is needed to make their robot again.
@@ -149,7 +147,7 @@ def identified(
         estimates: By one method or by both.
         model: The model file, and how it was read.
         tables: What else was said of robot and identification.
-        warnings: About the recording.
+        diagnostics: Of the recording.
         consistent: Bodies, where they were asked for.
     """
     found = {estimate.method: estimate for estimate in estimates}
@@ -159,8 +157,7 @@ def identified(
     used = UsedModel(str(model.path), fingerprint(model.path), model.weld_root, model.lock)
     return Result(
         estimates=found,
-        warnings=tuple(warnings),
-        findings=tuple(findings_of(found.values())),
+        diagnostics=(*diagnostics, *diagnostics_of(found.values())),
         consistent=consistent,
         model=used,
         settings=settings,

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import phrase
 from testbed.experiment.matrix_errors import SAID, matrix_errors
 from testbed.experiment.run import Run
 from testbed.identification.calibration import Calibration
@@ -48,7 +49,7 @@ def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
         yield TraceTable(["what", "unit", "value", "sigma"], rows, "Estimated with the parameters")
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
     clear = [_test(test) for test in tested if test.chance <= CLEAR]
-    others = [[t.nuisance.said, _chance(t.chance)] for t in tested[len(clear) :]]
+    others = [[phrase(t.nuisance.kind), _chance(t.chance)] for t in tested[len(clear) :]]
     if clear:
         heads = ["fault", "chance", "would move", "size"]
         yield TraceTable(heads, clear, "Faults that left a trace, the clearest first")
@@ -73,7 +74,12 @@ def _chance(chance: float) -> str:
 
 def _test(test: TraceTest) -> list[str]:
     shift = f"{test.parameter} by {test.shift:.2g} sigma"
-    return [test.nuisance.said, _chance(test.chance), shift, "; ".join(test.largest(LARGEST))]
+    return [
+        phrase(test.nuisance.kind),
+        _chance(test.chance),
+        shift,
+        "; ".join(test.largest(LARGEST)),
+    ]
 
 
 def matrix_maps(run: Run) -> list[HeatTable]:

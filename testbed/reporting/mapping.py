@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import sentences
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.importing.draft import Draft
 from testbed.reporting.figures import Panel, named_panels
@@ -57,7 +58,7 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
         "title": f"Mapping {title}",
         "summary": [
             "What the columns' names do not say was solved from the data.",
-            *(f"Warning: {line}." for line in solved.warnings),
+            *(f"Warning: {line}." for line in sentences(solved.diagnostics)),
         ],
         "table": solved_table(solved.draft),
         "figures": figures,

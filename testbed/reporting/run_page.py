@@ -8,6 +8,7 @@ from dataclasses import is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
@@ -124,7 +125,7 @@ def contents(run: Run) -> dict[str, Any]:
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
         "in_brackets": _in_brackets(run),
-        "warnings": [*run.warnings, *look.warnings],
+        "diagnostics": sentences([*run.diagnostics, *look.diagnostics]),
         "errors": dots_section(run),
         "figures": sections(predict(run, run.unseen)),
         "instrument": instrument_tables(run),

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from testbed.errors import plural, printable
+from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.errors import printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
-from testbed.identification.cross_check import findings_of
+from testbed.identification.cross_check import diagnostics_of
 from testbed.identification.estimate_text import OPEN_ZERO
-from testbed.identification.finding import folded
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table
 from testbed.reporting.estimates import (
@@ -24,7 +24,7 @@ from testbed.reporting.estimates import (
     validation_table,
 )
 from testbed.reporting.instrument import plate_lines, plate_table
-from testbed.reporting.output import console, print_tables, print_warnings
+from testbed.reporting.output import console, print_diagnostics, print_tables
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -42,7 +42,7 @@ ROWS = 10
 
 def print_estimates(
     estimates: list[Estimate],
-    warnings: Sequence[str],
+    diagnostics: Sequence[Diagnostic],
     bodies: Consistent | None = None,
     *,
     everything: bool = False,
@@ -51,15 +51,14 @@ def print_estimates(
 
     Args:
         estimates: Of one recording.
-        warnings: About the robot and the recording.
+        diagnostics: About the robot and the recording.
         bodies: Consistent with the estimates, where they were asked for.
         everything: Whether all parameters and warnings are printed.
     """
     out = console()
     out.print(printable(residual_line(estimates)), soft_wrap=True)
-    said = dict.fromkeys([*folded(findings_of(estimates)), *warnings])
-    said |= dict.fromkeys(note for e in estimates for note in e.notes)
-    _print_cautions(out, list(said), everything=everything)
+    most = None if everything else 1
+    print_diagnostics(out, [*diagnostics, *diagnostics_of(estimates)], most)
     _print_parameters(out, estimates, {}, everything=everything)
     lines = choice_lines(estimates)
     for line in [*quality_lines(estimates), *lines] if everything else lines:
@@ -68,14 +67,6 @@ def print_estimates(
         print_tables(out, consistent_tables(bodies))
         for line in consistent_lines(bodies):
             out.print(printable(line), soft_wrap=True)
-
-
-def _print_cautions(out: Console, warnings: Sequence[str], *, everything: bool) -> None:
-    """The first warning, or all."""
-    print_warnings(out, warnings if everything else warnings[:1])
-    if not everything and len(warnings) > 1:
-        count = len(warnings) - 1
-        out.print(f"({plural(count, 'more warning')}: --all)", soft_wrap=True)
 
 
 def _print_parameters(
@@ -98,25 +89,25 @@ def _print_parameters(
         out.print(f"({count} more that add less to what is predicted: --all)", soft_wrap=True)
 
 
-def print_validations(validations: Sequence[Validation], warnings: Sequence[str]) -> None:
+def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
     """Print what estimates leave of another recording.
 
     Args:
         validations: Of one recording, one a method.
-        warnings: About the recording.
+        diagnostics: About the recording.
     """
     out = console()
     for found in validations:
         print_tables(out, [validation_table(found)])
-    print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
+    print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
 
 
-def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None:
+def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
     """Print what a robot's motion tells of the plate.
 
     Args:
         plate: The calibration, with the estimate.
-        warnings: About the robot.
+        diagnostics: About the robot.
         path: Where it is kept.
     """
     out = console()
@@ -126,20 +117,20 @@ def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None
     estimates = [] if plate.estimate is None else [plate.estimate]
     if estimates:
         print_tables(out, *parameter_tables(estimates, {}))
-    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+    print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
     out.print(f"plate: {path}", soft_wrap=True)
 
 
-def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
+def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> None:
     """Print what the plate says of the drives.
 
     Args:
         drives: All of it.
-        warnings: About robot, recording, bodies and drives.
+        diagnostics: About robot, recording, bodies and drives.
     """
     out = console()
     _print_drives(out, drives)
-    print_warnings(out, warnings)
+    print_diagnostics(out, diagnostics)
 
 
 def _print_drives(out: Console, drives: DriveFindings) -> None:
@@ -148,18 +139,18 @@ def _print_drives(out: Console, drives: DriveFindings) -> None:
         out.print(line, soft_wrap=True)
 
 
-def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
+def print_payload(found: PayloadEstimate, diagnostics: Sequence[Diagnostic]) -> None:
     """Print what a link carries more.
 
     Args:
         found: The payload.
-        warnings: About robot, recordings and payload.
+        diagnostics: About robot, recordings and payload.
     """
     out = console()
     print_tables(out, [payload_table(found)])
     for line in payload_lines(found):
         out.print(line, soft_wrap=True)
-    print_warnings(out, warnings)
+    print_diagnostics(out, diagnostics)
 
 
 def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
@@ -175,7 +166,7 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     for line in (headline(run), *accuracy_lines(run)):
         out.print(printable(line), soft_wrap=True)
     _print_verdict(out, run)
-    _print_cautions(out, run.warnings, everything=everything)
+    print_diagnostics(out, run.diagnostics, None if everything else 1)
     _print_parameters(out, estimates, run.truths, run.name, everything=everything)
     if everything:
         for line in quality_lines(estimates):

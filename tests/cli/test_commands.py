@@ -25,8 +25,8 @@ pytestmark = pytest.mark.slow
 QUICK = "--set motion.duration=3 --set motion.candidates=2 --set simulation.step=1e-3"
 ROBOT = "--model puma562.xml"
 RESULT = (
-    "as_expected claim consistent drives estimates expect failures findings format model name "
-    "score settings source validation verdicts warnings"
+    "as_expected claim consistent diagnostics drives estimates expect failures format model name "
+    "score settings source validation verdicts"
 )
 """Keys of a run's and of a recording's."""
 COMMANDS = {
@@ -52,7 +52,7 @@ COMMANDS = {
                   "correlation estimate known matrix matrix_sigma numbers robot"),
     "drives": (f"drives one.parquet {ROBOT} --zeros --json", "combined curves estimates"),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance covariance joint names rank sigma told units values warnings"),
+                "centre chance covariance joint names diagnostics rank sigma told units values"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
                       "payload robot"),
     "report": ("report OUT/run --out OUT/run.html", ""),
@@ -62,14 +62,14 @@ COMMANDS = {
     "campaign, summary": ("campaign --summary OUT/many --rrd OUT/many.rrd", ""),
     "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
                "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
-               "complete criterion file fundamental gain harmonics predicted proof random searches "
-               "value warnings"),
+               "complete criterion diagnostics file fundamental gain harmonics predicted proof "
+               "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
                       "binding holds instants margins postures"),
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
-    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import notes warnings"),
+    "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
     "import, guess": ("import --guess log.csv", ""),
     "new": ("new two.urdf --out OUT/two.toml", ""),
     "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),
