@@ -98,6 +98,7 @@ def asked(robot: str, files: Files, made: Truth, told: Planted) -> tuple[dict[st
     }
     if found.complete:
         worth = judged(robot, found.text, files, made, told)
+        line["loose"] = "cannot be told closer" in found.text
         line |= {"result": "right", "wrong": worth.wrong, "errors": worth.errors, "z": worth.sigmas}
         if worth.wrong:
             says = accepted(made, files.paths[0].parent / "mapping.toml")
@@ -135,6 +136,8 @@ def total(lines: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "cases": len(lines), **count,
         "right [%]": round(100 * len(right) / len(lines), 1),
+        "loose": sum(line.get("loose", False) for line in lines),
+        "right, not loose [%]": round(100 * sum(not x["loose"] for x in right) / len(lines), 1),
         "rms": {name: _rms([line["errors"][name] for line in right]) for name in GOALS},
         "rms z": {name: _rms([line["z"][name] for line in right if name in line["z"]])
                   for name in GOALS},

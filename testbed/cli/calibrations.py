@@ -181,8 +181,9 @@ def payload(
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
     """
-    from testbed.identification.identify import identify, in_its_gravity
+    from testbed.identification.identify import identify
     from testbed.identification.payload import payload as payload_of
+    from testbed.identification.problem import in_its_gravity
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
     from testbed.reporting import output, payload_table, terminal
 

@@ -107,8 +107,8 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
-        from testbed.identification.open_counted import open_counted
         from testbed.identification.prior_choice import consistent_by_held_out
+        from testbed.identification.problem import samples_of
         from testbed.recordings.coupled_gear import with_gear
         from testbed.reporting import output
 
@@ -116,7 +116,7 @@ class Writing:
         wishes = reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
-        part = open_counted(source, reading.tables().identification)
+        part = samples_of(source, reading.tables().identification)
         with output.Progress("looking for consistent bodies"):
             return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
 

@@ -83,8 +83,6 @@ def identify(
 
     Example: testbed identify recording.parquet --model robot.urdf --write identified.urdf
     """
-    from testbed.experiment.consistent_results import consistent_as_json
-    from testbed.experiment.results import identified_as_json
     from testbed.identification.estimate import METHODS, SIGNAL_OF
     from testbed.identification.identify import identify as identified
     from testbed.reporting import output, terminal
@@ -118,6 +116,9 @@ def identify(
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
+        from testbed.experiment.consistent_results import consistent_as_json
+        from testbed.experiment.results import identified_as_json
+
         content = identified_as_json(estimates, reading.model_file(model), reading.tables())
         if bodies is not None:
             content["consistent"] = consistent_as_json(bodies)

@@ -123,10 +123,11 @@ class Reading:
             RecordingError: It cannot be true of this robot, and that matters.
         """
         from testbed.reporting.output import Progress
-        from testbed.sanity.check import check_recording
 
         if "mapping" not in source.facts:
             return ()
+        from testbed.sanity.check import check_recording
+
         with Progress("looking for mistakes") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
@@ -172,9 +173,11 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
     Args:
         path: Parquet, or TOML for a mapping.
     """
+    if path.suffix != ".toml":
+        return [opened(path)], []
     from testbed.recordings.importing.pieces import pieces
 
-    return pieces(path) if path.suffix == ".toml" else ([opened(path)], [])
+    return pieces(path)
 
 
 def corrected_source(source: Source, tree: Tree, plate: Path | None) -> Source:

@@ -83,8 +83,11 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
         return
     with output.Progress("importing, holding it against the robot") as bar:
         several, _, found = import_and_check(mapping, tree, progress=bar)
-    max(several, key=lambda each: each.samples).save(made)
+    recording = max(several, key=lambda each: each.samples)
+    recording.save(made)
     last = f"{made}: testbed identify {made} --model {robot}"
+    if recording.wrench is not None:  # the plate's frame and clock are known to a sigma only
+        last += """ --set 'identification.nuisances=["pose","skew"]'"""
     output.print_lines([last], found.diagnostics)
 
 

@@ -123,10 +123,10 @@ class DistanceMeter:
 
         By spheres around the shapes; where that leaves a doubt, by boxes.
         """
-        x, first, second = there.place, self._first, self._second
-        away = x[:, second] - x[:, first]
-        found = np.sqrt(np.einsum("gka,gka->gk", away, away)) - self._radii
-        found[:, self._planes] = away[:, self._planes, 2] - self._radii[self._planes]
+        x = np.ascontiguousarray(there.place.transpose(2, 0, 1))
+        away = x[:, :, self._second] - x[:, :, self._first]
+        found = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2) - self._radii
+        found[:, self._planes] = away[2][:, self._planes] - self._radii[self._planes]
         doubtful = self._solid & (found < self._far) & asked[:, self._pair_of]
         at = np.nonzero(doubtful)
         apart = self._boxes_apart(there, *at)  # zero says nothing of how deep shapes overlap

@@ -19,9 +19,10 @@ from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.consistency import Consistent
 from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.identify import identify, in_its_gravity
+from testbed.identification.identify import identify
 from testbed.identification.passes import Progress
 from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.problem import in_its_gravity
 from testbed.identification.settings import Settings
 from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation

@@ -7,9 +7,8 @@ covariance of the parameters adds along the other motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,22 +22,14 @@ from testbed.identification.estimate import (
     Method,
     channel_label,
     channel_units,
-    channels_of,
     matters,
 )
-from testbed.identification.identify import check_source, in_its_gravity, tare_of
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_counted import open_counted
-from testbed.identification.passes import Passes, Progress
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.passes import Progress
+from testbed.identification.problem import Data, Problem
 from testbed.identification.settings import Settings
-from testbed.identification.stated import Stated, as_estimated, rows_of, stated
-from testbed.identification.term_choice import as_settled, with_usual_terms
-from testbed.identification.windows import make_plan
-from testbed.kernel.records import products_wanted
-from testbed.recordings.coupled_gear import with_gear
-from testbed.recordings.measured_base import on_its_base
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.identification.stated import Stated, as_estimated, check_parameters, stated
+from testbed.identification.term_choice import as_settled
 from testbed.robot.tree import Tree
 
 LIMIT = 2.0
@@ -117,7 +108,7 @@ class Validation(Diagnosed):
 
 def validate(
     tree: Tree,
-    recording: Recording | Source | str | Path | Iterable[Recording],
+    recording: Data,
     estimate: Estimate | Stated,
     *,
     gravity: ArrayLike | None = None,
@@ -146,25 +137,27 @@ def validate(
         SettingsError: Robot and settings have other parameters than the estimate.
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
-    settings = settings or Settings()
-    source = on_its_base(open_counted(recording, settings), tree)
-    check_source(source, tree, said.method)
-    tree = with_gear(in_its_gravity(tree.with_gravity(said.gravity), source, gravity), source)
     made = [] if isinstance(estimate, Stated) else [estimate]
-    settings = with_usual_terms(as_settled(settings, made), source)
-    rows = rows_of(tree, said, settings)
-    channels = channels_of(tree, said.method)
+    problem = Problem.of(
+        tree.with_gravity(said.gravity),
+        recording,
+        said.method,
+        as_settled(settings or Settings(), made),
+        gravity=gravity,
+        threads=threads,
+        progress=progress,
+    ).with_settings(weights="channels")
+    check_parameters(problem, said)
+    tree, channels = problem.tree, problem.channels
     if len(said.residual) != len(channels):
         raise SettingsError(
             f"the {said.method} estimate has residuals of "
             f"{plural(len(said.residual), 'channel')}, the "
             f"robot has {len(channels)}"
         )
-    shown = as_estimated(source, tree, said)
-    passes = Passes(make_plan(shown, rows, tare_of(tree, source), settings), threads, progress, 2)
+    passes = problem.passes(2, as_estimated(problem.source, tree, said))
     with one_blas_thread():
-        sums = passes.sums(products_wanted(len(channels)))
-        equations = gather(rows, said.names, channels, sums)
+        equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))
         for columns, measured in passes.rows(said.values[:, None]):
             left = measured - columns[..., 0]

@@ -25,6 +25,7 @@ from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.hypotheses import Hypothesis, in_words
 from testbed.sanity.plate import WrenchFit
+from testbed.sanity.plate_map import rotation_vector
 from testbed.sanity.recording_diagnostics import (
     Alternatives,
     at_rest,
@@ -53,7 +54,7 @@ SAME = np.deg2rad(3.0)
 """Difference of zeros that are no other ones [rad]."""
 
 ALONG = 1e-3
-"""By how much a turn's axis may differ from a joint's."""
+"""By how much a turn's vector may leave a joint's axis [rad]."""
 
 MOVED, CLEAR, ARM = 0.03, 5.0, 1.0
 """Parts of the robot's weight, and sigmas, from which a plate's zero is another one; lever by which
@@ -102,7 +103,10 @@ class Assessment(Diagnosed):
     @property
     def wrench_fit(self) -> WrenchFit | None:
         """The plate as it was read beside what explains it; None where there is none."""
-        return None if self.as_read is None else self.as_read.fit.plate.wrench_fit()
+        as_read = self.as_read
+        if as_read is None or not as_read.has_plate:
+            return None
+        return as_read.fit.plate.wrench_fit(as_read.plate)
 
     def require(self, *, align: bool = False) -> None:
         """Stop where something is certainly wrong.
@@ -253,11 +257,9 @@ def _equal_zeros(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[str]:
     for each in hypotheses:
         if each.kind != "turn" or len(roots) != 1 or not roots[0].revolute or tree.floating:
             continue
-        turn, axis = from_rpy(each.values), roots[0].carried_axis
-        if np.linalg.norm(turn @ axis - axis) < ALONG:
-            sine = float(axis @ [turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0],
-                                 turn[1, 0] - turn[0, 1]]) / 2  # fmt: skip
-            angle = np.arctan2(sine, (np.trace(turn) - 1) / 2)
+        turn, axis = rotation_vector(from_rpy(each.values)), roots[0].carried_axis
+        angle = float(turn @ axis)
+        if np.linalg.norm(turn - angle * axis) < ALONG:
             yield f"another zero of '{roots[0].name}' ({-np.rad2deg(angle):.4g} deg)"
 
 
@@ -276,7 +278,7 @@ def _near(one: Hypothesis, other: Hypothesis) -> bool:
     if (one.kind, one.joints) != (other.kind, other.joints):
         return False
     if one.kind == "turn":
-        cosine = (np.trace(from_rpy(one.values) @ from_rpy(other.values).T) - 1) / 2
-        return bool(cosine > np.cos(SAME))
+        apart = rotation_vector(from_rpy(one.values) @ from_rpy(other.values).T)
+        return bool(np.linalg.norm(apart) < SAME)
     zeros = one.kind == "zero" and np.allclose(one.values, other.values, atol=SAME)
     return one.kind in ("shift", "tare") or zeros

@@ -26,7 +26,7 @@ from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.assessment import MOST_SAMPLES, assess
 from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import TimeOffset, align_mapping, in_mapping, time_offsets
+from testbed.sanity.time_offset import TimeOffset, align_mapping, remedy_of, time_offsets
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -92,7 +92,7 @@ def check_recording(
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
-    delays = tuple(each.diagnostic(in_mapping(each, mapping)) for each in offsets if each.matters)
+    delays = tuple(each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters)
     return CheckReport(tuple(offsets), tuple(doubts), delays)
 
 

@@ -31,7 +31,7 @@ from testbed.sanity.assessment import Assessment, assess, zero_hypothesis
 from testbed.sanity.explanation import Explanation
 from testbed.sanity.hypotheses import in_words
 from testbed.sanity.plate import WrenchFit, frame_of
-from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN
+from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.sanity.recording_diagnostics import CLEARLY, share
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import align_mapping, time_offsets
@@ -64,8 +64,8 @@ STEPS = tuple(np.deg2rad(step) for step in (90, 45, 30, 15))
 CLEAR = 4.0
 """Standard deviations from which a plate is late by a clock that it shares with the positions."""
 
-FAR = 0.05
-"""Standard deviation from which a place is not known [m]."""
+FAR, LOOSE = 0.02, 1.5e-3
+"""Standard deviations from which a place is not known, and may well be some millimetres off [m]."""
 
 NEAR = 14.2
 """Squared distance, in standard deviations, below which a turn is one that a person writes: one of
@@ -323,6 +323,11 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     )
     axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
     note += f"; {axes} cannot be told from these data" * bool(axes)
+    told = np.array(SHIFT)[spread <= FAR]
+    widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(told, told)]).max(initial=0.0))
+    if widest > LOOSE:
+        note += f"; the place cannot be told closer than +- {1e3 * widest:.1f} mm from these data"
+        note += ": faster motion would tell it"
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in plain or rpy]}
     draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
     force, moment = frame.units
@@ -351,10 +356,8 @@ def _plain_angles(turn: Array, covariance: Array) -> tuple[float, float, float] 
     """Angles that a person writes, if one of them is as near as the data tell."""
     for step in STEPS:
         roll, pitch, yaw = (round(angle / step) * step for angle in to_rpy(turn))
-        apart = from_rpy((roll, pitch, yaw)) @ turn.T
-        odd = (apart - apart.T) / 2
-        vector = np.array([odd[2, 1], odd[0, 2], odd[1, 0]])
-        if np.trace(apart) > 2 and vector @ np.linalg.solve(covariance, vector) < NEAR:
+        apart = rotation_vector(from_rpy((roll, pitch, yaw)) @ turn.T)
+        if apart @ np.linalg.solve(covariance, apart) < NEAR:
             return roll, pitch, yaw
     return None
 

@@ -24,7 +24,6 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.sanity.hypotheses import STEPS, Hypothesis
 from testbed.sanity.instants import Instants, delay
 from testbed.sanity.plate_map import (
-    EXTRAS,
     LATE,
     RATIO,
     SHIFT,
@@ -82,8 +81,11 @@ WIDE = np.repeat([0.2, 1.0], [3, 5])
 """Standard deviations of a correction before the data: of the place [m], of the delay [s], of the
 turn [rad] and of the ratio."""
 
-CORRECTIONS = 4
-"""Steps of Gauss and Newton to a correction."""
+CORRECTIONS, AROUND = 4, 61
+"""Steps of Gauss and Newton to a correction; frequencies over which what is left is averaged."""
+
+LOOSEST = 10.0
+"""Times that a prior's sigmas are wider at most, where data depart from it by as many sigmas."""
 
 MapHypothesis = tuple[tuple[Hypothesis, ...], Array]
 """Hypotheses about a plate, and the map from the recorded wrench by them, (6, 6)."""
@@ -415,10 +417,13 @@ class PlateEvidence:
         """What a plate that is right but for little must be moved by.
 
         With a mapping that is right but for little, w = Y delta + b - sum x_e S_e w - late dw/dt +
-        noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. Parameters and constants
-        are projected out, channels weighed by what is left of them, and w on the right-hand side is
-        what the last step predicts, so that its noise biases nothing. A direction of the place that
-        the data do not tell goes to zero.
+        noise: turn, shift, ratio (S_e, `SLOPES`) and delay enter linearly. They are estimated with
+        the parameters, the model file as prior, and w on the right-hand side is what the last step
+        predicts, so that its noise biases nothing. What is left is no white noise: encoders' is
+        differentiated twice, models lack what is slow. So all is done in the cosine transform,
+        where it is uncorrelated, and each frequency of a channel is weighed by what is left around
+        it. A prior from which the data depart counts as much less (`LOOSEST`). A direction of the
+        place that the data do not tell goes to zero.
 
         Args:
             each: Of the plate, without hypotheses about it.
@@ -427,32 +432,45 @@ class PlateEvidence:
             Shift (3) [m], delay [s], turn (3) [rad], ratio of moments to forces, relative; in the
             bedplate's frame, the turn first, (8,). Their covariance, (8, 8).
         """
-        data, rows = self._instants, self._wrench_rows
-        wrench, count = data.wrench, len(data.wrench)
-        before = np.zeros(EXTRAS)
-        before[list(SHIFT)] = -self._frame.place  # where the prior has its mean
-        weight = 1 / np.sqrt(np.maximum(each.unexplained * wrench.var(axis=0), 1e-30))
-        predicted = wrench
+        from scipy.fft import dct
+        from scipy.ndimage import uniform_filter1d
+
+        data, prior, count = self._instants, self._prior, len(self._instants.wrench)
+        constants = np.broadcast_to(np.eye(6), (count, 6, 6))
+        signals = (data.wrench, data.wrench_rate, self.rows @ prior.mean)
+        wrench, rate, expected = (dct(x, axis=0, norm="ortho") for x in signals)
+        model = np.concatenate([self.rows @ prior.root, constants], axis=2)
+        model = dct(model, axis=0, norm="ortho")
+        parameters, own = prior.root.shape[1], slice(model.shape[2], None)
+        precision = np.concatenate([np.ones(parameters), np.zeros(6), 1 / WIDE**2])
+        before = np.zeros(len(precision))
+        before[own][list(SHIFT)] = -self._frame.place  # where the prior has its mean
+        left = np.maximum(each.unexplained * data.wrench.var(axis=0), 1e-30)
+        weight, predicted = np.tile(1 / np.sqrt(left), (count, 1)), wrench
         for _ in range(CORRECTIONS):
-            own = model_directions(rows, weight)
             slopes = -np.einsum("ecd,td->tce", SLOPES, predicted)
-            slopes[:, :, LATE] = -data.wrench_rate
-            columns = (slopes * weight[:, None]).reshape(6 * count, -1)
-            target = (wrench * weight).ravel()
-            columns, target = (x - own @ (own.T @ x) for x in (columns, target))
-            normal = columns.T @ columns + np.diag(1 / WIDE**2)
-            values = np.linalg.solve(normal, columns.T @ target + before / WIDE**2)
+            slopes[:, :, LATE] = -rate
+            columns = np.concatenate([model, slopes], axis=2) * weight[..., None]
+            columns = columns.reshape(6 * count, -1)
+            target = ((wrench - expected) * weight).ravel()
+            covariance = np.linalg.inv(columns.T @ columns + np.diag(precision))
+            values = covariance @ (columns.T @ target + precision * before)
             residual = (target - columns @ values).reshape(count, 6) / weight
             predicted = wrench - residual
-            free = count - (own.shape[1] + EXTRAS) / 6
-            weight = 1 / np.maximum(np.sqrt((residual**2).sum(axis=0) / free), 1e-12)
-        return values, np.linalg.inv(normal)
+            free = 1 - np.einsum("ti,ti->t", columns @ covariance, columns).reshape(count, 6)
+            free, square = (uniform_filter1d(x, AROUND, axis=0) for x in (free, residual**2))
+            weight = np.sqrt(np.maximum(free, 1e-9) / np.maximum(square, 1e-24))
+            odd = float(np.abs(values[:parameters]).max())
+            precision[:parameters] = 1 / np.clip(odd, 1.0, LOOSEST) ** 2
+        return values[own], covariance[own, own]
 
-    def wrench_fit(self) -> WrenchFit | None:
-        """The channels as the mapping reads them, and what explains them; None without a plate."""
-        if not self.measured:
-            return None
-        wrench = self._instants.wrench
+    def wrench_fit(self, each: PlateExplanation) -> WrenchFit:
+        """The channels by an explanation, and what parameters and constants make of them.
+
+        Args:
+            each: Of the plate.
+        """
+        wrench = self.wrench(each)
         size = np.maximum(wrench.std(axis=0), 1e-12)
         basis = model_directions(self._wrench_rows, 1 / size)
         fit = (basis @ (basis.T @ (wrench / size).ravel())).reshape(wrench.shape) * size

@@ -47,6 +47,13 @@ def transform(turn: Array, place: Array) -> Array:
     return matrix
 
 
+def rotation_vector(turn: Array) -> Array:
+    """Of a turn, (3, 3), no longer than pi [rad], (3,)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(turn).as_rotvec())
+
+
 def _slopes() -> Array:
     """How a map changes with what is fitted beside it, but for lateness, (8, 6, 6)."""
     slopes = np.zeros((EXTRAS, 6, 6))

@@ -18,7 +18,7 @@ from testbed.robot.tree import Tree
 from testbed.sanity.explanation import BRAKED, Explanation
 from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
-from testbed.sanity.plate import MIXED
+from testbed.sanity.plate import MIXED, WrenchFit
 from testbed.sanity.remedies import Remedy, in_mapping
 
 RESTS, ROUNDING = 1e-3, 1e-9
@@ -154,14 +154,12 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
 
     Args:
         tree: The robot.
-        as_read: The recording as it is; without torques, the plate's channels count.
+        as_read: The recording as it is.
     """
     moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
-    if not moves.size:
-        moves = np.full(tree.n, not as_read.plate.explained(BRAKED))
     position = as_read.fit.instants.position
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
-    dead = [k for k in still if moves[k]]
+    dead = [k for k in still if moves.size and moves[k]]
     if still:
         names = few([tree.names[k] for k in dead or still])
         causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
@@ -180,15 +178,24 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
     mixed = evidence.mixed(shares)
+    certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
     yield diagnose(
         "plate.crosstalk" if mixed else "plate.foreign",
         "the plate",
         shares[channel],
-        level="warning" if plate.explained(UNEXPLAINED) else "error",
+        level="error" if certain else "warning",
         channel=AXES[channel],
         share=share(shares[channel]),
         mixed=share(evidence.least_in_time) if mixed else "",
     )
+
+
+def _noisy(fit: WrenchFit) -> bool:
+    """Whether what is left is noise: it changes from instant to instant, as no motion does."""
+    left = fit.wrench - fit.fit
+    noise = (np.diff(left, 2, axis=0) ** 2).mean(axis=0) / 6
+    slow = (left**2).mean(axis=0) - NOISY * noise
+    return bool((slow < UNEXPLAINED * fit.wrench.var(axis=0)).all())
 
 
 def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
@@ -218,7 +225,7 @@ def other_zero(remedy: Remedy) -> Diagnostic:
         np.abs(remedy.values).max(),
         causes=(KINDS["tare"].words,),
         wrench=components(remedy.values),
-        lines=in_mapping([remedy]),
+        lines=in_mapping(remedy.lines),
     )
 
 
@@ -261,7 +268,7 @@ def wrong_mapping(
         runner_up=others.runner_up and (next_best or "of other values"),
         more=more,
         equals=", or ".join(others.equals),
-        lines=in_mapping(remedies),
+        lines=in_mapping(line for each in remedies for line in each.lines),
     )
 
 

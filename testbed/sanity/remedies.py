@@ -69,14 +69,16 @@ def remedies_for(tree: Tree, hypotheses: Sequence[Hypothesis], before: Array, af
     return tuple(remedies)
 
 
-def in_mapping(remedies: Iterable[Remedy]) -> str:
+def in_mapping(lines: Iterable[Line]) -> str:
     """What the mapping should say: of lines about one key the last, which builds on the others.
 
     Args:
-        remedies: To be applied together, in this order.
+        lines: To be applied together, in this order.
     """
-    last = {(table, key): value for each in remedies for table, key, value in each.lines}
-    return "; ".join(f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items())
+    last = {(table, key): value for table, key, value in lines}
+    return "in the mapping: " + "; ".join(
+        f"[{table}] {key} = {in_toml(value)}" for (table, key), value in last.items()
+    )
 
 
 def with_lines(mapping: Mapping[str, Any], lines: Iterable[Line]) -> dict[str, Any]:

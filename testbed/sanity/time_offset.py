@@ -17,6 +17,7 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
+from testbed.errors import round_significant
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import check_robot
@@ -26,6 +27,7 @@ from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.instants import ENOUGH, LATE, decimate, delay, directions
+from testbed.sanity.remedies import in_mapping
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the
@@ -168,7 +170,7 @@ def align_mapping(
     return mapping.model_copy(update={**changed, "sources": sources})
 
 
-def in_mapping(offset: TimeOffset, mapping: Mapping[str, Any]) -> str:
+def remedy_of(offset: TimeOffset, mapping: Mapping[str, Any]) -> str:
     """What to write where a signal is late, as lines of the mapping.
 
     Args:
@@ -180,11 +182,11 @@ def in_mapping(offset: TimeOffset, mapping: Mapping[str, Any]) -> str:
     plates = mapping.get("plates", {}) if offset.signal == "wrench" else {}
     tables = {f"plates.{name}": table for name, table in plates.items()}
     tables = tables or {offset.signal: mapping.get(offset.signal, {})}
-    lines = [
-        f"[{name}] delay = {float(table.get('delay', 0.0)) + offset.delay:.6g}"
+    lines = (
+        (name, "delay", round_significant(float(table.get("delay", 0.0)) + offset.delay, 6))
         for name, table in tables.items()
-    ]
-    return f"in the mapping: {'; '.join(lines)}, or import with --model and --align"
+    )
+    return f"{in_mapping(lines)}, or import with --model and --align"
 
 
 def _offset(

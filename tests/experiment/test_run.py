@@ -158,20 +158,14 @@ def test_one_signal_is_enough_for_one_method_and_its_metrics() -> None:
     assert (run.estimates, run.metrics, set(run.failures)) == ({}, {}, set(METHODS))
 
 
-def test_gravity_and_the_order_of_joints_are_the_recordings() -> None:
+def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of_both() -> None:
+    """Else a robot on a slope, or on the moon, is called wrong by its own truth."""
     moon, tree = [0.3, 0.0, -1.6], robot("puma")
     there = ideal(tree.with_gravity(moon))
     run = run_of(tree, replace(there, facts={"gravity": moon}), experiment())
     assert run.metrics["external_max_relative_error"] < 1e-9
     assert run.metrics["internal_max_relative_error"] < 1e-9
-    recording, back = noisy(ideal(tree)), [2, 0, 1]
-    signals = ("position", "velocity", "acceleration", "torque")
-    moved: dict[str, Any] = {s: recording.measured(s)[:, back] for s in signals}
-    moved["names"] = tuple(tree.names[k] for k in back)
-    turned, same = (run_of(tree, replace(recording, truth=None, **each)) for each in (moved, {}))
-    for method, estimate in turned.estimates.items():
-        np.testing.assert_array_equal(estimate.values, same.estimates[method].values)
-    told = replace(recording, facts={"warnings": ["hot motor"]})
+    told = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
     odd = Diagnostic("note", "odd model")
     said = run_of(replace(tree, diagnostics=(odd,)), told).diagnostics
     assert {odd, Diagnostic("note", "hot motor")} <= set(said)

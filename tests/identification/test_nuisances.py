@@ -1,4 +1,7 @@
-"""Numbers of the instrument are found beside the robot's, as far as any motion tells them."""
+"""Numbers of the instrument are found beside the robot's, as far as any motion tells them.
+
+If one fails, a fault of plate or encoder goes into the robot's parameters.
+"""
 
 from __future__ import annotations
 

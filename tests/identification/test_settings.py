@@ -16,6 +16,7 @@ import testbed as tb
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
 from testbed.identification.term_choice import choose_terms
 from testbed.robot.friction import JointLaw
@@ -122,7 +123,7 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
         (SettingsError, "zeros", lambda: tb.identify(light, recording, settings=zeros)),
         (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
         (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
-        (RecordingError, "rows", lambda: choose_terms(tree, short, Settings())),
+        (RecordingError, "rows", lambda: choose_terms(Problem.of(tree, short, "internal"))),
     )
     for kind, culprit, asked in cases:
         with refuses(kind, culprit):

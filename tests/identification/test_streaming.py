@@ -22,7 +22,7 @@ from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification import survey
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.open_counted import open_counted
+from testbed.identification.problem import samples_of
 from testbed.identification.settings import Settings
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import make_plan
@@ -222,10 +222,10 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     same(tb.identify(tree, upset, settings=Settings(span=span)), wanted)
     for source in (said, tmp_path / "said.parquet"):
         same(tb.identify(tree, source), wanted)
-    both = open_counted(said, Settings(span=[1.0, 5.0]))  # settings go before
+    both = samples_of(said, Settings(span=[1.0, 5.0]))  # settings go before
     assert (both.samples, both.part(0, 1).time[0]) == (round(4 * said.rate), pytest.approx(1.0))
     with refuses(RecordingError, "50", "60", "span"):
-        open_counted(whole, Settings(span=[50.0, 60.0]))
+        samples_of(whole, Settings(span=[50.0, 60.0]))
     replace(whole, facts={**whole.facts, "counted": ["a", 2]}).save(tmp_path / "wrong.parquet")
     with refuses(RecordingError, "counted"):
         Recording.load(tmp_path / "wrong.parquet")

@@ -1,4 +1,7 @@
-"""Predictions are what was fitted; on another recording they err as noise and sigma allow."""
+"""Predictions are what was fitted; on another recording they err as noise and sigma allow.
+
+If one fails, a wrong model passes on a new motion, or a right one is refused.
+"""
 
 from __future__ import annotations
 

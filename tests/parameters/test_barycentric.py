@@ -1,4 +1,7 @@
-"""Barycentric and standard parameters, bodies before the data, and what is told of each."""
+"""Barycentric and standard parameters, bodies before the data, and what is told of each.
+
+If one fails, estimates are turned into masses and inertias that are not theirs.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Sources with clocks of their own: onto one grid, and what is odd about them is said and cured."""
+"""Sources with clocks of their own: onto one grid, and what is odd about them is said and cured.
+
+If one fails, signals of one instant stand apart, and their delay is identified as dynamics.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Every foreign format, written by its own library, is read back; damage and traps are refused."""
+"""Every foreign format, written by its own library, is read back; damage and traps are refused.
+
+If one fails, somebody's log is read as other numbers, or harms the machine.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What is tried for what robots, and that a mapping with its cure is without the mistake."""
+"""What is tried for what robots, and that a mapping with its cure is without the mistake.
+
+If one fails, the line that a person copies makes the mapping wrong in another way.
+"""
 
 from __future__ import annotations
 
