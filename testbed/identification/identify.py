@@ -112,6 +112,7 @@ def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
         UnseenParameters: As `identify`.
     """
     problem, choice = with_all_terms(problem)
+    said = [*_of_problem(problem)]
     settings, names = problem.settings, problem.names
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
@@ -139,28 +140,32 @@ def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
         told = _with_instrument(plain, problem.layout, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
         wrong = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
-    known = [*_known(problem), *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
-    made = drawn(replace(estimate, diagnostics=ordered([*wrong, *known])), settings.ridge)
+    said += [*wrong, *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
+    made = drawn(replace(estimate, diagnostics=ordered(said)), settings.ridge)
     open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
     return made.without([name for name in made.names if name in open_zero])
 
 
-def _known(problem: Problem) -> Iterator[Diagnostic]:
-    """What is known before any sample is used."""
+def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
+    """What is to be known before any sample is used."""
     source, settings, tare = problem.source, problem.settings, problem.tare
     plate = problem.method == "external"
     yield from of_recording(source.facts)
     if plate and source.tare is None and tare.any():
         yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
+    if not plate:
+        yield from _missing_terms(problem.tree, settings)
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if plate and passing and len(segments_of(source)) > 1:
         yield diagnose("plate.common-offset", " and ".join(passing), method="external")
-    for law in () if plate else LAWS:
-        given = law.coefficients(problem.tree)
+
+
+def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
+    """Terms of the joints' torque that the model file states and the settings leave out."""
+    for law in LAWS:
+        given = law.coefficients(tree)
         if given.any() and law not in settings.laws:
-            names = ", ".join(
-                n for n, value in zip(problem.tree.names, given, strict=True) if value
-            )
+            names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
             yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 

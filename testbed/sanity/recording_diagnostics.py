@@ -177,8 +177,8 @@ def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
         return
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
-    mixed = evidence.mixed(shares)
     certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
+    mixed = evidence.mixed(shares)
     yield diagnose(
         "plate.crosstalk" if mixed else "plate.foreign",
         "the plate",

@@ -165,9 +165,9 @@ def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of
     run = run_of(tree, replace(there, facts={"gravity": moon}), experiment())
     assert run.metrics["external_max_relative_error"] < 1e-9
     assert run.metrics["internal_max_relative_error"] < 1e-9
-    told = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
+    there = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
     odd = Diagnostic("note", "odd model")
-    said = run_of(replace(tree, diagnostics=(odd,)), told).diagnostics
+    said = run_of(replace(tree, diagnostics=(odd,)), there).diagnostics
     assert {odd, Diagnostic("note", "hot motor")} <= set(said)
 
 
