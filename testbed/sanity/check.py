@@ -47,18 +47,11 @@ class CheckReport(Diagnosed):
 
     Attributes:
         offsets: How late torques and wrench are.
-        doubts: What may be wrong, and what the data leave open.
-        delays: Signals that are late, with lines for the mapping.
+        diagnostics: What may be wrong, what the data leave open, and signals that are late.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
-    doubts: tuple[Diagnostic, ...] = ()
-    delays: tuple[Diagnostic, ...] = ()
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All that may be wrong."""
-        return (*self.doubts, *self.delays)
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def check_recording(
@@ -86,14 +79,14 @@ def check_recording(
     else:
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(doubts=of_recording(verdict))
+            return CheckReport(diagnostics=of_recording(verdict))
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
-    delays = tuple(each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters)
-    return CheckReport(tuple(offsets), tuple(doubts), delays)
+    doubts += [each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters]
+    return CheckReport(tuple(offsets), tuple(doubts))
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:
@@ -133,7 +126,9 @@ def import_and_check(
     if align:
         imported = ImportReport.from_dict(longest.facts["import"])
         recordings, cuts = pieces(path, align_mapping(read_mapping(path), imported, report.offsets))
-        report = replace(report, delays=())
+        late = "recording.delay"  # was just taken back
+        kept = tuple(each for each in report.diagnostics if each.code != late)
+        report = replace(report, diagnostics=kept)
     if not unchecked:
         most = max(each.samples for each in recordings)
         recordings = tuple(
