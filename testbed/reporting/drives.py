@@ -102,8 +102,8 @@ def drive_section(
         shown=3,
         caption=(
             f"Bars and bands are {BAND:g} sigma to either side. Torques over "
-            f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants. In the "
-            "table, digits in brackets are one standard deviation of the last places."
+            f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants. "
+            "In the table, digits in brackets are one standard deviation of the last places."
         ),
         table=replace(drive_table(drives.estimates), title=""),
     )
