@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +18,17 @@ from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_r
 from testbed.errors import RecordingError
 from testbed.parameters.barycentric import standard
 from testbed.recordings.geometry import geometry
-from testbed.recordings.importing.import_report import ImportReport
-from testbed.recordings.importing.mapping import read_mapping
+from testbed.recordings.importing.mapping import Mapping
 from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.assessment import MOST_SAMPLES, assess
+from testbed.sanity.remedies import Line, in_mapping, with_lines
 from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import TimeOffset, align_mapping, remedy_of, time_offsets
+from testbed.sanity.time_offset import TimeOffset, alignment, time_offsets
+from testbed.toml_text import checked
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -84,8 +86,10 @@ def check_recording(
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
-    mapping = source.facts.get("mapping", {})
-    doubts += [each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters]
+    doubts += [
+        each.diagnostic(f"{in_mapping(lines)}, or import with --model and --align")
+        for each, lines in _alignments(offsets, source)
+    ]
     return CheckReport(tuple(offsets), tuple(doubts))
 
 
@@ -124,8 +128,9 @@ def import_and_check(
     longest = max(recordings, key=lambda each: each.samples)
     report = check_recording(tree, longest, align=align, unchecked=unchecked, progress=progress)
     if align:
-        imported = ImportReport.from_dict(longest.facts["import"])
-        recordings, cuts = pieces(path, align_mapping(read_mapping(path), imported, report.offsets))
+        lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
+        mapping = with_lines(longest.facts["mapping"], lines)
+        recordings, cuts = pieces(path, checked(Mapping, mapping, str(path)))
         late = "recording.delay"  # was just taken back
         kept = tuple(each for each in report.diagnostics if each.code != late)
         report = replace(report, diagnostics=kept)
@@ -136,6 +141,16 @@ def import_and_check(
             for each in recordings
         )
     return recordings, cuts, report
+
+
+def _alignments(
+    offsets: Sequence[TimeOffset], source: Source
+) -> Iterator[tuple[TimeOffset, list[Line]]]:
+    """Offsets that are no noise, and lines of the mapping that take them back."""
+    mapping = source.facts.get("mapping", {})
+    for each in offsets:
+        if each.matters:
+            yield each, [*alignment(each, mapping, source.facts)]
 
 
 def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:

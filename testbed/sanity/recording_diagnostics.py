@@ -15,7 +15,7 @@ from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-from testbed.sanity.explanation import BRAKED, Explanation
+from testbed.sanity.explanation import Explanation
 from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
 from testbed.sanity.plate import MIXED, WrenchFit
@@ -156,10 +156,9 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         tree: The robot.
         as_read: The recording as it is.
     """
-    moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
-    position = as_read.fit.instants.position
+    position, odd = as_read.fit.instants.position, as_read.odd_torques()
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
-    dead = [k for k in still if moves.size and moves[k]]
+    dead = [k for k in still if k in odd]
     if still:
         names = few([tree.names[k] for k in dead or still])
         causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
