@@ -16,6 +16,7 @@ from scipy import special
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import RecordingError, SettingsError, few
 from testbed.identification.conditions import conditions
@@ -74,6 +75,8 @@ class Bent:
     covariance: Array
     widened: float
     distance: float
+
+    __get_pydantic_core_schema__ = with_properties("sigma", "sigmas")
 
     def __post_init__(self) -> None:
         p = len(self.names)
