@@ -12,6 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from testbed.cli.reading import Reading
+    from testbed.diagnostics.diagnostic import Diagnostic
     from testbed.identification.consistency import Consistent
     from testbed.identification.estimate import Estimate, Method
     from testbed.recordings.source import Source
@@ -106,8 +107,8 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
-        from testbed.identification.open_counted import open_counted
         from testbed.identification.prior_choice import consistent_by_held_out
+        from testbed.identification.problem import samples_of
         from testbed.recordings.coupled_gear import with_gear
         from testbed.reporting import output
 
@@ -115,14 +116,14 @@ class Writing:
         wishes = reading.tables().consistent
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
-        part = open_counted(source, reading.tables().identification)
+        part = samples_of(source, reading.tables().identification)
         with output.Progress("looking for consistent bodies"):
             return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
-    ) -> list[str]:
-        """Write the file that was asked for; a line for each thing to know.
+    ) -> tuple[Diagnostic, ...]:
+        """Write the file that was asked for.
 
         Args:
             found: What is written.
@@ -138,15 +139,13 @@ class Writing:
         from testbed.robot.write_model import write_model
 
         if self.write is None:
-            return []
+            return ()
         file = reading.model_file(model)
-        return list(
-            write_model(
-                file,
-                robot_of(found, file.tree()),
-                self.write,
-                fixed=self.fixed.value,
-                note=provenance(found, file, recordings),
-                over_source=self.in_place,
-            )
+        return write_model(
+            file,
+            robot_of(found, file.tree()),
+            self.write,
+            fixed=self.fixed.value,
+            note=provenance(found, file, recordings),
+            over_source=self.in_place,
         )

@@ -109,13 +109,13 @@ def _outward(tree: Tree, q: Array, qd: Array, qdd: Array, gravity: Array) -> lis
 
 def _pose(joint: Joint, carrier: _BodyState, q: Array) -> tuple[Array, Array, Array]:
     """A body's axes and origin, and its joint's axis, in the bedplate's."""
-    turn = np.einsum("abm,bc->acm", carrier.turn, joint.rotation)
-    place = carrier.place + np.einsum("abm,b->am", carrier.turn, joint.offset)
-    axis = np.einsum("abm,b->am", turn, joint.axis)
+    turn = joint.rotation.T @ carrier.turn
+    place = carrier.place + joint.offset @ carrier.turn
+    axis = joint.axis @ turn
     if not joint.revolute:
         return turn, place + axis * q, axis
-    along = np.einsum("abm,bc->acm", turn, np.outer(joint.axis, joint.axis))
-    across = np.einsum("abm,bc->acm", turn, skew(joint.axis))
+    along = np.outer(joint.axis, joint.axis) @ turn
+    across = skew(joint.axis).T @ turn
     return along + np.cos(q) * (turn - along) + np.sin(q) * across, place, axis
 
 
@@ -143,8 +143,8 @@ class _Composite:
     def of(cls, body: Inertia, at: _BodyState) -> _Composite:
         """One body."""
         mass = body.mass
-        arm = np.einsum("abm,b->am", at.turn, body.first_moment)
-        turned = np.einsum("abm,bc->acm", at.turn, body.pseudo[:3, :3])
+        arm = body.first_moment @ at.turn
+        turned = body.pseudo[:3, :3] @ at.turn
         about = np.einsum("abm,cbm->acm", turned, at.turn)
         across = arm[:, None] * at.place
         about += across + across.swapaxes(0, 1) + mass * at.place[:, None] * at.place
@@ -229,9 +229,12 @@ def _times(pair: Pair, factor: Array | float) -> Pair:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Of vectors whose components come first."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]])  # fmt: skip
+    """Of vectors whose components come first, the second of the result's shape."""
+    found = np.empty_like(b)
+    for i, j, k in (0, 1, 2), (1, 2, 0), (2, 0, 1):
+        np.multiply(a[j], b[k], out=found[i])
+        found[i] -= a[k] * b[j]
+    return found
 
 
 def _dot(a: Array, b: Array) -> Array:

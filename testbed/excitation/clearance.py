@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.errors import few
 from testbed.excitation.approach import levers
 from testbed.excitation.collision_model import CELL, CollisionModel
 from testbed.excitation.limits import Limits
@@ -121,10 +123,10 @@ class DistanceMeter:
 
         By spheres around the shapes; where that leaves a doubt, by boxes.
         """
-        x, first, second = there.place, self._first, self._second
-        away = x[:, second] - x[:, first]
-        found = np.sqrt(np.einsum("gka,gka->gk", away, away)) - self._radii
-        found[:, self._planes] = away[:, self._planes, 2] - self._radii[self._planes]
+        x = np.ascontiguousarray(there.place.transpose(2, 0, 1))
+        away = x[:, :, self._second] - x[:, :, self._first]
+        found = np.sqrt(away[0] ** 2 + away[1] ** 2 + away[2] ** 2) - self._radii
+        found[:, self._planes] = away[2][:, self._planes] - self._radii[self._planes]
         doubtful = self._solid & (found < self._far) & asked[:, self._pair_of]
         at = np.nonzero(doubtful)
         apart = self._boxes_apart(there, *at)  # zero says nothing of how deep shapes overlap
@@ -312,12 +314,12 @@ class Watched:
     Attributes:
         collision: The pairs.
         clearance: Distance that each has to keep, (k,) [m].
-        notes: What is not watched, or kept less, a line each.
+        diagnostics: What is not watched, or kept less.
     """
 
     collision: CollisionModel
     clearance: Array
-    notes: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def watched(
@@ -345,14 +347,12 @@ def watched(
     built = np.where(always, np.median(found, axis=0), np.inf)
     usual = np.minimum(built, np.where(home > 0, home, np.inf))
     kept = np.where(~around & (usual < NARROW * clearance), usual / 2, clearance)
-    notes = [
-        f"{name}: their shapes touch in nearly every posture; not watched"
+    said = [
+        diagnose("motion.touching", name)
         for name, watch in zip(collision.names, free, strict=True)
         if not watch
     ]
     nearer = [k for k in np.flatnonzero(free) if kept[k] < clearance]
     if nearer:
-        first = collision.names[nearer[0]]
-        more = f" and {len(nearer) - 1} more pairs" if len(nearer) > 1 else ""
-        notes.append(f"{first}{more}: built about as near as the clearance; half of that is kept")
-    return Watched(collision.only(free.tolist()), kept[free], tuple(notes))
+        said.append(diagnose("motion.near", few([collision.names[k] for k in nearer])))
+    return Watched(collision.only(free.tolist()), kept[free], tuple(said))

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import diagnose
 from testbed.errors import TestbedError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
@@ -15,8 +16,8 @@ from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.consistency import Consistent
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.open_counted import open_counted
 from testbed.identification.prior_choice import consistent_by_held_out
+from testbed.identification.problem import samples_of
 from testbed.identification.wishes import Wishes
 from testbed.instruments.fault import stream
 from testbed.parameters.barycentric import standard
@@ -79,13 +80,12 @@ def _with_bodies(run: Run, believed: Tree, wishes: Wishes) -> Run:
         return identify(run.tree, part, method, settings=run.settings)
 
     estimates = list(run.estimates.values())
-    blind = open_counted(run.recording.blind(), run.settings)
+    blind = samples_of(run.recording.blind(), run.settings)
     try:
         found = consistent_by_held_out(run.tree, estimates, prior, wishes, blind, identified)
     except TestbedError as error:
-        return replace(run, warnings=(*run.warnings, f"no consistent bodies: {error}"))
-    warnings = tuple(dict.fromkeys((*run.warnings, *found.warnings)))
-    return replace(run, consistent=found, warnings=warnings)
+        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
+    return replace(run, consistent=found).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

@@ -21,16 +21,16 @@ from testbed.dynamics.drive_set import drive_set
 from testbed.experiment.run import Run
 from testbed.files import replacing
 from testbed.identification.estimate import METHODS, MODEL_OF
-from testbed.identification.identify import set_of
 from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
 from testbed.identification.nuisances.nuisance import Nuisance
+from testbed.identification.problem import set_of
 from testbed.identification.term_choice import as_settled
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.friction import JointLaw, joint_law
 
 FIELDS = (
-    "estimates", "failures", "score", "warnings", "validation", "drives", "consistent", "findings",
+    "estimates", "failures", "score", "validation", "drives", "consistent", "diagnostics",
 )  # fmt: skip
 """Of a run, that are in its file."""
 

@@ -20,20 +20,29 @@ from scipy.linalg import block_diag, null_space
 
 from testbed.arrays import Array
 from testbed.blas import eigh
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, ordered
 from testbed.errors import SettingsError
 from testbed.identification.calibration import Calibration, calibration_of, settings_of
-from testbed.identification.diagnosis import quality_warnings
+from testbed.identification.diagnosis import quality
 from testbed.identification.estimate import Estimate
-from testbed.identification.identify import check_source, identify, in_its_gravity
+from testbed.identification.identify import estimate_of
 from testbed.identification.known import PAYLOAD
-from testbed.identification.known_payload import DOUBT, Half, Pair, known_payload, pair_of
+from testbed.identification.known_payload import (
+    DOUBT,
+    Pair,
+    known_payload,
+    nuisances_of,
+    open_alone,
+    pair_of,
+)
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.identification.nuisances.structure import still_open
 from testbed.identification.passes import Progress
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
 from testbed.identification.stated_values import with_sigmas
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source
+from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
 ROUNDS = 4
@@ -45,6 +54,9 @@ SETTLED = 1e-3
 WIDER, LEAST = 100.0, 1e-5
 """Doubt about a number that was found and is held again, in its sigmas, and at least: it weighs
 nothing, and what is left is no small difference of large numbers."""
+
+LOADED = "with the payload"
+"""Name of the second recording."""
 
 IMPOSSIBLE = 1e-6
 """Chance below which the two recordings do not differ by the payload."""
@@ -90,31 +102,32 @@ def calibrate_by_payload(
     )
     own = {name: both for name, both in facts.items() if not name.startswith(PAYLOAD)}
     settings = settings_of(settings, own)
-    sources = [open_source(each) for each in (without, loaded)]
-    for source in sources:
-        check_source(source, tree, "external")
-    trees = [in_its_gravity(tree, source, gravity) for source in sources]
-    if (trees[0].gravity != trees[1].gravity).any():
-        raise SettingsError("the two recordings are under different gravity")
-    pair = pair_of(trees[0], sources[0], sources[1], settings, payload)
-    if pair.open:
-        raise SettingsError(still_open(pair.open, settings.known, settings.nuisances))
-
-    def estimated(half: Half, source: Source, held: Mapping[str, tuple[float, float]]) -> Estimate:
-        given = half.settings.facts | {name: held[name] for name in half.open}
-        return identify(
-            trees[0],
-            source,
-            gravity=trees[0].gravity,
-            settings=replace(half.settings, known=given),
+    first, second = (
+        Problem.of(
+            tree,
+            each,
+            "external",
+            settings,
+            gravity=gravity,
             threads=threads,
             progress=progress,
         )
+        for each in (without, loaded)
+    )
+    if (first.tree.gravity != second.tree.gravity).any():
+        raise SettingsError("the two recordings are under different gravity")
+    pair = pair_of(first, second, payload)
+    if pair.open:
+        raise SettingsError(still_open(pair.open, settings.known, settings.nuisances))
+
+    def estimate(half: Problem, held: Mapping[str, tuple[float, float]]) -> Estimate:
+        known = half.settings.facts | {name: held[name] for name in open_alone(half)}
+        return estimate_of(half.with_settings(known=known))
 
     held = _at_first(pair)
     for _ in range(ROUNDS):
-        first = estimated(pair.without, sources[0], held)
-        found = joined(pair, first, estimated(pair.loaded, sources[1], held))
+        alone = estimate(pair.without, held)
+        found = joined(pair, alone, estimate(pair.loaded, held))
         now = {n.name: (n.value, _doubt(n.sigma)) for n in found.nuisances if n.name in held}
         calm = all(abs(now[name][0] - held[name][0]) < SETTLED for name in held)
         if calm and all(held[name][1] < DOUBT for name in held):
@@ -130,11 +143,11 @@ def _doubt(sigma: float) -> float:
 
 def _at_first(pair: Pair) -> dict[str, tuple[float, float]]:
     """What is held, as it should be where nothing is wrong, with a large doubt."""
-    names = {*pair.without.open, *pair.loaded.open}
+    names = {*open_alone(pair.without), *open_alone(pair.loaded)}
     return {
         part.name: (part.right, DOUBT)
-        for nuisance in pair.without.nuisances
-        for part in nuisance.parts(pair.without.layout.tree)
+        for nuisance in nuisances_of(pair.without)
+        for part in nuisance.parts(pair.without.tree)
         if part.name in names
     }
 
@@ -170,9 +183,7 @@ def joined(pair: Pair, first: Estimate, second: Estimate) -> Estimate:
         nuisance_covariance=spread[p:, p:],
         nuisance_cross=spread[:p, p:],
     )
-    return replace(
-        joint, warnings=(*_of_both(first, joint), *_warnings(pair, first, second, chance))
-    )
+    return replace(joint, diagnostics=_diagnostics(pair, first, second, joint, chance))
 
 
 class _Facts(NamedTuple):
@@ -230,23 +241,16 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     return root @ root.T, int(kept.sum())
 
 
-def _of_both(first: Estimate, joint: Estimate) -> list[str]:
-    """What was said of the first estimate; what it left open is said of both."""
-    alone = quality_warnings(first)
-    return [
-        *(warning for warning in first.warnings if warning not in alone),
-        *quality_warnings(joint),
+def _diagnostics(
+    pair: Pair, first: Estimate, second: Estimate, joint: Estimate, chance: float
+) -> tuple[Diagnostic, ...]:
+    """Of each recording, what it leaves open apart, and of both together."""
+    alone = {*quality(first), *quality(second)}
+    before = [each for each in first.diagnostics if each not in alone]
+    after = [
+        replace(each, recording=LOADED)
+        for each in second.diagnostics
+        if each not in alone and each not in before
     ]
-
-
-def _warnings(pair: Pair, first: Estimate, second: Estimate, chance: float) -> list[str]:
-    """Of the recording with the payload, and of both together."""
-    alone = (*quality_warnings(second), *first.warnings)
-    found = [f"with the payload: {each}" for each in second.warnings if each not in alone]
-    if chance < IMPOSSIBLE:
-        found.append(
-            f"the two recordings do not differ by this payload on the link of "
-            f"'{pair.payload.joint}' (chance {chance:.0e}): its mass, its centre or its link is "
-            "another, or the plate has changed"
-        )
-    return found
+    mismatch = diagnose("payload.mismatch", pair.payload.joint, chance)
+    return ordered([*before, *quality(joint), *after, *[mismatch] * (chance < IMPOSSIBLE)])

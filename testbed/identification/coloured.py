@@ -79,7 +79,7 @@ def under_coloured_noise(
         names: Of the robot's unknowns.
         beside: Columns beside theirs.
     """
-    units, p = units_of(start, beside), len(names)
+    units, p = units_of(start, beside, passes.plan.layout), len(names)
     m, encoders = units.lead.shape[1], _encoder_noise(passes)
     given = units.products(passes, start.values, HIGHEST, encoders)
     every = units.as_free(given.every)
@@ -137,7 +137,7 @@ def further_values(
         passes: Over all rows.
         beside: Columns beside theirs, no tested ones among them.
     """
-    units, p = units_of(start, beside), len(start.values)
+    units, p = units_of(start, beside, passes.plan.layout), len(start.values)
     given = units.products(passes, start.values, 0).every
     (found,) = whitened_fits(units.as_free(given), 0)
     own = slice(p, p + beside.unknown)

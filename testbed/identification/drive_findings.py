@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
 from testbed.identification.combined import Combined, combined
 from testbed.identification.drive_laws import choices, offered
 from testbed.identification.drive_regression import regressions, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.friction_curves import FrictionCurve, friction_curves
-from testbed.identification.open_counted import open_counted
 from testbed.identification.passes import Progress
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
 from testbed.identification.torque_constants import ChosenTerms, DriveEstimate
 from testbed.recordings.recording import Recording
@@ -21,7 +22,7 @@ from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class DriveFindings:
+class DriveFindings(Diagnosed):
     """What a recording's joint torques are, beside the plate's estimate.
 
     Attributes:
@@ -35,9 +36,9 @@ class DriveFindings:
     combined: Combined
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a careful reader should know, one line each."""
-        return self.combined.disagreement.warnings
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What a careful reader should know."""
+        return self.combined.disagreement.diagnostics
 
 
 def identify_drives(
@@ -68,30 +69,21 @@ def identify_drives(
         RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    settings = settings or Settings()
-    source = open_counted(recording, settings)
-    choose = choose or settings.open_speed  # which is chosen with the terms
-    torques = torques_beside(
+    problem = Problem.of(
         tree,
-        source,
-        bodies,
-        offered(settings.laws) if choose else settings.laws,
+        recording,
+        "internal",
+        settings,
         gravity=gravity,
-        settings=settings,
         threads=threads,
         progress=progress,
     )
+    settings = problem.settings
+    choose = choose or settings.open_speed  # which is chosen with the terms
+    torques = torques_beside(problem, bodies, offered(settings.laws) if choose else None)
     chosen = ChosenTerms(choices(torques) if choose else None)
     found = regressions(torques, bodies, chosen.pick)
-    curves = friction_curves(
-        tree,
-        source,
-        bodies,
-        gravity=gravity,
-        settings=settings,
-        threads=threads,
-        progress=progress,
-    )
+    curves = friction_curves(problem, bodies)
     return DriveFindings(
-        chosen.estimates(tree, torques, found), curves, combined(torques, bodies, found)
+        chosen.estimates(problem.tree, torques, found), curves, combined(torques, bodies, found)
     )

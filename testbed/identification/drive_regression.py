@@ -9,33 +9,25 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.dynamics.drive_set import drive_set
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.bodies_doubt import TINY, doubt_about, undiluted
 from testbed.identification.estimate import Estimate
-from testbed.identification.identify import check_source, in_its_gravity, tare_of
 from testbed.identification.noise.autoregression import HIGHEST
 from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.scaled import scaled_inverse, scaled_solve
 from testbed.identification.noise.units import counted
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_counted import open_counted
-from testbed.identification.passes import Passes, Progress
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.passes import Passes
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
-from testbed.identification.windows import make_plan
-from testbed.kernel.layout import layout
-from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import minimal_set, selection
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
 from testbed.robot.friction import JointLaw
 from testbed.robot.tree import Tree
 
@@ -117,51 +109,32 @@ class Torques:
 
 
 def torques_beside(
-    tree: Tree,
-    recording: Recording | Source | str,
-    bodies: Estimate,
-    laws: Sequence[JointLaw],
-    *,
-    gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
+    problem: Problem, bodies: Estimate, laws: Sequence[str | JointLaw] | None = None
 ) -> Torques:
     """A recording's joint torques, ready for regressions.
 
     Args:
-        tree: The robot; its inertias are not used, except for `settings.zeros`.
-        recording: With joint torques, as for `identify`.
+        problem: By joint torques.
         bodies: The external estimate: of this recording or of another.
-        laws: Of the joints' own torque.
-        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: How the signals are treated.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
+        laws: Of the joints' own torque; default those of the settings.
 
     Raises:
-        RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    settings = settings or Settings()
-    source = open_counted(recording, settings)
-    if tree.shafts:
+    if problem.tree.shafts:
         raise SettingsError(
             "joints are held against the plate one by one, and robot.coupling joins some: "
             'leave identification.drives "off"'
         )
-    check_source(source, tree, "internal")
-    tree = in_its_gravity(tree, source, gravity)
-    drives = drive_set(tree, minimal_set(tree, "dynamic", zeros=settings.zeros), laws)
-    lift = _lift(tree, bodies, drives, settings)
-    rows = layout(tree.without_inertias(), drives.minimal, drives.terms, False)
-    plan = make_plan(source, rows, tare_of(tree, source), settings)
-    passes = Passes(plan, threads, progress, 3)
+    terms = problem.settings.words if laws is None else laws
+    problem = problem.with_settings(terms=terms, weights="channels")
+    assert problem.drives is not None, "terms are those of joint torques"
+    lift = _lift(problem.tree, bodies, problem.drives, problem.settings)
+    passes = problem.passes(3)
     with one_blas_thread():
-        sums = passes.sums(products_wanted(tree.n))
-        equations = gather(rows, drives.names, tree.names, sums)
-    combined = np.column_stack([lift @ bodies.values, drives.columns])
-    return Torques(drives, passes, equations, lift, combined)
+        equations = problem.equations(passes)
+    combined = np.column_stack([lift @ bodies.values, problem.drives.columns])
+    return Torques(problem.drives, passes, equations, lift, combined)
 
 
 def regressions(

@@ -7,6 +7,7 @@ recording can be cut anywhere without a trace.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from testbed.arrays import Array
 
@@ -80,7 +81,7 @@ def motion_taps(rate: float, cutoff: float | None) -> Array:
     return np.stack([np.convolve(weights, stencil) for stencil in stencils])
 
 
-def slope_weights(weights: Array, places: Array, rate: float) -> Array:
+def slope_weights(weights: Array, places: NDArray[np.int64], rate: float) -> Array:
     """Weights that make a filtered signal's derivative of the signal at some samples, (k,) [1/s].
 
     By parts: the signal's derivative times the filter is the signal times the filter's, and a
@@ -91,16 +92,25 @@ def slope_weights(weights: Array, places: Array, rate: float) -> Array:
         places: The samples, evenly spaced around the filter's middle, (k,).
         rate: Samples a second [Hz].
     """
-    from scipy.interpolate import make_interp_spline  # half a second to import
-
     if len(places) == 1:
         return np.zeros(1)
-    middle = len(weights) // 2
-    spline = make_interp_spline(np.arange(-middle, middle + 1), weights, k=5)
-    found = -float(places[1] - places[0]) * spline.derivative()(places)
+    at = places + len(weights) // 2
+    found = -float(places[1] - places[0]) * _slopes(weights)[at]
     found[[0, -1]] /= 2
-    found[[0, -1]] += np.array([-1.0, 1.0]) * spline(places[-1])
+    found[[0, -1]] += np.array([-1.0, 1.0]) * weights[at[-1]]
     return np.asarray(found * rate / (found @ places))
+
+
+def _slopes(values: Array) -> Array:
+    """Derivatives at evenly spaced values, (k,), of the polynomial through the nearest ones."""
+    size = min(2 * STENCIL + 1, len(values))
+    powers, nodes = np.arange(size), np.arange(size) - size // 2
+    slope = powers * nodes[:, None] ** np.maximum(powers - 1.0, 0.0)
+    differences = slope @ np.linalg.inv(np.vander(nodes, increasing=True))  # at each of the nodes
+    at = np.arange(len(values))
+    first = np.clip(at - size // 2, 0, len(values) - size)
+    near = np.lib.stride_tricks.sliding_window_view(values, size)[first]
+    return np.asarray((differences[at - first] * near).sum(axis=1))
 
 
 def row_weights(rate: float, cutoff: float | None) -> Array:

@@ -12,17 +12,13 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.identification.drive_regression import JointRegression, regressions, torques_beside
 from testbed.identification.estimate import Estimate
 from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.passes import Progress
-from testbed.identification.settings import Settings
+from testbed.identification.problem import Problem
 from testbed.parameters.joint_terms import DriveSet
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
 from testbed.robot.friction import ROTOR, JointLaw
 from testbed.robot.tree import Tree
 
@@ -98,7 +94,8 @@ def node_law(number: int, direction: int) -> JointLaw:
         number: Of the node.
         direction: Of the motion, 1 or -1.
     """
-    return JointLaw(f"node {direction * number}", "N m", "N", _hat(number, direction), jumps=True)
+    kind = f"node {'-' if direction < 0 else ''}{number}"
+    return JointLaw(kind, "N m", "N", _hat(number, direction), jumps=True)
 
 
 def _hat(number: int, direction: int) -> Callable[[Any, Any], Any]:
@@ -117,44 +114,19 @@ LAWS = tuple(node_law(number, way) for way in (1, -1) for number in range(len(NO
 """Of all nodes, forwards and then backwards."""
 
 
-def friction_curves(
-    tree: Tree,
-    recording: Recording | Source | str,
-    bodies: Estimate,
-    *,
-    gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
-) -> tuple[FrictionCurve, ...]:
+def friction_curves(problem: Problem, bodies: Estimate) -> tuple[FrictionCurve, ...]:
     """Friction over velocity, joint by joint, with the torque constant found beside it.
 
     Args:
-        tree: The robot; its inertias are not used, except for `settings.zeros`.
-        recording: With joint torques, as for `identify`.
+        problem: By joint torques; a rotor's inertia is looked for where it is among the terms.
         bodies: The external estimate: of this recording or of another.
-        gravity: (3,) [m/s^2], bedplate frame; default as for `identify`.
-        settings: How the signals are treated; a rotor's inertia is looked for where it is
-            among the terms.
-        threads: How many to use; default one a processor.
-        progress: Called with samples done and samples in all.
 
     Raises:
-        RecordingError: The recording has no torques, or is of another robot.
         SettingsError: The estimate is not the plate's, or not of these parameters.
     """
-    settings = settings or Settings()
-    rotors = tuple(law for law in settings.laws if law == ROTOR)
-    torques = torques_beside(
-        tree,
-        recording,
-        bodies,
-        (*rotors, *LAWS),
-        gravity=gravity,
-        settings=settings,
-        threads=threads,
-        progress=progress,
-    )
+    tree = problem.tree
+    rotors = [law for law in problem.settings.laws if law == ROTOR]
+    torques = torques_beside(problem, bodies, (*rotors, *LAWS))
     nodes = [_nodes_of(j, torques.drives, torques.equations) for j in range(tree.n)]
 
     def pick(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:

@@ -6,61 +6,44 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.dynamics.drive_set import drive_set
-from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import RecordingError, SettingsError, UnknownName, plural
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
+from testbed.errors import RecordingError, SettingsError
 from testbed.identification.coloured import Refined, under_coloured_noise
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
-from testbed.identification.diagnosis import findings, quality_warnings
-from testbed.identification.estimate import (
-    METHODS,
-    MODEL_OF,
-    SIGNAL_OF,
-    Estimate,
-    Method,
-    channel_units,
-    channels_of,
-)
-from testbed.identification.finding import folded
+from testbed.identification.diagnosis import diagnostics, quality
+from testbed.identification.estimate import Estimate, Method, channel_units
 from testbed.identification.instrument import (
     Side,
     Start,
     nuisance_covariance,
+    nuisance_diagnostics,
     nuisance_estimates,
-    nuisance_warnings,
     settled,
     side,
     trace_tests,
 )
-from testbed.identification.noise_warnings import zero_unknown
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_counted import open_counted
+from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.problem import Data, Problem
+from testbed.identification.residual_diagnostics import zero_unknown
 from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.term_choice import with_all_terms
 from testbed.identification.weights import noise_weights
-from testbed.identification.windows import Plan, make_plan
-from testbed.kernel.layout import Layout, layout
-from testbed.kernel.records import Question, products_wanted
-from testbed.parameters.joint_terms import DriveSet
-from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.coupled_gear import with_gear
-from testbed.recordings.geometry import check_robot
-from testbed.recordings.measured_base import on_its_base
-from testbed.recordings.recording import Recording
+from testbed.identification.windows import Plan
+from testbed.kernel.layout import Layout
+from testbed.kernel.records import Question
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
@@ -69,7 +52,7 @@ from testbed.stages import stage
 
 def identify(
     tree: Tree,
-    recording: Recording | Source | str | Path | Iterable[Recording],
+    recording: Data,
     method: Method = "external",
     *,
     zeros: bool | Sequence[str] | None = None,
@@ -103,36 +86,48 @@ def identify(
             needs, or holds what is no measurement.
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
-    if method not in METHODS:
-        raise UnknownName("method", method, METHODS)
-    source = on_its_base(open_counted(recording, settings or Settings()), tree)
-    check_source(source, tree, method)
-    settings = _fitting(settings or Settings(), source, method, zeros)
-    tree = with_gear(in_its_gravity(tree, source, gravity), source)
-    minimal = set_of(tree, method, settings)
-    drives, choice = None, None
-    if method == "internal":
-        settings, choice = with_all_terms(tree, source, minimal, settings, threads, progress)
-        drives = drive_set(tree, minimal, settings.words)
-    rows, warnings = _layout(tree, source, settings, minimal, drives)
-    names = minimal.names if drives is None else drives.names
-    if not minimal.names:
+    if zeros is not None:
+        settings = replace(settings or Settings(), zeros=zeros)
+    problem = Problem.of(
+        tree,
+        recording,
+        method,
+        settings,
+        gravity=gravity,
+        threads=threads,
+        progress=progress,
+    )
+    return estimate_of(problem, doubt)
+
+
+def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
+    """The estimate of a recording that is made ready.
+
+    Args:
+        problem: Robot, recording and method.
+        doubt: As for `identify`.
+
+    Raises:
+        RecordingError: As `identify`.
+        UnseenParameters: As `identify`.
+    """
+    problem, choice = with_all_terms(problem)
+    said = [*_of_problem(problem)]
+    settings, names = problem.settings, problem.names
+    if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
-    channels, tare = channels_of(tree, method), tare_of(tree, source)
+    full = settings.joined and settings.covariance is None
 
     @stage("rows and their products")
     def begin(source: Source) -> Start:
-        plan = make_plan(source, rows, tare, settings)
-        passes = Passes(plan, threads, progress, 3 if settings.noise == "ar" else 2)
-        sums = passes.sums(products_wanted(len(channels)))
-        equations = gather(rows, names, channels, sums)
-        full = settings.joined and settings.covariance is None
+        passes = problem.passes(3 if settings.noise == "ar" else 2, source)
+        equations = problem.equations(passes)
         weights = noise_weights(equations, settings.covariance, full)
         return Start(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
-        beside = side(rows, minimal, names, settings, tare, doubt)
-        taken_back = settled(source, begin, beside)
+        beside = side(problem, doubt)
+        taken_back = settled(problem.source, begin, beside)
         passes, equations, fit = taken_back.start
         if settings.noise == "ar":
             columns = beside.beside(passes.plan, fit.values, taken_back.values)
@@ -141,132 +136,37 @@ def identify(
             found = _refined(passes.plan, fit, passes)
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        plain = _estimate(method, tree, equations, found, minimal, drives)
-        told = _with_instrument(plain, rows, beside, taken_back.values, found)
+        plain = _estimate(problem, equations, found)
+        told = _with_instrument(plain, problem.layout, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
-        wrong = findings(estimate, tree, passes.surveyor.survey(), tare)
-    warnings += folded(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
-    made = drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
+        wrong = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
+    said += [*wrong, *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
+    made = drawn(replace(estimate, diagnostics=ordered(said)), settings.ridge)
     open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
     return made.without([name for name in made.names if name in open_zero])
 
 
-@stage("minimal set")
-def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
-    """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
-
-    Args:
-        tree: The robot, under the gravity of the recording.
-        method: By plate or by torques.
-        settings: Which parameters are zero, and whether the tare is known.
-    """
-    tared = method == "external" and settings.tare == "unknown"
-    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
-
-
-def _fitting(
-    settings: Settings, source: Source, method: Method, zeros: bool | Sequence[str] | None
-) -> Settings:
-    """Settings with filters that fit the recording, and a zero that nobody knows."""
-    if zeros is not None:
-        settings = replace(settings, zeros=zeros)
-    if method == "external" and settings.tare == "unknown" and "bias" not in settings.nuisances:
-        settings = replace(settings, nuisances=(*settings.nuisances, "bias"))
-    return settings.fitted(source.rate)
-
-
-def check_source(source: Source, tree: Tree, method: Method) -> None:
-    """Whether a recording is one, of this robot, with what a method needs.
-
-    Args:
-        source: The recording.
-        tree: The robot.
-        method: Reads torques or the wrench.
-
-    Raises:
-        RecordingError: It is not.
-    """
-    if source.samples < 2:
-        raise RecordingError(
-            f"the recording: {plural(source.samples, 'sample')}, which is no recording"
-        )
-    if not source.rate > 0:
-        raise RecordingError(
-            "the recording: time does not increase from its first sample to its last"
-        )
-    check_robot(source, tree)
-    if SIGNAL_OF[method] in source.signals:
-        return
-    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
-    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
-    raise RecordingError(
-        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
-    )
-
-
-def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None) -> Tree:
-    """The robot under the gravity that was given, or else the recording's, or the model file's.
-
-    Args:
-        tree: The robot.
-        source: A recording; it may say its gravity.
-        gravity: (3,) [m/s^2], bedplate frame, or None.
-    """
-    given = source.facts.get("gravity") if gravity is None else gravity
-    return tree.with_gravity(given)
-
-
-def tare_of(tree: Tree, source: Source) -> Array:
-    """The static wrench to be taken off the plate's, (6,) [N, N m]: the pedestal's.
-
-    Args:
-        tree: The robot, under the gravity of the recording.
-        source: A recording; it may say so.
-    """
-    return pedestal_wrench(tree) if source.tare is None else source.tare
-
-
-def _layout(
-    tree: Tree, source: Source, settings: Settings, minimal: MinimalSet, drives: DriveSet | None
-) -> tuple[Layout, list[str]]:
-    """The robot's rows, and warnings so far."""
-    terms = () if drives is None else drives.terms
-    rows = layout(tree.without_inertias(), minimal, terms, settings.joined)
-    if settings.covariance is not None and len(settings.covariance) != rows.width:
-        method = "external" if drives is None else "internal"
-        raise SettingsError(
-            f"weights is a covariance of {len(settings.covariance)} channels, the {method} method "
-            f"has {rows.width}"
-        )
-    tare, warnings = tare_of(tree, source), list(source.facts.get("warnings", ()))
-    if drives is None and source.tare is None and tare.any():
-        warnings.append(
-            "the recording does not say what of the wrench is the pedestal's; the model's "
-            f"pedestal is taken off (Fz {tare[2]:.4g} N)"
-        )
-    if drives is not None:
-        warnings += _not_asked_for(tree, settings)
+def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
+    """What is to be known before any sample is used."""
+    source, settings, tare = problem.source, problem.settings, problem.tare
+    plate = problem.method == "external"
+    yield from of_recording(source.facts)
+    if plate and source.tare is None and tare.any():
+        yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
+    if not plate:
+        yield from _missing_terms(problem.tree, settings)
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
-    if drives is None and passing and len(segments_of(source)) > 1:
-        warnings.append(
-            f"{' and '.join(passing)} are one for all recordings: of a plate that was zeroed "
-            "between them, identify each alone"
-        )
-    return rows, warnings
+    if plate and passing and len(segments_of(source)) > 1:
+        yield diagnose("plate.common-offset", " and ".join(passing), method="external")
 
 
-def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
+def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
     """Terms of the joints' torque that the model file states and the settings leave out."""
-    warnings = []
     for law in LAWS:
         given = law.coefficients(tree)
         if given.any() and law not in settings.laws:
             names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
-            warnings.append(
-                f"the model file states '{law.kind}' of {names}; joint torques contain it, and the "
-                f"internal estimate takes it for the robot's: add '{law.kind}' to terms"
-            )
-    return warnings
+            yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 
 def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
@@ -290,35 +190,27 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
     return Refined(fit, values, covariance, squares)
 
 
-def _estimate(
-    method: Method,
-    tree: Tree,
-    equations: NormalEquations,
-    found: Refined,
-    minimal: MinimalSet,
-    drives: DriveSet | None,
-) -> Estimate:
+def _estimate(problem: Problem, equations: NormalEquations, found: Refined) -> Estimate:
     square = equations.squares
     return Estimate(
-        method=method,
+        method=problem.method,
         names=equations.unknowns,
-        units=minimal.units if drives is None else drives.units,
+        units=problem.units,
         values=found.values,
         sigma=np.sqrt(np.maximum(np.diagonal(found.covariance), 0.0)),  # but for rounding
         covariance=found.covariance,
-        gravity=tree.gravity,
+        gravity=problem.tree.gravity,
         channels=equations.channels,
-        channel_units=channel_units(tree, method),
+        channel_units=channel_units(problem.tree, problem.method),
         residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
         relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
         samples=tuple(int(n) for n in equations.used),
         condition=found.fit.condition,
         normal_equations=equations,
-        findings=(),
-        warnings=(),
-        minimal=minimal,
-        drives=drives,
-        joints=tree.names,
+        diagnostics=(),
+        minimal=problem.minimal,
+        drives=problem.drives,
+        joints=problem.tree.names,
         noise=found.noise,
     )
 

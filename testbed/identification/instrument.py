@@ -7,13 +7,14 @@ the robot's, and its covariance counts them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import SettingsError, few
 from testbed.identification.coloured import Refined, further_values
 from testbed.identification.known import Facts, facts
@@ -28,11 +29,11 @@ from testbed.identification.nuisances.structure import Imitated, still_open, tol
 from testbed.identification.nuisances.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.passes import Passes
 from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
 from testbed.identification.solvers.least_squares import Fit
 from testbed.identification.windows import Plan
 from testbed.kernel.layout import Layout
-from testbed.parameters.minimal_set import MinimalSet
 from testbed.recordings.source import Source
 
 ROUNDS = 8
@@ -130,36 +131,27 @@ class Side:
         return self.stated.around(np.concatenate([values, numbers]))
 
 
-def side(
-    layout: Layout,
-    minimal: MinimalSet,
-    names: Sequence[str],
-    settings: Settings,
-    tare: Array,
-    doubt: PlateDoubt | None = None,
-) -> Side:
+def side(problem: Problem, doubt: PlateDoubt | None = None) -> Side:
     """Which unknowns of the instrument stand beside a robot's, before any data.
 
     Args:
-        layout: The robot's rows.
-        minimal: Its minimal parameters.
-        names: Of its unknowns.
-        settings: Which nuisances are asked for; tests need coloured noise and filtered rows.
-        tare: Static wrench of the pedestal, (6,) [N, N m].
+        problem: Robot and recording. Its settings say which nuisances are asked for; tests need
+            coloured noise and filtered rows.
         doubt: About the plate by which the recording was corrected.
     """
-    tree, none = layout.tree, unknowns_of(layout.tree, ())
-    plate = layout.model == "reaction"
+    settings, names = problem.settings, problem.names
+    tree, none = problem.layout.tree, unknowns_of(problem.layout.tree, ())
+    plate = problem.method == "external"
     asked = [n for n in NUISANCES if plate and n.kind in settings.nuisances]
     calibrated = doubt.nuisances(tree, asked) if plate and doubt is not None else []
     asked = [n for n in NUISANCES if n in asked or n in calibrated]
     every = unknowns_of(tree, asked)
     given = {n: v for n, v in settings.facts.items() if plate or n in names}
-    stated = facts(tree, minimal, names, every.names, given)
+    stated = facts(tree, problem.minimal, names, every.names, given)
     taken = {part.name: part.right for n in calibrated for part in n.parts(tree)}
     if doubt is not None and taken:
         stated = doubt.added(stated, taken, (*names, *every.names))
-    unknowns, imitated = told_apart(layout, names, asked, tare, stated) if asked else (none, ())
+    unknowns, imitated = told_apart(problem, asked, stated) if asked else (none, ())
     _check_whole(every, imitated, settings)
     about = [*range(len(names)), *(len(names) + k for k in unknowns.kept)]
     tests = plate and settings.noise == "ar" and settings.row_low_pass is not None
@@ -264,8 +256,8 @@ def nuisance_covariance(side: Side, found: Refined) -> tuple[Array, Array]:
     return found.further_covariance[np.ix_(kept, kept)], found.across[:, kept]
 
 
-def nuisance_warnings(side: Side, found: Settled) -> list[str]:
-    """What was asked for and cannot be, a line each.
+def nuisance_diagnostics(side: Side, found: Settled) -> Iterator[Diagnostic]:
+    """Calibration parameters that were asked for and are not identifiable.
 
     Args:
         side: The instrument's unknowns.
@@ -274,23 +266,14 @@ def nuisance_warnings(side: Side, found: Settled) -> list[str]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in side.imitated:
         groups.setdefault(each.by, []).append(each.name)
-    lines = [
-        f"no motion tells {', '.join(names)} from {few(by)}: taken as zero, and "
-        f"{'that is' if len(by) == 1 else 'those are'} unseen but for that"
-        for by, names in groups.items()
-    ]
+    for by, names in groups.items():
+        verb = "is" if len(names) == 1 else "are"
+        yield diagnose("plate.collinear", ", ".join(names), verb=verb, others=few(by))
     if found.weak:
-        lines.append(
-            f"hardly told by these data: {few(found.weak)}; less than {OWN:.0%} of what each does "
-            "is its own, the encoders' noise may drown it, and sigma does not count that: leave it "
-            "out, or state known zeros"
-        )
+        verb = "is" if len(found.weak) == 1 else "are"
+        yield diagnose("plate.uncertain", few(found.weak), verb=verb, share=OWN)
     if not found.calm:
-        lines.append(
-            f"the nuisances did not settle in {ROUNDS} rounds: ask for fewer of them, or look for "
-            "a larger fault first"
-        )
-    return lines
+        yield diagnose("plate.not-converged", value=ROUNDS)
 
 
 def trace_tests(

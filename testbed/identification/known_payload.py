@@ -8,14 +8,13 @@ with a size this tells the scale of the plate, and it is seen before any data wh
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import null_space
 
 from testbed.arrays import Array, readonly
 from testbed.errors import SettingsError, UnknownName
-from testbed.identification.identify import tare_of
 from testbed.identification.known import PAYLOAD, facts, free
 from testbed.identification.nuisances.all_nuisances import NUISANCES
 from testbed.identification.nuisances.nuisance import Nuisance
@@ -30,11 +29,8 @@ from testbed.identification.nuisances.structure import (
 )
 from testbed.identification.nuisances.unknowns import unknowns_of
 from testbed.identification.payload import seen_of_payload
-from testbed.identification.settings import Settings
-from testbed.kernel.layout import Layout, layout
+from testbed.identification.problem import Problem
 from testbed.parameters.barycentric import to_barycentric
-from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
 MASS = f"{PAYLOAD}mass"
@@ -104,48 +100,40 @@ def known_payload(
     return KnownPayload(carrier, values, root, (*unknown, *range(4, 10)))
 
 
-@dataclass(frozen=True, eq=False)
-class Half:
-    """One of the two recordings, before any data.
+def nuisances_of(problem: Problem) -> list[Nuisance]:
+    """The kinds of the instrument's unknowns that are asked for.
 
-    Attributes:
-        settings: How its signals are treated; what is known of it.
-        layout: The robot's rows.
-        minimal: Its minimal parameters.
-        tare: Static wrench of the pedestal, (6,) [N, N m].
+    Args:
+        problem: By the plate.
     """
+    return [n for n in NUISANCES if n.kind in problem.settings.nuisances]
 
-    settings: Settings
-    layout: Layout
-    minimal: MinimalSet
-    tare: Array
 
-    @property
-    def nuisances(self) -> list[Nuisance]:
-        """Unknowns of the instrument."""
-        return [n for n in NUISANCES if n.kind in self.settings.nuisances]
+def open_alone(problem: Problem) -> tuple[str, ...]:
+    """Numbers of the plate that hold for other recordings, too, and that one does not tell alone.
 
-    @property
-    def open(self) -> tuple[str, ...]:
-        """Numbers that hold for other recordings, too, and that this one does not tell alone."""
-        names = self.minimal.names
-        every = unknowns_of(self.layout.tree, self.nuisances)
-        stated = facts(self.layout.tree, self.minimal, names, every.names, self.settings.facts)
-        _, imitated = told_apart(self.layout, names, self.nuisances, self.tare, stated)
-        lasting = {p.name for n in self.nuisances if n.whole for p in n.parts(self.layout.tree)}
-        return tuple(each.name for each in imitated if each.name in lasting)
+    Args:
+        problem: Robot and recording.
+    """
+    tree, asked = problem.tree, nuisances_of(problem)
+    every = unknowns_of(tree, asked)
+    stated = facts(tree, problem.minimal, problem.names, every.names, problem.settings.facts)
+    _, imitated = told_apart(problem, asked, stated)
+    lasting = {p.name for n in asked if n.whole for p in n.parts(tree)}
+    return tuple(each.name for each in imitated if each.name in lasting)
 
-    @property
-    def constants(self) -> Array:
-        """Directions of the parameters that show as a constant, where that is unknown, (N, k)."""
-        if not {BIAS, TARE} & set(self.nuisances):
-            return np.zeros((self.minimal.count, 0))
-        rng, rows = np.random.default_rng(SEEDS[0]), enough(self.minimal.count)
-        theta = generic_robot(self.layout, rng)
-        own, _ = generic_columns(self.layout, (BIAS,), self.tare, rows, theta, rng)
-        changing = own.reshape(rows, 6, -1) - own.reshape(rows, 6, -1).mean(axis=0)
-        scale = np.linalg.norm(own, axis=0)
-        return np.asarray(null_space(changing.reshape(6 * rows, -1) / scale) / scale[:, None])
+
+def _constants(problem: Problem) -> Array:
+    """Directions of the parameters that show as a constant, where that is unknown, (N, k)."""
+    count = problem.minimal.count
+    if not {BIAS, TARE} & set(nuisances_of(problem)):
+        return np.zeros((count, 0))
+    rng, rows = np.random.default_rng(SEEDS[0]), enough(count)
+    theta = generic_robot(problem.layout, rng)
+    own, _ = generic_columns(problem, (BIAS,), rows, theta, rng)
+    changing = own.reshape(rows, 6, -1) - own.reshape(rows, 6, -1).mean(axis=0)
+    scale = np.linalg.norm(own, axis=0)
+    return np.asarray(null_space(changing.reshape(6 * rows, -1) / scale) / scale[:, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,8 +148,8 @@ class Pair:
         adds: What each of the payload's ten parameters adds to them, (N', 10).
     """
 
-    without: Half
-    loaded: Half
+    without: Problem
+    loaded: Problem
     payload: KnownPayload
     lift: Array
     adds: Array
@@ -169,16 +157,15 @@ class Pair:
     @property
     def free(self) -> Array:
         """Directions in which the second's may differ beyond what is known, (N', k)."""
-        return np.column_stack([self.adds[:, list(self.payload.unknown)], self.loaded.constants])
+        return np.column_stack([self.adds[:, list(self.payload.unknown)], _constants(self.loaded)])
 
     @property
     def open(self) -> tuple[Imitated, ...]:
         """Numbers of the plate that both recordings together do not tell: a generic robot's."""
-        half, tree = self.without, self.without.layout.tree
-        own, count = half.minimal.names, half.minimal.count
+        half, tree = self.without, self.without.tree
+        own, count, asked = half.minimal.names, half.minimal.count, nuisances_of(half)
         passing, lasting = (
-            unknowns_of(tree, [n for n in half.nuisances if n.passing is each])
-            for each in (True, False)
+            unknowns_of(tree, [n for n in asked if n.passing is each]) for each in (True, False)
         )
         numbers = (*passing.names, *lasting.names)
         left = free(facts(tree, half.minimal, own, numbers, half.settings.facts))
@@ -199,14 +186,14 @@ class Pair:
         _, imitated = in_turn(
             (np.vstack([robot @ lead, again @ self.lift @ lead]), labels), (columns, names), known
         )
-        whole = {part.name for n in half.nuisances if n.whole for part in n.parts(tree)}
+        whole = {part.name for n in asked if n.whole for part in n.parts(tree)}
         return tuple(each for each in imitated if each.name in whole)
 
     def _columns(self, rows: int) -> tuple[tuple[Array, Array], tuple[Array, Array], Array]:
         """Of both halves along generic motions, passing numbers first; of the unknown payload."""
         rng = np.random.default_rng(SEEDS[0])
         theta = generic_robot(self.without.layout, rng)
-        tree = self.without.layout.tree
+        tree = self.without.tree
         ten = np.zeros((tree.n, 10))
         ten[tree.index(self.payload.joint)] = self.payload.values
         ten[tree.index(self.payload.joint), list(self.payload.unknown)] = rng.normal(
@@ -217,45 +204,32 @@ class Pair:
             (self.without, theta, SEEDS[0]),
             (self.loaded, theta + to_barycentric(tree, ten), SEEDS[1]),
         ):
-            sorted_ones = sorted(half.nuisances, key=lambda n: not n.passing)
+            in_order = sorted(nuisances_of(half), key=lambda n: not n.passing)
             motion = np.random.default_rng(seed)
-            found.append(generic_columns(half.layout, sorted_ones, half.tare, rows, bodies, motion))
+            found.append(generic_columns(half, in_order, rows, bodies, motion))
         return found[0], found[1], found[1][0] @ self.adds[:, list(self.payload.unknown)]
 
 
-def pair_of(
-    tree: Tree, without: Source, loaded: Source, settings: Settings, payload: KnownPayload
-) -> Pair:
+def pair_of(without: Problem, loaded: Problem, payload: KnownPayload) -> Pair:
     """Two recordings before any data.
 
     Args:
-        tree: The robot without the payload, under the gravity of both.
-        without: The first recording.
-        loaded: The second.
-        settings: Of the first: with what is known of robot and plate.
+        without: The first recording, with what is known of robot and plate.
+        loaded: The second, with the same settings.
         payload: What is known of the payload.
     """
+    tree = without.tree
     numbers = {part.name for n in NUISANCES if not n.passing for part in n.parts(tree)}
     of_plate = {
         name: (value, DOUBT if sigma else 0.0)  # a doubt that both share counts once
-        for name, (value, sigma) in settings.facts.items()
+        for name, (value, sigma) in without.settings.facts.items()
         if name in numbers
     }
-    halves = [
-        _half(tree, without, settings),
-        _half(tree, loaded, replace(settings, zeros=False, known=of_plate)),
-    ]
-    first, second = (half.minimal for half in halves)
+    loaded = loaded.with_settings(zeros=False, known=of_plate)
     return Pair(
-        halves[0],
-        halves[1],
+        without,
+        loaded,
         payload,
-        lift=np.asarray(second.matrix @ first.lift),
-        adds=seen_of_payload(tree, second, payload.joint),
+        lift=np.asarray(loaded.minimal.matrix @ without.minimal.lift),
+        adds=seen_of_payload(tree, loaded.minimal, payload.joint),
     )
-
-
-def _half(tree: Tree, source: Source, settings: Settings) -> Half:
-    minimal = minimal_set(tree, "reaction", zeros=settings.zeros)
-    rows = layout(tree.without_inertias(), minimal, (), settings.joined)
-    return Half(settings, rows, minimal, tare_of(tree, source))

@@ -38,8 +38,8 @@ SMALL = 0.3
 PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
 """Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
 
-KEPT = 64e6
-"""Bytes of rows that are kept from the first pass to the next."""
+KEPT = 100e6
+"""Bytes of rows that are kept from the first pass to the next: the first ones."""
 
 
 def is_small(plan: Plan) -> bool:
@@ -97,7 +97,7 @@ class Passes:
         self._rooms: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
         thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
-        self._keeps = thinned and plan.rows * plan.layout.rows.slots * 8 < KEPT
+        self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
 
     def sums(self, question: Question) -> Iterator[Sums]:
         """The answers of all windows, in order; the first time, what was read is checked."""
@@ -175,7 +175,7 @@ class Passes:
 
     def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
         layout = self.plan.layout
-        if self._keeps or not self.compiled:
+        if self._keeps(window) or not self.compiled:
             return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
         from testbed.kernel import numba_engine
 
@@ -197,9 +197,12 @@ class Passes:
         if window.row in self._kept:
             return self._kept[window.row]
         found = self._made(signals)
-        if self._keeps:
+        if self._keeps(window):
             self._kept[window.row] = found
         return found
+
+    def _keeps(self, window: Window) -> bool:
+        return window.row + window.rows <= self._rows_kept
 
     def _made(self, signals: Signals) -> list[Block]:
         if not self.compiled:

@@ -11,7 +11,7 @@ from testbed.arrays import Array, readonly
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
-from testbed.identification.identify import check_source, tare_of
+from testbed.identification.problem import check_source, tare_of
 from testbed.parameters.barycentric import to_barycentric
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, open_source

@@ -8,14 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.dynamics.drive_set import drive_set
-from testbed.errors import SettingsError, few
-from testbed.identification.estimate import MODEL_OF, Estimate, Method
-from testbed.identification.finding import components
+from testbed.errors import SettingsError, components, few
+from testbed.identification.estimate import Estimate, Method
 from testbed.identification.nuisances.corrected import lastingly_corrected
-from testbed.identification.settings import Settings
-from testbed.kernel.layout import Layout, layout
-from testbed.parameters.minimal_set import minimal_set
+from testbed.identification.problem import Problem, set_of
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 
@@ -74,30 +70,23 @@ def stated(estimate: Estimate) -> Stated:
     )
 
 
-def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
-    """The robot's rows for the parameters that an estimate is of.
+def check_parameters(problem: Problem, said: Stated) -> None:
+    """Whether an estimate is of a problem's parameters.
 
     Args:
-        tree: The robot, under the gravity of another recording.
+        problem: Another recording of the robot.
         said: The estimate.
-        settings: Those of the estimate.
 
     Raises:
-        SettingsError: They are not those of this robot, gravity and settings.
+        SettingsError: It is of other parameters, or was made under another gravity.
     """
-    model = MODEL_OF[said.method]
-    tared = said.method == "external" and settings.tare == "unknown"
-    minimal = minimal_set(tree, model, zeros=settings.zeros, tared=tared)
-    then = minimal_set(tree, model, said.gravity, zeros=settings.zeros, tared=tared)
+    tree, minimal, names = problem.tree, problem.minimal, problem.names
+    then = set_of(tree.with_gravity(said.gravity), said.method, problem.settings)
     if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
         raise SettingsError(
             f"the estimate was made under gravity {components(said.gravity)}, the recording has "
             f"{components(tree.gravity)} m/s^2: other combinations of parameters count there"
         )
-    drives = None
-    if said.method == "internal":
-        drives = drive_set(tree, minimal, settings.words)
-    names = minimal.names if drives is None else drives.names
     if names != said.names:
         extra = [name for name in said.names if name not in names]
         lacking = [name for name in names if name not in said.names]
@@ -107,8 +96,6 @@ def rows_of(tree: Tree, said: Stated, settings: Settings) -> Layout:
             f"the {said.method} estimate is not of this robot's parameters under these settings: "
             f"{', and '.join(told) or 'they are in another order'}"
         )
-    terms = () if drives is None else drives.terms
-    return layout(tree.without_inertias(), minimal, terms)
 
 
 def as_estimated(source: Source, tree: Tree, said: Stated) -> Source:

@@ -13,25 +13,17 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.blas import one_blas_thread
-from testbed.dynamics.drive_set import drive_set
 from testbed.errors import RecordingError, plural
 from testbed.identification.estimate import Estimate, channel_units
 from testbed.identification.held_out import HeldOut, Parts, TermChoice, grown, stretches
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.offered_laws import ALWAYS, OFFERED, rivals
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.offered_laws import OFFERED, rivals
 from testbed.identification.open_speed import with_speed
-from testbed.identification.passes import Passes, Progress
+from testbed.identification.problem import Problem, usual_laws
 from testbed.identification.settings import AUTO, USUAL, Settings
 from testbed.identification.weights import noise_weights
-from testbed.identification.windows import make_plan
-from testbed.kernel.layout import layout
-from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
-from testbed.parameters.minimal_set import MinimalSet, minimal_set
-from testbed.recordings.coupled_gear import is_imported
-from testbed.recordings.source import Source
-from testbed.robot.friction import OFFSET, ROTOR, JointLaw, JointTerm
-from testbed.robot.tree import Tree
+from testbed.robot.friction import ROTOR, JointTerm
 
 PARTS = 6
 """Of a recording."""
@@ -41,18 +33,6 @@ ROUNDS = 2
 
 FEWEST = 4
 """Rows of a part for each joint, on average, below which nothing can be chosen."""
-
-
-def with_usual_terms(settings: Settings, source: Source) -> Settings:
-    """Settings whose terms are said: by default offsets are estimated where drives are real.
-
-    Args:
-        settings: "auto" stays.
-        source: The recording.
-    """
-    if settings.terms is not None:
-        return settings
-    return replace(settings, terms=[law.kind for law in usual_laws(source)])
 
 
 def as_settled(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
@@ -71,65 +51,34 @@ def as_settled(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
     return settings
 
 
-def usual_laws(source: Source) -> tuple[JointLaw, ...]:
-    """What every joint of a recording has unless something else is said.
+def with_all_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:
+    """A problem whose settings say all terms, and the evidence where held-out data chose them.
 
     Args:
-        source: The recording.
-    """
-    return (*ALWAYS, OFFSET) if is_imported(source) else ALWAYS
-
-
-def with_all_terms(
-    tree: Tree,
-    source: Source,
-    minimal: MinimalSet,
-    settings: Settings,
-    threads: int | None,
-    progress: Progress,
-) -> tuple[Settings, TermChoice | None]:
-    """Settings that say all terms, and the evidence where held-out data chose them.
-
-    Args:
-        tree: The robot, under the recording's gravity.
-        source: With joint torques.
-        minimal: The dynamic set.
-        settings: Those that were asked for.
-        threads: How many to use.
-        progress: Called with samples done and samples in all.
+        problem: By either method.
     """
     choice = None
-    settings = with_usual_terms(settings, source)
-    if settings.terms == AUTO:
-        choice = choose_terms(tree, source, settings, threads, progress)
-        settings = replace(settings, terms=choice.words)
-    if settings.open_speed:
-        settings = with_speed(tree, source, minimal, settings, threads, progress)
-    return settings, choice
+    if problem.method == "external":
+        return problem, choice
+    if problem.settings.terms == AUTO:
+        choice = choose_terms(problem)
+        problem = problem.with_settings(terms=choice.words)
+    return (with_speed(problem) if problem.settings.open_speed else problem), choice
 
 
-def choose_terms(
-    tree: Tree,
-    source: Source,
-    settings: Settings,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
-) -> TermChoice:
+def choose_terms(problem: Problem) -> TermChoice:
     """The terms that held-out data choose.
 
     Args:
-        tree: The robot, under the recording's gravity; its inertias are not used.
-        source: With joint torques.
-        settings: How the signals are treated; its terms do not matter.
-        threads: How many to use.
-        progress: Called with samples done and samples in all.
+        problem: By joint torques; the terms of its settings do not matter.
 
     Raises:
         RecordingError: The recording is too short to be cut into parts.
     """
-    usual = usual_laws(source)
+    tree = problem.tree
+    usual = usual_laws(problem.source)
     laws = tuple(dict.fromkeys((*usual, ROTOR, *OFFERED)))
-    look = _Look(tree, source, settings, laws, threads, progress)
+    look = _Look(problem.with_settings(terms=laws))
     count, terms = look.drives.minimal.count, look.drives.terms
     base = [term for term in terms if term.law in usual]
     at = {term: count + k for k, term in enumerate(terms)}
@@ -152,26 +101,16 @@ def choose_terms(
     return TermChoice(words, growth, before, after, PARTS)
 
 
-def held_out(
-    tree: Tree,
-    source: Source,
-    settings: Settings,
-    threads: int | None = None,
-    progress: Progress = lambda done, total: None,
-) -> HeldOut:
+def held_out(problem: Problem) -> HeldOut:
     """What is left of unseen parts with the terms of the settings.
 
     Args:
-        tree: The robot, under the recording's gravity; its inertias are not used.
-        source: With joint torques.
-        settings: How the signals are treated.
-        threads: How many to use.
-        progress: Called with samples done and samples in all.
+        problem: By joint torques.
 
     Raises:
         RecordingError: The recording is too short to be cut into parts.
     """
-    look = _Look(tree, source, with_usual_terms(settings, source), None, threads, progress)
+    look = _Look(problem)
     every = [*range(look.drives.count)]
     with one_blas_thread():
         return look.held_out(look.parts(every), every)
@@ -180,32 +119,23 @@ def held_out(
 class _Look:
     """A recording's rows with the columns of some terms, cut into parts."""
 
-    def __init__(
-        self,
-        tree: Tree,
-        source: Source,
-        settings: Settings,
-        laws: Sequence[str | JointLaw] | None,
-        threads: int | None,
-        progress: Progress,
-    ) -> None:
-        minimal = minimal_set(tree, "dynamic", zeros=settings.zeros)
-        self.drives: DriveSet = drive_set(tree, minimal, settings.words if laws is None else laws)
-        rows = layout(tree.without_inertias(), minimal, self.drives.terms, False)
-        plan = make_plan(source, rows, np.zeros(6), settings)
+    def __init__(self, problem: Problem) -> None:
+        problem = problem.with_settings(weights="channels")
+        assert problem.drives is not None, "terms are those of joint torques"
+        self.drives: DriveSet = problem.drives
+        self.passes = problem.passes(4)
+        plan = self.passes.plan
         if plan.rows < FEWEST * PARTS:
             raise RecordingError(
                 f"the recording gives {plural(plan.rows, 'row')}, too few to foretell "
                 f"{PARTS} parts of it "
                 "from the others; record longer"
             )
-        self.passes = Passes(plan, threads, progress, 4)
-        self.units = channel_units(tree, "internal")
+        self.units = channel_units(problem.tree, problem.method)
         reach = -(-2 * (len(plan.weights) // 2) // plan.step)
         self.spans = list(stretches(plan.rows, PARTS, reach))
         with one_blas_thread():
-            sums = self.passes.sums(products_wanted(tree.n))
-            self.equations: NormalEquations = gather(rows, self.drives.names, tree.names, sums)
+            self.equations: NormalEquations = problem.equations(self.passes)
 
     def parts(self, columns: Sequence[int]) -> Parts:
         """Products of rows by parts, in units of the noise that a fit of some columns leaves."""

@@ -7,38 +7,29 @@ covariance of the parameters adds along the other motion.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (
     Estimate,
     Method,
     channel_label,
     channel_units,
-    channels_of,
     matters,
 )
-from testbed.identification.finding import Finding, in_lines
-from testbed.identification.identify import check_source, in_its_gravity, tare_of
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.open_counted import open_counted
-from testbed.identification.passes import Passes, Progress
+from testbed.identification.normal_equations import NormalEquations
+from testbed.identification.passes import Progress
+from testbed.identification.problem import Data, Problem
 from testbed.identification.settings import Settings
-from testbed.identification.stated import Stated, as_estimated, rows_of, stated
-from testbed.identification.term_choice import as_settled, with_usual_terms
-from testbed.identification.windows import make_plan
-from testbed.kernel.records import products_wanted
-from testbed.recordings.coupled_gear import with_gear
-from testbed.recordings.measured_base import on_its_base
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.identification.stated import Stated, as_estimated, check_parameters, stated
+from testbed.identification.term_choice import as_settled
 from testbed.robot.tree import Tree
 
 LIMIT = 2.0
@@ -46,7 +37,7 @@ LIMIT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Diagnosed):
     """An estimate against another recording, channel by channel.
 
     Attributes:
@@ -110,19 +101,14 @@ class Validation:
         return matters(self.error, self.signal, self.units)
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Channels in which the estimate foretells worse than its sigma says."""
-        return tuple(_findings(self))
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings, a line for those that are alike."""
-        return tuple(in_lines(self.findings))
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Channels in which the estimate predicts worse than its sigma says."""
+        return tuple(_diagnostics(self))
 
 
 def validate(
     tree: Tree,
-    recording: Recording | Source | str | Path | Iterable[Recording],
+    recording: Data,
     estimate: Estimate | Stated,
     *,
     gravity: ArrayLike | None = None,
@@ -151,25 +137,27 @@ def validate(
         SettingsError: Robot and settings have other parameters than the estimate.
     """
     said = estimate if isinstance(estimate, Stated) else stated(estimate)
-    settings = settings or Settings()
-    source = on_its_base(open_counted(recording, settings), tree)
-    check_source(source, tree, said.method)
-    tree = with_gear(in_its_gravity(tree.with_gravity(said.gravity), source, gravity), source)
     made = [] if isinstance(estimate, Stated) else [estimate]
-    settings = with_usual_terms(as_settled(settings, made), source)
-    rows = rows_of(tree, said, settings)
-    channels = channels_of(tree, said.method)
+    problem = Problem.of(
+        tree.with_gravity(said.gravity),
+        recording,
+        said.method,
+        as_settled(settings or Settings(), made),
+        gravity=gravity,
+        threads=threads,
+        progress=progress,
+    ).with_settings(weights="channels")
+    check_parameters(problem, said)
+    tree, channels = problem.tree, problem.channels
     if len(said.residual) != len(channels):
         raise SettingsError(
             f"the {said.method} estimate has residuals of "
             f"{plural(len(said.residual), 'channel')}, the "
             f"robot has {len(channels)}"
         )
-    shown = as_estimated(source, tree, said)
-    passes = Passes(make_plan(shown, rows, tare_of(tree, source), settings), threads, progress, 2)
+    passes = problem.passes(2, as_estimated(problem.source, tree, said))
     with one_blas_thread():
-        sums = passes.sums(products_wanted(len(channels)))
-        equations = gather(rows, said.names, channels, sums)
+        equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))
         for columns, measured in passes.rows(said.values[:, None]):
             left = measured - columns[..., 0]
@@ -203,32 +191,21 @@ def _validation(
     return found
 
 
-def _findings(found: Validation) -> Iterator[Finding]:
-    """Channels that are foretold worse than is said."""
+def _diagnostics(found: Validation) -> Iterator[Diagnostic]:
+    """Channels that are predicted worse than sigma says."""
     steady = _over(found.scatter, found.allowed) <= LIMIT  # never, if the zero is unknown
     for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
-        if not (ratio > LIMIT and found.matters[c]):
-            continue
-        unit = found.units[c]
-        told = f"{found.residual[c]:.3g} {unit} where {found.allowed[c]:.3g} {unit} are allowed"
-        causes: tuple[str, ...] = (
-            "a gain, sign or place of the instrument that has changed",
-            "an effect that the model lacks and the other motion shows",
-        )
-        remedy = "plot it beside its prediction (`testbed view`)"
-        if steady[c]:
-            told += f", a constant of {found.mean[c]:.3g} {unit} among it"
-            causes = ("a zero or tare that is another than in the estimate's own recording",)
-            remedy = "compare the instrument at rest before both"
-        yield Finding(
-            channel_label(found.method, name),
-            f"is predicted {ratio:.3g} times worse than noise and sigma say ({told})",
-            float(ratio),
-            causes,
-            remedy,
-            code="prediction",
-            method=found.method,
-        )
+        if ratio > LIMIT and found.matters[c]:
+            yield diagnose(
+                "estimate.prediction-offset" if steady[c] else "estimate.prediction",
+                channel_label(found.method, name),
+                float(ratio),
+                method=found.method,
+                residual=found.residual[c],
+                allowed=found.allowed[c],
+                mean=found.mean[c],
+                unit=found.units[c],
+            )
 
 
 def _over(above: Array, below: Array) -> Array:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 
@@ -26,6 +28,9 @@ from testbed.kernel.screws import BODY, SCREW, A
 from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import NOTHING
 from testbed.robot.tree import Joint, Tree
+
+_log = logging.getLogger(__name__)
+"""Python writes warnings to standard error unless a program says otherwise."""
 
 
 def workspace(layout: Layout, signals: Signals) -> Work:
@@ -114,9 +119,11 @@ def _call(*arguments: object) -> None:
     Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
     to end, each of them may allocate and free one, which takes seconds in all.
     """
-    if compiled.signatures:
+    if compiled.overloads:
         compiled(*arguments)
     else:
+        if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
+            _log.warning("compiling the kernel once, about 13 s")
         with ThreadPoolExecutor(1) as pool:
             pool.submit(compiled, *arguments).result()
 

@@ -86,7 +86,11 @@ def test_a_run_is_known_by_all_that_determines_it_and_by_nothing_else(
     before = set(places_of(campaign))
     model.write_text(model.read_text().replace('"6.3"', '"6.4"'))
     others.add(known())
-    assert len(others | {here}) == 5
+    motion = tmp_path / "motion.toml"
+    for text in ((ROOT / "experiments/motions/table6.toml").read_text(), "another"):
+        motion.write_text(text)
+        others.add(known(f'motion.file="{motion}"'))
+    assert len(others | {here}) == 7
     monkeypatch.setattr(bundle, "code_version", lambda: "another")
     assert before.isdisjoint(places_of(campaign))
 

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import testbed as tb
-from testbed.cli.reading import opened
 from tests.helpers.command import command_line
 from tests.helpers.paths import ROOT
 
@@ -78,10 +76,3 @@ def test_a_guess_is_written_once_and_says_what_it_found(place: Path, tmp_path: P
     text = (tmp_path / "new.toml").read_text()
     assert "\nrate = 250 " in text
     assert 'columns = ["q_hip_deg"]' in text
-
-
-def test_commands_take_a_mapping_for_its_recording(place: Path) -> None:
-    source, whole = opened(place / "map.toml"), tb.Recording.from_mapping(place / "map.toml")
-    assert (source.names, source.samples) == (whole.names, whole.samples)
-    part = source.part(10, 20)
-    np.testing.assert_array_equal(part.measured("wrench"), whole.part(10, 20).measured("wrench"))

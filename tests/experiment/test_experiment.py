@@ -86,6 +86,7 @@ def numbers_of(table: type[BaseModel], path: str = "") -> Iterator[str]:
 
 
 def test_no_number_is_infinite() -> None:
+    """Whatever key is added: a motion without end, or noise without end, would be simulated."""
     paths = [*numbers_of(ExperimentTables), *numbers_of(JointTable, "robot.joint.waist.")]
     assert len(paths) > 10
     for k, path in enumerate(paths):

@@ -16,6 +16,7 @@ from testbed.identification.drive_regression import regressions, torques_beside
 from testbed.identification.estimate import METHODS
 from testbed.identification.friction_curves import friction_curves
 from testbed.identification.held_out import Parts, grown, stretches
+from testbed.identification.problem import Problem
 from testbed.identification.term_choice import choose_terms
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
@@ -85,7 +86,7 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
     assert np.abs((both.values - truth) / both.sigma).max() < 5
     assert np.abs((both.constants - constants(tree)) / both.constant_sigma).max() < 4.5
     assert both.disagreement.chance > 0.003
-    assert both.disagreement.warnings == ()
+    assert both.disagreement.diagnostics == ()
 
 
 @pytest.mark.slow
@@ -99,7 +100,7 @@ def test_a_poorly_known_load_does_not_make_constants_small() -> None:
     noise = rng.normal(size=(plain.samples, 6)) * np.repeat([15.0, 3.0], 3)
     recording = plus(plain, wrench=noise)
     bodies = tb.identify(tree, recording)
-    torques = torques_beside(tree, recording, bodies, tb.Settings().laws)
+    torques = torques_beside(Problem.of(tree, recording, "internal"), bodies)
     found = regressions(torques, bodies)
     both = combined(torques, bodies, found)
     assert min(each.reliability for each in found) < 0.97
@@ -124,7 +125,7 @@ def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
         for each in (tb.Settings(), SETTINGS)
     )
     assert missing.chance < 1e-6
-    assert missing.warnings
+    assert missing.diagnostics
     assert cured.chance > 1e-3
 
 
@@ -151,7 +152,9 @@ def test_friction_over_velocity_is_the_law_at_every_node() -> None:
     assert np.abs(every).max() < 5
     assert 0.5 < np.sqrt(np.mean(every**2)) < 1.6
     bodies = tb.identify(tree, measured(tree))
-    for curve in friction_curves(tree, measured(tree, 3, duration=2.0), bodies):
+    for curve in friction_curves(
+        Problem.of(tree, measured(tree, 3, duration=2.0), "internal"), bodies
+    ):
         assert len(curve.speed) == 0
         assert not curve.at(np.linspace(-1, 1, 5)).any()
 
@@ -253,7 +256,7 @@ def test_the_terms_of_a_made_up_robot_are_chosen() -> None:
     turn = np.isin(np.arange(tree.n), turning)
     rubs = (2.0 * np.sign(speed) + speed)[:, None] * turn
     noisy = plus(recording, torque=rubs + 0.05 * rng.normal(size=(recording.samples, tree.n)))
-    found = choose_terms(tree, noisy, tb.Settings())
+    found = choose_terms(Problem.of(tree, noisy, "internal"))
     assert found.after.rms < 0.3 * found.before.rms
     own = {f"quadratic/{tree.names[1]}", f"rotor/{tree.names[-1]}"}
     assert {"coulomb/shaft", "viscous/shaft", *own} <= set(found.words)

@@ -1,4 +1,7 @@
-"""Noise is found as it was made, what is none is told from it, and sigma counts the encoders'."""
+"""Noise is found as it was made, what is none is told from it, and sigma counts the encoders'.
+
+If one fails, sigma is not the size of the error, and nothing else shows it.
+"""
 
 from __future__ import annotations
 
@@ -408,7 +411,7 @@ def test_whole_counts_are_told_from_noise(name: str) -> None:
 
 
 def test_made_errors_of_counts_are_like_real_ones() -> None:
-    """As large, joint by joint, but of other numbers; of lasting zeros, they repeat."""
+    """Else sigma of a coarse encoder is too small: as large, but of other numbers; they repeat."""
     tree = robot("puma")
     exact = measured(tree, 3, duration=60.0, speed=0.2, noise=0.0)
     plan = planned(tree, rounded(exact))
@@ -445,6 +448,8 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
         assert found.noise is not None
         assert found.noise.steps_matter == seen
         np.testing.assert_allclose(found.noise.least_counts, [COUNT] * 3 * seen, rtol=1e-6)
-        (line,) = [w for w in found.warnings if all(n in w for n in tree.names)] or [""]
-        assert (f"{COUNT:g}" in line) == seen
+        said = [d.text for d in found.diagnostics if d.code == "encoder.resolution"]
+        assert [all(n in text for n in (*tree.names, f"{COUNT:g}")) for text in said] == [
+            True
+        ] * seen
     assert (coarse.sigma > fine.sigma).mean() > 0.8

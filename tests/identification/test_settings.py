@@ -13,8 +13,10 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.problem import Problem
 from testbed.identification.settings import Settings
 from testbed.identification.term_choice import choose_terms
 from testbed.robot.friction import JointLaw
@@ -121,7 +123,7 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
         (SettingsError, "zeros", lambda: tb.identify(light, recording, settings=zeros)),
         (UnknownName, "plate", lambda: tb.identify(tree, recording, "plate")),  # type: ignore[arg-type]
         (UnknownName, "static", lambda: tb.minimal_set(tree, "static")),  # type: ignore[arg-type]
-        (RecordingError, "rows", lambda: choose_terms(tree, short, Settings())),
+        (RecordingError, "rows", lambda: choose_terms(Problem.of(tree, short, "internal"))),
     )
     for kind, culprit, asked in cases:
         with refuses(kind, culprit):
@@ -130,7 +132,10 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
 
 def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
-    found = replace(result("gantry").estimates["internal"], warnings=("<b>mind</b> this",))
+    found = replace(
+        result("gantry").estimates["internal"],
+        diagnostics=(Diagnostic("note", "<b>mind</b> this"),),
+    )
     lines = str(found).splitlines()
     for name, value, sigma, unit, line in zip(
         found.names, found.values, found.sigma, found.units, lines[1:-1], strict=True

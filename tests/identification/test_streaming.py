@@ -18,10 +18,11 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification import survey
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.open_counted import open_counted
+from testbed.identification.problem import samples_of
 from testbed.identification.settings import Settings
 from testbed.identification.survey import Surveyor
 from testbed.identification.windows import make_plan
@@ -57,7 +58,7 @@ def encoders(recording: Recording) -> Recording:
 def same(a: tb.Estimate, b: tb.Estimate) -> None:
     for name in ("values", "covariance", "residual"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
-    assert a.findings == b.findings
+    assert a.diagnostics == b.diagnostics
 
 
 def by_columns(values: Array) -> Array:
@@ -221,10 +222,10 @@ def test_what_does_not_count_changes_nothing(tmp_path: Path) -> None:
     same(tb.identify(tree, upset, settings=Settings(span=span)), wanted)
     for source in (said, tmp_path / "said.parquet"):
         same(tb.identify(tree, source), wanted)
-    both = open_counted(said, Settings(span=[1.0, 5.0]))  # settings go before
+    both = samples_of(said, Settings(span=[1.0, 5.0]))  # settings go before
     assert (both.samples, both.part(0, 1).time[0]) == (round(4 * said.rate), pytest.approx(1.0))
     with refuses(RecordingError, "50", "60", "span"):
-        open_counted(whole, Settings(span=[50.0, 60.0]))
+        samples_of(whole, Settings(span=[50.0, 60.0]))
     replace(whole, facts={**whole.facts, "counted": ["a", 2]}).save(tmp_path / "wrong.parquet")
     with refuses(RecordingError, "counted"):
         Recording.load(tmp_path / "wrong.parquet")
@@ -279,11 +280,11 @@ def test_what_recordings_say_together_is_the_sum_of_what_each_says(method: Metho
 
 def test_a_stretch_of_joined_recordings_has_their_gaps(puma: tb.Tree) -> None:
     one, two = runs_of(puma, 1, 2, duration=2.0)
-    lines = ["a gap", "both"], ["both", "late"]
+    lines = ["a gap", "both"], ["both", "late"]  # as earlier versions kept them
     both = Joined(
         [replace(part, facts={"warnings": w}) for part, w in zip((one, two), lines, strict=True)]
     )
-    assert both.facts["warnings"] == ["a gap", "both", "late"]
+    assert [each.text for each in of_recording(both.facts)] == ["a gap", "both", "late"]
     (_, end), (begin, last) = both.segments
     assert segments_of(Stretch(both, 100, last - 50)) == ((0, end - 100), (begin - 100, last - 150))
     assert segments_of(Stretch(both, end, last)) == ((begin - end, last - end),)

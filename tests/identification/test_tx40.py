@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,8 @@ from scipy import signal
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.identification.problem import Problem
 from testbed.identification.term_choice import choose_terms, held_out
-from testbed.recordings.coupled_gear import with_gear
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"
@@ -132,9 +133,9 @@ def test_unseen_sixths_are_foretold_better_with_the_coupled_wrist() -> None:
         tb.load_tree(TX40 / "tx40.urdf"),
         tb.Recording.from_mapping(TX40 / "tx40.toml"),
     )
-    geared = with_gear(tree, recording)
-    alone, coupled = (held_out(each, recording, tb.Settings()) for each in (tree, geared))
+    geared = Problem.of(tree, recording, "internal")
+    alone, coupled = (held_out(each) for each in (replace(geared, tree=tree), geared))
     assert alone.residual[4] > 4 * coupled.residual[4]
-    choice = choose_terms(geared, recording, tb.Settings(cutoff=10.0))
+    choice = choose_terms(Problem.of(tree, recording, "internal", tb.Settings(cutoff=10.0)))
     assert choice.parts == 6
     assert choice.after.rms <= min(choice.before.rms, 1.1)

@@ -1,4 +1,7 @@
-"""Every fault does what its formula says, on exact signals, told by another way of computing it."""
+"""Every fault does what its formula says, on exact signals, told by another way of computing it.
+
+If one fails, studies and warnings of a fault are of another one.
+"""
 
 from __future__ import annotations
 
@@ -70,6 +73,7 @@ def test_eccentricity_ripple_and_hum_are_waves() -> None:
 
 
 def test_counts_are_whole_and_the_nearest_and_signals_end_where_ranges_do() -> None:
+    """Of encoders, of a plate's converter and of a plate that saturates."""
     seen = through(encoders.EncoderResolution((0.1, 0.0, 0.25)), Q)
     same(seen[:, 1], Q[:, 1])
     same(seen[:, 2], 0.25 * np.floor(Q[:, 2] / 0.25 + 0.5))

@@ -1,4 +1,7 @@
-"""The whole instrument: perfect unless told otherwise, faults in their places, noise kept."""
+"""The whole instrument: perfect unless told otherwise, faults in their places, noise kept.
+
+If one fails, a simulated recording has other noise or faults than its file says.
+"""
 
 from __future__ import annotations
 

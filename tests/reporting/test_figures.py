@@ -1,4 +1,7 @@
-"""Figures as a person sees them: readable at every size, and of what they are said to be of."""
+"""Figures as a person sees them: readable at every size, and of what they are said to be of.
+
+If one fails, people read another number than was found.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What the terminal shows at any width, and what programs are given in its place."""
+"""What the terminal shows at any width, and what programs are given in its place.
+
+If one fails, a person copies a number that was cut, or misses the line that matters.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ import re
 import sys
 from collections.abc import Callable
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 
 import testbed as tb
 from testbed.campaign.conduct import Standing
@@ -38,7 +43,6 @@ from testbed.reporting.minimal_tables import (
 from testbed.reporting.motion_tables import print_excitation, print_proof
 from testbed.reporting.terminal import print_estimates, print_run
 from testbed.reporting.validation_tables import validation_tables
-from tests.helpers.console import printed
 from tests.helpers.pages import campaign, excitation, run_named
 from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, trees
@@ -51,6 +55,13 @@ def findings(tree: tb.Tree) -> Findings:
     dynamic, reaction = (tb.minimal_set(tree, model) for model in ("dynamic", "reaction"))
     drives = with_joint_terms(tree, dynamic, ("rotor",))
     return Findings(tree, dynamic, reaction, drives, identifiability(tree))
+
+
+def printed(width: int, print_it: Callable[..., object], *words: Any) -> str:
+    """The text that something prints on a terminal of some width."""
+    console = Console(markup=False, width=width, record=True, file=StringIO())
+    print_it(console, *words)
+    return console.export_text()
 
 
 def dense(text: str) -> str:
@@ -70,7 +81,7 @@ def test_no_number_of_a_run_is_cut_and_the_first_screen_holds_it(
         monkeypatch.setenv("COLUMNS", str(columns))
         shows: tuple[Callable[..., None], ...] = (
             partial(print_run, run, Path("folder")),
-            partial(print_estimates, estimates, run.warnings),
+            partial(print_estimates, estimates, run.diagnostics),
         )
         for show in shows:
             show(everything=False)

@@ -1,4 +1,7 @@
-"""Effects in the plant: each follows its own law, and none of friction reaches the plate."""
+"""Effects in the plant: each follows its own law, and none of friction reaches the plate.
+
+If one fails, a virtual experiment is of another robot than its file describes.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A run follows its reference, and its log holds what belongs together."""
+"""A run follows its reference, and its log holds what belongs together.
+
+If one fails, estimators are judged by data that no robot gives.
+"""
 
 from __future__ import annotations
 

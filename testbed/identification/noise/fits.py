@@ -87,22 +87,26 @@ Fits = Callable[[LaggedProducts, int | None], list[NoiseFit]]
 """A fit for each response; the order of the noise is chosen where None is given."""
 
 
-def whitened_fits(given: LaggedProducts, order: int | None = None) -> list[NoiseFit]:
+def whitened_fits(
+    given: LaggedProducts, order: int | None = None, *, quick: bool = False
+) -> list[NoiseFit]:
     """Generalised least squares: rows without gaps.
 
     Args:
         given: Products of unknowns' columns, residuals and ones.
         order: Of the noise; None for what is best for the first residuals.
+        quick: Whether a turn's weights go on from those of the turn before, with one step: chances
+            of tests differ by a thousandth.
     """
     found = _weighted(given.up_to(0), given.rows)
     if order is None:  # by residuals as they are: of coloured noise weights alone take less
         highest = _highest(given)
-        left = given.moments(_of_residuals(given, found.values), highest)[0]
+        left = given.moments(_squares(_of_residuals(given, found.values)), highest)[0]
         order = highest and best_order(left, given.after(highest), highest)
     given = given.up_to(order)
     for _ in range(ROUNDS if order else 1):
         coefficients = fit(_moments(given, found, order), order)
-        found = _weighted(given, given.after(order), coefficients)
+        found = _weighted(given, given.after(order), coefficients, found if quick else None)
     noises = map(Autoregression, coefficients, found.spread)
     each = zip(found.values, found.inverse, noises, strict=True)
     return [NoiseFit(values, inverse, noise, noise, inverse) for values, inverse, noise in each]
@@ -118,7 +122,7 @@ def weighted_fits(given: LaggedProducts, order: int | None = None) -> list[Noise
     m, now = given.unknowns, given.up_to(0)
     counts = given.products[:, :, -1, -1].T  # (C, K + 1)
     found = _weighted(now, np.maximum(counts[:, 0], 1.0))
-    left = given.traces(_of_residuals(given, found.values))
+    left = given.squares(_of_residuals(given, found.values))
     covariances = left / np.maximum(counts - found.taken[..., None], 1.0)  # (R, C, K + 1)
     covariances[..., 0] = found.spread**2  # which is not zero
     weights = found.spread[..., None] ** -4.0 * covariances
@@ -167,7 +171,10 @@ class _Weighted(NamedTuple):
 
 
 def _weighted(
-    given: LaggedProducts, rows: Array | int, coefficients: Array | None = None
+    given: LaggedProducts,
+    rows: Array | int,
+    coefficients: Array | None = None,
+    before: _Weighted | None = None,
 ) -> _Weighted:
     """Unknowns and noise from products of the same rows.
 
@@ -175,18 +182,21 @@ def _weighted(
         given: The products.
         rows: How many, (C,) or one number.
         coefficients: Of the autoregressions that whiten them, (R, C, P); None for none.
+        before: What is to be improved by one step; None for all steps, from values of zero.
     """
     m, trials, channels = given.unknowns, given.responses, given.products.shape[1]
     if coefficients is None:
         coefficients = np.zeros((trials, channels, 0))
     white, free = Whitened(given, coefficients), np.asarray(rows) - coefficients.shape[2]
     values, taken = np.zeros((trials, m)), np.full((trials, channels), m / channels)
+    if before is not None:
+        values, taken = before.values, before.taken
     inverses = np.zeros((trials, *given.products.shape[2:]))
-    spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
-    for _ in range(REWEIGHTINGS):
+    spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
+    for _ in range(REWEIGHTINGS if before is None else 1):
         inverses[:, :m, :m], values = _solutions(white.sums(spread**-2.0), m)
         taken = white.traces(inverses) / spread**2
-        spread = _spread(white.traces(_of_residuals(given, values)), free - taken)
+        spread = _spread(white.squares(_of_residuals(given, values)), free - taken)
     inverse, _ = _solutions(white.sums(spread**-2.0), m)
     return _Weighted(values, inverse, spread, taken)
 
@@ -208,18 +218,23 @@ def _moments(given: LaggedProducts, found: _Weighted, order: int) -> Array:
 
     Those of the residuals, what the unknowns have taken of the noise, and the least noise.
     """
-    m, inner = given.unknowns, _of_residuals(given, found.values)
+    m, inner = given.unknowns, _squares(_of_residuals(given, found.values))
     inner[:, :m, :m] += found.inverse
     least = LEAST**2 * given.after(order) * np.eye(order + 1)
     return given.moments(inner, order) + least
 
 
 def _of_residuals(given: LaggedProducts, values: Array) -> Array:
-    """B with z' B z the square of what a response's values leave of a row z, (R, q, q)."""
+    """B with b' z what a response's values leave of a row z, (R, q)."""
     trials, m = values.shape
-    combine = np.zeros((trials, given.products.shape[2]))
-    combine[:, :m], combine[range(trials), range(m, m + trials)] = -values, 1.0
-    return combine[:, :, None] * combine[:, None, :]
+    found = np.zeros((trials, given.products.shape[2]))
+    found[:, :m], found[range(trials), range(m, m + trials)] = -values, 1.0
+    return found
+
+
+def _squares(combinations: Array) -> Array:
+    """B b' of each b, (R, q, q)."""
+    return combinations[:, :, None] * combinations[:, None, :]
 
 
 def _from_covariances(covariances: Array, order: int) -> Autoregression:

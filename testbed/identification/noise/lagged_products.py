@@ -7,12 +7,12 @@ each is another sum of these products. One look at the rows is enough, whatever 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import prediction_errors
+from testbed.kernel.records import Ints
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +27,7 @@ class LaggedProducts:
         first: The first K rows of each sequence, (S, C, K, q); zeros where there are fewer.
         last: The last K, in the order of time, (S, C, K, q); zeros before the first.
         responses: R.
+        alike: Whether each lag's products are symmetric.
     """
 
     rows: int
@@ -34,6 +35,7 @@ class LaggedProducts:
     first: Array
     last: Array
     responses: int = 1
+    alike: bool = False
 
     @property
     def lags(self) -> int:
@@ -53,14 +55,11 @@ class LaggedProducts:
         """
         return self.rows - order * len(self.first)
 
-    @cached_property
-    def symmetric(self) -> Array:
-        """Half of each lag's products and of their transpose, (C, K + 1, q q)."""
+    @property
+    def flat(self) -> Array:
+        """Products lag by lag, channel by channel, ((K + 1) C, q q)."""
         lags, channels, columns, _ = self.products.shape
-        found = np.empty((channels, lags, columns, columns))
-        for lag, each in enumerate(self.products):
-            np.add(each / 2, each.swapaxes(1, 2) / 2, out=found[:, lag])
-        return found.reshape(channels, lags, -1)
+        return self.products.reshape(lags * channels, columns**2)
 
     def up_to(self, lag: int) -> LaggedProducts:
         """Of fewer lags.
@@ -102,9 +101,9 @@ class LaggedProducts:
         Args:
             weights: Of channels and lags, (R, C, K + 1).
         """
-        flat = weights.reshape(len(weights), -1)
-        found = flat @ self.symmetric.reshape(flat.shape[1], -1)
-        return np.asarray(found.reshape(-1, *self.products.shape[2:]))
+        found = weights.swapaxes(1, 2).reshape(len(weights), -1) @ self.flat
+        found = found.reshape(-1, *self.products.shape[2:])
+        return np.asarray(found if self.alike else (found + found.swapaxes(1, 2)) / 2)
 
     def traces(self, inner: Array) -> Array:
         """Traces of each lag's times a matrix, (R, C, K + 1).
@@ -112,8 +111,17 @@ class LaggedProducts:
         Args:
             inner: The matrices, symmetric, (R, q, q).
         """
-        found = self.symmetric @ inner.reshape(len(inner), -1).T
-        return np.asarray(found.transpose(2, 0, 1))
+        found = inner.reshape(len(inner), -1) @ self.flat.T
+        return np.asarray(found.reshape(len(inner), *self.products.shape[:2]).swapaxes(1, 2))
+
+    def squares(self, combinations: Array) -> Array:
+        """B' of each lag's products b, (R, C, K + 1).
+
+        Args:
+            combinations: Each b, (R, q).
+        """
+        found = (self.products @ combinations.T) * combinations.T
+        return np.asarray(found.sum(axis=2).transpose(2, 1, 0))
 
     def moments(self, inner: Array, order: int) -> Array:
         """z_(t-i)' B z_(t-j) summed over t >= P, (R, C, P + 1, P + 1).
@@ -177,9 +185,12 @@ class Whitened:
         share[..., 1:] *= 2  # a lag's products, and their transpose
         self._given, self._share, self._edges = given, share, _edges(given, alpha)
         if len(alpha) == 1:  # then once and for all
-            whole = (share[0, :, None] @ given.symmetric).reshape(given.products.shape[1:])
+            whole = np.zeros(given.products.shape[1:])
+            for lag, products in enumerate(given.products):
+                whole += share[0, :, lag, None, None] * products
+            whole = (whole + whole.swapaxes(1, 2)) / 2
             whole -= _together(self._edges[0], self._edges[0])
-            self._given = replace(given.up_to(0), products=whole[None])
+            self._given = replace(given.up_to(0), products=whole[None], alike=True)
             self._share, self._edges = np.ones((1, len(whole), 1)), self._edges[..., :0, :]
 
     def sums(self, weights: Array) -> Array:
@@ -188,12 +199,10 @@ class Whitened:
         Args:
             weights: Of the channels, (R, C).
         """
-        count, sequences, channels, rows, columns = self._edges.shape
         whole = self._given.sums(weights[..., None] * self._share)
-        weighted = self._edges * weights[:, None, :, None, None]
-        flat = count, sequences * channels * rows, columns
-        edges = weighted.reshape(flat).swapaxes(1, 2) @ self._edges.reshape(flat)
-        return np.asarray(whole - edges)
+        edges = self._edges * np.sqrt(weights)[:, None, :, None, None]
+        edges = edges.reshape(len(edges), -1, edges.shape[-1])
+        return np.asarray(whole - edges.swapaxes(1, 2) @ edges)
 
     def traces(self, inner: Array) -> Array:
         """Traces of each channel's times a matrix, (R, C).
@@ -204,6 +213,16 @@ class Whitened:
         edges = (self._edges @ inner[:, None, None]) * self._edges
         whole = (self._share * self._given.traces(inner)).sum(axis=2)
         return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
+
+    def squares(self, combinations: Array) -> Array:
+        """Of one combination of the columns for each whitening, channel by channel, (R, C).
+
+        Args:
+            combinations: (R, q).
+        """
+        edges = (self._edges @ combinations[:, None, None, :, None])[..., 0]
+        whole = (self._share * self._given.squares(combinations)).sum(axis=2)
+        return np.asarray(whole - (edges**2).sum(axis=(1, 3)))
 
 
 def _edges(given: LaggedProducts, alpha: Array) -> Array:
@@ -224,7 +243,7 @@ def _together(now: Array, before: Array) -> Array:
 
 
 class LaggedSums:
-    """Adds up products of rows as they come."""
+    """Adds up products of rows as they come, of each channel's own columns: the others are zero."""
 
     def __init__(self, lags: int) -> None:
         """Nothing yet.
@@ -234,7 +253,9 @@ class LaggedSums:
         """
         self._lags = lags
         self._rows = 0
-        self._products: Array | None = None
+        self._width = 0
+        self._own: list[Ints] = []
+        self._products: list[Array] = []
         self._edges: list[tuple[Array, Array]] = []
         self._begin()
 
@@ -246,22 +267,34 @@ class LaggedSums:
 
     def add(self, block: Array) -> None:
         """Go on with consecutive rows, (C, rows, q)."""
-        channels, rows, columns = block.shape
-        if self._products is None:
-            self._products = np.zeros((self._lags + 1, channels, columns, columns))
+        channels, rows, self._width = block.shape
+        if not self._own:
+            self._own = [np.zeros(0, dtype=np.int64)] * channels
+            self._products = [np.zeros((self._lags + 1, 0, 0))] * channels
         if self._recent is None:
-            self._recent = np.zeros((channels, self._lags, columns))
+            self._recent = np.zeros((channels, self._lags, self._width))
         missing = self._lags - self._since
         if missing > 0:
             self._first.append(block[:, :missing])
         run = np.concatenate([self._recent, block], axis=1)
-        now = block.transpose(0, 2, 1)
-        for lag in range(self._lags + 1):
-            before = run[:, self._lags - lag : self._lags - lag + rows]
-            self._products[lag] += np.matmul(now, before)
+        for channel, each in enumerate(run):
+            self._widen(channel, each.any(axis=0).nonzero()[0])
+            part = each[:, self._own[channel]]
+            before = np.lib.stride_tricks.sliding_window_view(part, rows, axis=0)[::-1]
+            for own, then in zip(self._products[channel], before, strict=True):
+                own += part[self._lags :].T @ then.T
         self._rows += rows
         self._since += rows
         self._recent = run[:, rows:]
+
+    def _widen(self, channel: int, which: Ints) -> None:
+        """Make room for columns that are not zero any more."""
+        own = self._own[channel]
+        every = np.union1d(own, which)
+        if len(every) > len(own):
+            wider = np.zeros((self._lags + 1, len(every), len(every)))
+            _place(self._products[channel], np.searchsorted(every, own), wider)
+            self._own[channel], self._products[channel] = every, wider
 
     def pause(self) -> None:
         """What comes next does not follow what came last."""
@@ -270,9 +303,11 @@ class LaggedSums:
 
     def finish(self) -> LaggedProducts:
         """The sums."""
-        assert self._products is not None
         first, last = zip(*self._edges, *self._open(), strict=True)
-        return LaggedProducts(self._rows, self._products, np.stack(first), np.stack(last))
+        products = np.zeros((self._lags + 1, len(self._own), self._width, self._width))
+        for channel, own in enumerate(self._own):
+            _place(self._products[channel], own, products[:, channel])
+        return LaggedProducts(self._rows, products, np.stack(first), np.stack(last))
 
     def _open(self) -> list[tuple[Array, Array]]:
         """First and last rows of the sequence that is not closed, if it has any."""
@@ -282,3 +317,12 @@ class LaggedSums:
         first = np.concatenate([*self._first, np.zeros((channels, 0, columns))], axis=1)
         room = np.zeros((channels, self._lags - first.shape[1], columns))
         return [(np.concatenate([first, room], axis=1), self._recent)]
+
+
+def _place(products: Array, at: Ints, into: Array) -> None:
+    """Write products of some columns where those columns are."""
+    if len(at) and at[-1] - at[0] == len(at) - 1:  # side by side, as those of a joint are
+        into[:, at[0] : at[-1] + 1, at[0] : at[-1] + 1] = products
+        return
+    for own, each in zip(into, products, strict=True):
+        own[at[:, None], at] = each

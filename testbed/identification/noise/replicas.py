@@ -60,10 +60,13 @@ class Replicas:
         lags, rows = len(self._across) - 1, columns.shape[1]
         before = self._before or tuple(np.zeros((len(ones), lags, z.shape[2])) for z in now)
         columns, noise = (np.concatenate(each, axis=1) for each in zip(before, now, strict=True))
+        around = np.zeros((*noise.shape[:2], lags + 1, REPLICAS))
         for lag in range(lags + 1):  # as a lag's products and their transpose come together only
             late, early = slice(lags, lags + rows), slice(lags - lag, lags - lag + rows)
-            self._across[lag] += columns[:, late].swapaxes(1, 2) @ noise[:, early] / 2
-            self._across[lag] += columns[:, early].swapaxes(1, 2) @ noise[:, late] / 2
+            around[:, late, lag] += noise[:, early] / 2
+            around[:, early, lag] += noise[:, late] / 2
+        found = columns.swapaxes(1, 2) @ around.reshape(*noise.shape[:2], -1)
+        self._across += np.moveaxis(found.reshape(*found.shape[:2], lags + 1, -1), 2, 0)
         self._before = columns[:, rows:], noise[:, rows:]
 
     def pause(self) -> None:
@@ -77,18 +80,26 @@ class Replicas:
         made, known, across = self._noise.finish(), self._known, self._across
         lags, channels, count, _ = across.shape
         m, own, size = count - 1, slice(count - 1, -1), count + REPLICAS
-        within = known.symmetric.reshape(channels, lags, m + 2, m + 2).swapaxes(0, 1)
         products = np.zeros((lags, channels, size, size))
-        products[..., :m, :m], products[..., -1, -1] = within[..., :m, :m], within[..., -1, -1]
-        products[..., :m, -1] = products[..., -1, :m] = within[..., :m, -1]
+        products[..., :m, :m], products[..., -1, -1] = (
+            known.products[..., :m, :m],
+            known.products[..., -1, -1],
+        )
+        products[..., :m, -1], products[..., -1, :m] = (
+            known.products[..., :m, -1],
+            known.products[..., -1, :m],
+        )
         products[..., :m, own], products[..., -1, own] = across[..., :m, :], across[..., m, :]
         products[..., own, :m] = across[..., :m, :].swapaxes(2, 3)
         products[..., own, -1], products[..., own, own] = across[..., m, :], made.products
+        for each in products:
+            each += each.swapaxes(1, 2)
+            each /= 2
         first, last = (
             np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
             for old, new in ((known.first, made.first), (known.last, made.last))
         )
-        return LaggedProducts(made.rows, products, first, last, REPLICAS)
+        return LaggedProducts(made.rows, products, first, last, REPLICAS, alike=True)
 
     @stage("sigma from replicas of noise")
     def factor(self, fits: Fits, lead: Array) -> float:

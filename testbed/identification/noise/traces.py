@@ -91,7 +91,12 @@ class Question:
 
 
 def traces(
-    given: LaggedProducts, independent: Array, question: Question, order: int | None = None
+    given: LaggedProducts,
+    independent: Array,
+    question: Question,
+    order: int | None = None,
+    *,
+    quick: bool = False,
 ) -> list[tuple[list[Trace], Autoregression]]:
     """What each response holds of each kind of fault, and the noise beside all of them.
 
@@ -100,9 +105,10 @@ def traces(
         independent: Independent combinations of columns and constants, (q, r).
         question: Which columns are what.
         order: Of the noise; None for the best.
+        quick: As for `whitened_fits`.
     """
     channels, rest = given.products.shape[1], np.eye(given.responses + 1)
-    fits = whitened_fits(given.combined(linalg.block_diag(independent, rest)), order)
+    fits = whitened_fits(given.combined(linalg.block_diag(independent, rest)), order, quick=quick)
     noises = [fit.noise for fit in fits]
     white = Whitened(given, np.stack([noise.coefficients for noise in noises]))
     squares = white.sums(np.stack([noise.sigma for noise in noises]) ** -2.0)
@@ -251,6 +257,7 @@ class Clues:
         if self._replicas is None:
             return ()
         given = self._replicas.products.with_constants(self._constants)
-        made = [each for each, _ in traces(given, self._independent, self._question, self._order)]
+        asked = given, self._independent, self._question, self._order
+        made = [each for each, _ in traces(*asked, quick=True)]
         moved = [replace(t, shift=lead @ t.shift[: lead.shape[1]]) for t in self._traces]
         return tuple(zip(moved, calibrated(self._traces, made), strict=True))

@@ -21,6 +21,7 @@ from testbed.identification.noise.noisy_columns import NOTHING_MADE, Made, Posit
 from testbed.identification.noise.scaled import square_root
 from testbed.identification.passes import Columns, Passes
 from testbed.identification.solvers import least_squares
+from testbed.kernel.layout import Layout
 from testbed.stages import stage
 
 ROUNDING = 1e-12
@@ -199,7 +200,9 @@ class Units:
             lags: How many rows before.
             encoders: Their noise; None where none is to be made.
         """
-        every, seen, noise = LaggedSums(lags), LaggedSums(lags), LaggedSums(lags)
+        plate = passes.plan.layout.model == "reaction"
+        every, seen = LaggedSums(lags), LaggedSums(lags)
+        noise = LaggedSums(lags if plate else 0)  # rows of joints have gaps: none is whitened
         combined, made = np.column_stack([self.white, values]), NOTHING_MADE
         if encoders is not None:
             made = encoders.made(passes.plan, combined)
@@ -235,14 +238,21 @@ def _together(first: Columns | None, second: Columns | None) -> Columns | None:
     return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
-def units_of(start: least_squares.Fit, beside: Beside) -> Units:
+def units_of(start: least_squares.Fit, beside: Beside, layout: Layout) -> Units:
     """Units that a weighted solution suggests.
+
+    Columns are made orthonormal from the bedplate outward, so that a joint's row still holds those
+    of its subtree only, or few more: the last ones.
 
     Args:
         start: The solution, and the weights in whose units rows are taken.
         beside: Columns beside the robot's.
+        layout: Of the rows.
     """
-    white = square_root(start.inverse)
+    seen = np.stack([layout.basis[own].any(axis=0) for own in layout.channels])
+    inward = np.argsort(np.argmax(seen[::-1], axis=0), kind="stable")
+    white = np.empty_like(start.inverse)
+    white[inward] = square_root(start.inverse[np.ix_(inward, inward)])[:, ::-1]
     given = beside.facts
     if given is None or not len(given):
         return Units(square_root(start.weights), white, beside, None, None)

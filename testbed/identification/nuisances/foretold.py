@@ -71,8 +71,8 @@ def row_filter(plan: Plan, cutoff: float, *, exact: bool = False) -> RowFilter:
     )
     places = np.arange(-(middle // stride), middle // stride + 1) * stride
     weights = plan.weights[middle + places]
-    slopes = slope_weights(plan.weights, places.astype(np.float64), rate)
-    every = slope_weights(plan.weights, np.arange(-middle, middle + 1.0), rate)
+    slopes = slope_weights(plan.weights, places, rate)
+    every = slope_weights(plan.weights, np.arange(-middle, middle + 1), rate)
     step = plan.step // stride
     return RowFilter(stride, weights / weights.sum(), slopes, step, plan.weights, every)
 

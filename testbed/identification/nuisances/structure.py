@@ -20,6 +20,7 @@ from testbed.identification.nuisances.foretold import Foretold, RowFilter
 from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.nuisances.offsets import BIAS
 from testbed.identification.nuisances.unknowns import Unknowns, unknowns_of
+from testbed.identification.problem import Problem
 from testbed.identification.whole_robot import MASS
 from testbed.kernel.layout import Layout
 
@@ -55,26 +56,20 @@ class Imitated:
 
 
 def told_apart(
-    layout: Layout,
-    names: Sequence[str],
-    nuisances: Sequence[Nuisance],
-    tare: Array,
-    stated: Facts | None = None,
+    problem: Problem, nuisances: Sequence[Nuisance], stated: Facts | None = None
 ) -> tuple[Unknowns, tuple[Imitated, ...]]:
     """Which numbers of nuisances can be estimated beside the parameters.
 
     Args:
-        layout: The robot's rows.
-        names: Of the parameters.
+        problem: Robot and recording.
         nuisances: The kinds, earlier ones preferred.
-        tare: Static wrench of the pedestal, (6,) [N, N m].
         stated: What is known of parameters and of all numbers of the nuisances.
     """
-    wanted = unknowns_of(layout.tree, nuisances)
+    names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
     count, rng = len(wanted.parts), np.random.default_rng(SEED)
-    theta = generic_robot(layout, rng)
+    theta = generic_robot(problem.layout, rng)
     rows = enough(len(names) + count)
-    own, theirs = generic_columns(layout, nuisances, tare, rows, theta, rng)
+    own, theirs = generic_columns(problem, nuisances, rows, theta, rng)
     labels, sure = list(names), [False] * count
     if stated is not None and len(stated):
         left = free(stated)
@@ -176,9 +171,8 @@ def _unit(columns: Array) -> Array:
 
 
 def generic_columns(
-    layout: Layout,
+    problem: Problem,
     nuisances: Sequence[Nuisance],
-    tare: Array,
     rows: int,
     theta: Array,
     rng: np.random.Generator,
@@ -186,14 +180,13 @@ def generic_columns(
     """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
 
     Args:
-        layout: The robot's rows.
+        problem: Robot and recording.
         nuisances: The kinds.
-        tare: Static wrench of the pedestal, (6,) [N, N m].
         rows: Instants.
         theta: Barycentric parameters, (n, 10).
         rng: Draws the motion.
     """
-    n = layout.tree.n
+    layout, n = problem.layout, problem.tree.n
     slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
     weights = np.array([0, 0, 1.0, 0, 0])
     filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
@@ -207,7 +200,9 @@ def generic_columns(
     lead = layout.theta @ layout.basis
     middle = time[2:-2] - time.mean()
     none = np.zeros((rows, 6, 5))  # nothing was measured
-    found = Foretold(layout.tree, layout.gravity, theta, motion, tare, middle, filtered, none)
+    found = Foretold(
+        layout.tree, layout.gravity, theta, motion, problem.tare, middle, filtered, none
+    )
     parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
     theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
     return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)

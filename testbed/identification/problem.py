@@ -1,0 +1,289 @@
+"""A robot and a recording of it, made ready for one method: where every estimate starts.
+
+Gravity, gear, base, samples, filters, terms and tare are settled here, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import ArrayLike
+
+from testbed.arrays import Array
+from testbed.dynamics.drive_set import drive_set
+from testbed.dynamics.inverse_dynamics import pedestal_wrench
+from testbed.errors import RecordingError, SettingsError, UnknownName, plural
+from testbed.identification.estimate import (
+    METHODS,
+    MODEL_OF,
+    SIGNAL_OF,
+    Method,
+    channels_of,
+)
+from testbed.identification.normal_equations import NormalEquations, gather
+from testbed.identification.offered_laws import ALWAYS
+from testbed.identification.passes import Passes, Progress
+from testbed.identification.settings import Settings
+from testbed.identification.windows import make_plan
+from testbed.kernel.layout import Layout, layout
+from testbed.kernel.records import products_wanted
+from testbed.parameters.joint_terms import DriveSet
+from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.recordings.counted import counted
+from testbed.recordings.coupled_gear import is_imported, with_gear
+from testbed.recordings.geometry import check_robot
+from testbed.recordings.measured_base import on_its_base
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source, segments_of
+from testbed.robot.friction import OFFSET, JointLaw
+from testbed.robot.tree import Tree
+from testbed.stages import stage
+
+Data = Recording | Source | str | Path | Iterable[Recording]
+"""A recording in memory, or a Parquet file's path, or parts in the order of time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One recording of a robot, by one method, before any of its samples is used.
+
+    Attributes:
+        tree: The robot under the recording's gravity, with the shafts of its gear.
+        source: The samples that count; of a robot on a free base, with the base's coordinates.
+        method: "external" or "internal".
+        settings: Complete: filters fit the sampling rate, and the terms are said ("auto" and an
+            open speed stay until held-out data choose).
+        threads: How many to use; None for one a processor.
+        progress: Called with samples done and samples in all.
+    """
+
+    tree: Tree
+    source: Source
+    method: Method
+    settings: Settings
+    threads: int | None = None
+    progress: Progress = lambda done, total: None
+
+    @classmethod
+    def of(
+        cls,
+        tree: Tree,
+        recording: Data,
+        method: Method,
+        settings: Settings | None = None,
+        *,
+        gravity: ArrayLike | None = None,
+        threads: int | None = None,
+        progress: Progress = lambda done, total: None,
+    ) -> Problem:
+        """A robot and a recording made ready.
+
+        Args:
+            tree: The robot; its inertias are not used, except for `settings.zeros`.
+            recording: Columns are matched by joint name; its truth is not read.
+            method: Needs the wrench, or the torques.
+            settings: How the signals are treated; default `Settings()`.
+            gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
+                the tree's.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all.
+
+        Raises:
+            RecordingError: The recording is of another robot, or lacks what the method needs.
+            SettingsError: A span of time is said of several recordings.
+        """
+        if method not in METHODS:
+            raise UnknownName("method", method, METHODS)
+        settings = settings or Settings()
+        source = on_its_base(samples_of(recording, settings), tree)
+        check_source(source, tree, method)
+        tree = with_gear(in_its_gravity(tree, source, gravity), source)
+        settings = _complete(settings, source, method)
+        return cls(tree, source, method, settings, threads, progress)
+
+    def with_settings(self, **changes: Any) -> Problem:
+        """The same with some settings changed.
+
+        Args:
+            **changes: Of `Settings`, by name.
+        """
+        return replace(self, settings=replace(self.settings, **changes))
+
+    @cached_property
+    def tare(self) -> Array:
+        """What is taken off the plate's wrench, (6,) [N, N m]: the pedestal's weight."""
+        return tare_of(self.tree, self.source)
+
+    @cached_property
+    def minimal(self) -> MinimalSet:
+        """The minimal set that the method sees."""
+        return set_of(self.tree, self.method, self.settings)
+
+    @cached_property
+    def drives(self) -> DriveSet | None:
+        """The minimal set with the joints' own terms; None for the plate."""
+        if self.method == "external":
+            return None
+        return drive_set(self.tree, self.minimal, self.settings.words)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the unknowns, (p,)."""
+        return self.minimal.names if self.drives is None else self.drives.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the unknowns, (p,)."""
+        return self.minimal.units if self.drives is None else self.drives.units
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The plate's six components, or the joints' names, (C,)."""
+        return channels_of(self.tree, self.method)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """The robot's rows.
+
+        Raises:
+            SettingsError: The weights are a covariance of another number of channels.
+        """
+        terms = () if self.drives is None else self.drives.terms
+        rows = layout(self.tree.without_inertias(), self.minimal, terms, self.settings.joined)
+        covariance = self.settings.covariance
+        if covariance is not None and len(covariance) != rows.width:
+            raise SettingsError(
+                f"weights is a covariance of {len(covariance)} channels, the {self.method} method "
+                f"has {rows.width}"
+            )
+        return rows
+
+    def passes(self, number: int, source: Source | None = None) -> Passes:
+        """Passes over the rows.
+
+        Args:
+            number: How many there will be.
+            source: Another form of the same samples, such as one with faults taken back.
+
+        Raises:
+            RecordingError: The recording is too short, or sampled too slowly.
+        """
+        plan = make_plan(source or self.source, self.layout, self.tare, self.settings)
+        return Passes(plan, self.threads, self.progress, number)
+
+    def equations(self, passes: Passes) -> NormalEquations:
+        """The normal equations of all rows, by one of the passes.
+
+        Args:
+            passes: Over the rows.
+        """
+        sums = passes.sums(products_wanted(len(self.channels)))
+        return gather(self.layout, self.names, self.channels, sums)
+
+
+def samples_of(recording: Data, settings: Settings) -> Source:
+    """The samples of a recording, or of several, that count.
+
+    Args:
+        recording: As for `open_source`.
+        settings: May say from when to when; else the recording may.
+
+    Raises:
+        RecordingError: It is no recording, or none of its samples is in that time.
+        SettingsError: A time is said of several recordings.
+    """
+    source = open_source(recording)
+    if len(segments_of(source)) == 1:
+        return counted(source, settings.span)
+    if settings.span is not None:
+        raise SettingsError(
+            "identification.span is about one recording; of several, cut each where it is imported"
+        )
+    return source
+
+
+def check_source(source: Source, tree: Tree, method: Method) -> None:
+    """Whether a recording is one, of this robot, with what a method needs.
+
+    Args:
+        source: The recording.
+        tree: The robot.
+        method: Reads torques or the wrench.
+
+    Raises:
+        RecordingError: It is not.
+    """
+    if source.samples < 2:
+        raise RecordingError(
+            f"the recording: {plural(source.samples, 'sample')}, which is no recording"
+        )
+    if not source.rate > 0:
+        raise RecordingError(
+            "the recording: time does not increase from its first sample to its last"
+        )
+    check_robot(source, tree)
+    if SIGNAL_OF[method] in source.signals:
+        return
+    others = [other for other in METHODS if SIGNAL_OF[other] in source.signals]
+    advice = "".join(f"; its {SIGNAL_OF[other]} allows the {other} one" for other in others)
+    raise RecordingError(
+        f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
+    )
+
+
+def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None) -> Tree:
+    """The robot under the gravity that was given, or else the recording's, or the model file's.
+
+    Args:
+        tree: The robot.
+        source: A recording; it may say its gravity.
+        gravity: (3,) [m/s^2], bedplate frame, or None.
+    """
+    return tree.with_gravity(source.facts.get("gravity") if gravity is None else gravity)
+
+
+def tare_of(tree: Tree, source: Source) -> Array:
+    """The static wrench to be taken off the plate's, (6,) [N, N m]: the pedestal's.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        source: A recording; it may say so.
+    """
+    return pedestal_wrench(tree) if source.tare is None else source.tare
+
+
+@stage("minimal set")
+def set_of(tree: Tree, method: Method, settings: Settings) -> MinimalSet:
+    """The minimal set that a method sees: of an unknown tare, what the wrench's changes tell.
+
+    Args:
+        tree: The robot, under the gravity of the recording.
+        method: By plate or by torques.
+        settings: Which parameters are zero, and whether the tare is known.
+    """
+    tared = method == "external" and settings.tare == "unknown"
+    return minimal_set(tree, MODEL_OF[method], zeros=settings.zeros, tared=tared)
+
+
+def usual_laws(source: Source) -> tuple[JointLaw, ...]:
+    """What every joint has unless something else is said: real drives have offsets, too.
+
+    Args:
+        source: The recording.
+    """
+    return (*ALWAYS, OFFSET) if is_imported(source) else ALWAYS
+
+
+def _complete(settings: Settings, source: Source, method: Method) -> Settings:
+    """Settings with filters that fit the recording, all terms, and a zero that nobody knows."""
+    nuisances: Sequence[str] = settings.nuisances
+    if method == "external" and settings.tare == "unknown" and "bias" not in nuisances:
+        nuisances = (*nuisances, "bias")
+    terms = settings.terms
+    if terms is None:
+        terms = [law.kind for law in usual_laws(source)]
+    return replace(settings.fitted(source.rate), nuisances=nuisances, terms=terms)
