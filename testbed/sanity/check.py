@@ -49,18 +49,11 @@ class CheckReport(Diagnosed):
 
     Attributes:
         offsets: How late torques and wrench are.
-        doubts: What may be wrong, and what the data leave open.
-        delays: Signals that are late, with lines for the mapping.
+        diagnostics: What may be wrong, what the data leave open, and signals that are late.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
-    doubts: tuple[Diagnostic, ...] = ()
-    delays: tuple[Diagnostic, ...] = ()
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All that may be wrong."""
-        return (*self.doubts, *self.delays)
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def check_recording(
@@ -88,16 +81,16 @@ def check_recording(
     else:
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(doubts=of_recording(verdict))
+            return CheckReport(diagnostics=of_recording(verdict))
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
-    delays = tuple(
+    doubts += [
         each.diagnostic(f"{in_mapping(lines)}, or import with --model and --align")
         for each, lines in _alignments(offsets, source)
-    )
-    return CheckReport(tuple(offsets), tuple(doubts), delays)
+    ]
+    return CheckReport(tuple(offsets), tuple(doubts))
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:
@@ -138,7 +131,9 @@ def import_and_check(
         lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
         mapping = with_lines(longest.facts["mapping"], lines)
         recordings, cuts = pieces(path, checked(Mapping, mapping, str(path)))
-        report = replace(report, delays=())
+        late = "recording.delay"  # was just taken back
+        kept = tuple(each for each in report.diagnostics if each.code != late)
+        report = replace(report, diagnostics=kept)
     if not unchecked:
         most = max(each.samples for each in recordings)
         recordings = tuple(

@@ -128,7 +128,7 @@ def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Itera
             "position.range",
             "positions",
             len(lines),
-            causes=("degrees" if turning else "millimetres", "motor-positions"),
+            causes=("degrees" if turning else "millimetres", "motor-side"),
             ranges=", ".join(lines[:2]) + more,
             unit=unit,
         )
@@ -289,7 +289,7 @@ def odd_sizes(
     if not odd:
         return
     if all(sizes[k] < 1 for k in odd):
-        size, causes = "small", ("motor-torques", "currents")
+        size, causes = "small", ("motor-side", "currents")
         needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
         lines = (
             f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
