@@ -80,7 +80,7 @@ def coverage(study: Study, first: int, runs: int) -> dict[str, Any]:
         scores.append((estimate.values - truth) / estimate.sigma)
         errors.append((estimate.values - truth) / truth)
         names = estimate.names
-        alarms += bool(estimate.findings)
+        alarms += estimate.doubtful
         steps += estimate.noise is not None and estimate.noise.steps_matter
         if sys.stderr.isatty():
             print(f"\r{seed - first + 1} of {runs}", end="", file=sys.stderr)

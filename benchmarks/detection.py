@@ -15,8 +15,7 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
-from testbed.identification.nuisances.all_nuisances import TESTED
-from testbed.identification.trace_findings import trace_findings
+from testbed.identification.residual_diagnostics import fault_diagnostics
 from testbed.instruments.encoders import EncoderGain
 from testbed.instruments.fault import Fault
 from testbed.instruments.plate import PlateCrosstalk, PlateGain, PlatePose
@@ -30,8 +29,6 @@ FALSE_ALARMS = 0.01
 
 POWER = 0.99
 """Least share of faulty recordings about which something is said."""
-
-SAID = {nuisance.kind: nuisance.said for nuisance in TESTED}
 
 
 @dataclass(frozen=True)
@@ -103,11 +100,11 @@ def detection(trial: Trial, first: int, runs: int, seconds: float) -> dict[str, 
     for seed in range(first, first + runs):
         recording = recorded(tree, trial.motion, trial.noise, seconds, seed, trial.faults)
         estimate = tb.identify(tree, recording, settings=settings)
-        traces = list(trace_findings(estimate))
+        traces = list(fault_diagnostics(estimate))
         steps += estimate.noise is not None and estimate.noise.steps_matter
-        others += len(estimate.findings) > len(traces)
+        others += sum(d.level == "error" for d in estimate.diagnostics) > len(traces)
         for finding in traces:
-            right = SAID.get(trial.right)
+            right = trial.right
             ranks.append(finding.causes.index(right) + 1 if right in finding.causes else None)
             wrong |= {finding.causes[0]} - {right}
     interval = stats.binomtest(len(ranks), runs).proportion_ci(method="exact")

@@ -7,7 +7,6 @@ error is that method's; the recording holds what both need, and whatever is said
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,10 @@ import numpy as np
 
 import testbed as tb
 from benchmarks.fault_trials import Trial, trials
+from testbed.diagnostics.diagnostic import Diagnostic, sentences
 from testbed.errors import TestbedError
 from testbed.identification.cross_check import cross_check
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.noise_warnings import noise_warnings
 from testbed.recordings.recording import Recording
 
 ROOT = Path(__file__).parent.parent
@@ -31,20 +30,27 @@ HARMFUL, SIGMAS = 0.02, 8.0
 """Relative error, and in sigmas, above which an estimate may not be silent."""
 
 CAUSES: Mapping[str, str] = {
-    "sign": r"\bsigns?\b",
-    "tare": r"\btare\b",
-    "unit": r"N mm|lbf|kgf|degrees|\bunits?\b|\bgains?\b",
-    "gain": r"\bgains?\b|\bscales? of the encoders|torque constant|unit or gain",
-    "drift": r"\bdrifts?\b",
-    "channel": r"saturated|not connected|at its limit|filled in",
-    "order": r"exchanged|another joint",
-    "clock": r"\blate\b|clocks|sampling rate|samples lost",
-    "pose": r"turned|shifted|another point|height",
-    "zero": r"zeros? of the encoders|another zero",
-    "model": r"the model lacks|turned or shifted|zeros of the encoders|scales of the encoders",
-    "gravity": r"gravity",
+    "sign": "sign sign-of-torque sign-of-joint sign-of-channel sign-of-tare sign-of-wrench "
+    "encoder-sign",
+    "tare": "sign-of-tare no-tare units-of-tare other-tare other-zero",
+    "unit": "torques-in-n-mm moments-in-n-mm torques-in-lbf-ft wrench-in-lbf-ft wrench-in-lbf "
+    "torques-in-lbf wrench-in-kgf torques-in-kgf-m encoders-in-degrees degrees units-of-tare "
+    "other-tare raw-units gain gains moments encoder-sign other-unit",
+    "gain": "gains encoder_gains torque-constant gain",
+    "drift": "slope drift plate.drift plate.offset",
+    "channel": "saturated drive-limit not-connected filled-column",
+    "order": "exchanged exchanged-channels exchanged-channels-or-encoders exchanged-torques "
+    "exchanged-joints encoder-of-another-joint torque-of-another-joint",
+    "clock": "skew clock_rate sampling encoder_delays late-torques late-encoders lost-samples",
+    "pose": "pose turned moments height",
+    "zero": "joint_zeros zero",
+    "model": "unmodelled-load pose joint_zeros encoder_gains",
+    "gravity": "gravity other-pedestal",
 }
-"""What one of the first causes should speak of, by the kind of fault."""
+"""Codes of which one should be among the first causes, by the kind of fault."""
+
+OF_NOISE = ("encoder.noise", "encoder.resolution", "plate.offset", "plate.drift")
+"""Codes of diagnostics that speak of faults, though sigma holds."""
 
 NAMED = 3
 """First causes that a person looks at."""
@@ -115,7 +121,7 @@ def clean(seeds: int, seconds: float) -> Iterator[dict[str, Any]]:
             tree, recording = tb.load_tree(model), recorded(model, seed, seconds)
             for zeros in (False, True):
                 both = {m: tb.identify(tree, recording, m, zeros=zeros) for m in METHODS}
-                said += _said(both["external"], both) + _said(both["internal"], {})
+                said += sentences(_said(both["external"], both) + _said(both["internal"], {}))
         yield {"clean": Path(model).stem, "recordings": seeds, "false_alarms": said}
 
 
@@ -141,7 +147,7 @@ def _line(
     truth = minimal.values(theta) if drives is None else drives.values(theta, tree)
     error = np.abs(estimate.values - truth)
     warned = _said(estimate, both)
-    beside = [line for m, other in both.items() if m != method for line in _said(other, {})]
+    beside = [each for m, other in both.items() if m != method for each in _said(other, {})]
     kind = trial.kind if trial else ""
     return {
         "kind": kind,
@@ -150,20 +156,19 @@ def _line(
         "error": float(f"{(error / np.abs(truth))[: minimal.count].max():.3g}"),
         "sigmas": float(f"{(error / estimate.sigma).max():.3g}"),
         "named": _named(CAUSES[kind], warned + beside) if kind else None,
-        "warned": warned,
-        "beside": beside,
+        "warned": sentences(warned),
+        "beside": sentences(beside),
     }
 
 
-def _named(words: str, lines: Sequence[str]) -> bool:
-    """Whether a cause of these words is among the first of any line; some lines are one cause."""
-    return any(re.search(words, line.partition("; likely ")[2] or line) for line in lines)
+def _named(codes: str, said: Sequence[Diagnostic]) -> bool:
+    """Whether one of the codes is a diagnostic's, or among the first causes of one."""
+    return any({*codes.split()} & {each.code, *each.causes[:NAMED]} for each in said)
 
 
-def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[str]:
-    """What is found in one method's data, and by holding both methods against each other."""
-    found = [*estimate.findings]
+def _said(estimate: Estimate, both: Mapping[Method, Estimate]) -> list[Diagnostic]:
+    """What is found in one method's data, and by comparing both methods."""
+    found = [d for d in estimate.diagnostics if d.level == "error" or d.code in OF_NOISE]
     if len(both) == 2:
         found += cross_check(both["external"], both["internal"])
-    lines = [f"{x.subject} {x.found}; likely {', '.join(x.causes[:NAMED])}" for x in found]
-    return lines + noise_warnings(estimate)
+    return found

@@ -23,8 +23,8 @@ from benchmarks.judged_mappings import MARKS, right_mapping
 from benchmarks.mappings import asked
 from benchmarks.mistakes import recorded
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import RecordingError
-from testbed.identification.finding import in_lines
 from testbed.recordings.importing.pieces import pieces
 from testbed.sanity.assessment import assess
 from testbed.sanity.check import import_and_check
@@ -36,7 +36,7 @@ ROBOT = "ur5"
 CROSSTALK, DRIFT, LOAD = 0.1, 30.0, 3.0
 """Of one channel on another, relative; of forces [N]; a mass that the file lacks [kg]."""
 
-OPEN = ("cannot tell", "do not decide", *MARKS)
+OPEN = ("equally explained", "do not decide", *MARKS)
 """What is said of explanations that are equal."""
 
 QUARTERS = (np.pi / 2, np.pi, -np.pi / 2)
@@ -109,7 +109,7 @@ def _scenario(name: str, made: Truth, told: Planted, seed: int) -> dict[str, Any
         path = Path(folder) / "right.toml"
         path.write_text(right_mapping(made, files, told))
         try:
-            says, refused = import_and_check(path, made.tree)[2].warnings, False
+            says, refused = sentences(import_and_check(path, made.tree)[2].diagnostics), False
         except RecordingError as error:
             says, refused = (str(error),), True
         line, text = asked(ROBOT, files, made, told)
@@ -182,13 +182,13 @@ def _held_against(
     zero[[0, -1]] = 0  # no data tell
     same = not (np.abs(zero) > 1e-3).any() and np.ptp(rest, axis=0).max() < 1e-4
     same = same and bool(np.allclose(other.measured("torque"), one.measured("torque")))
-    text = " ".join(in_lines([*found.certain, *found.likely])) if lines else found.undecided
+    text = " ".join(sentences(d for d in found.diagnostics if (d.level == "info") != bool(lines)))
     told_open = any(word in text for word in OPEN)
     result = "right" if same else "open" if told_open else "wrong" if lines else "no word"
     return {
         "tx40": words, "result": result, "certain": bool(found.certain),
         "said": [each.kind + " " + ", ".join(each.joints) for each in found.remedies],
-        "undecided": found.undecided,
+        "undecided": [d.text for d in found.diagnostics if d.level == "info"],
         "held": result != "wrong",
     }  # fmt: skip
 

@@ -15,8 +15,8 @@ run = tb.carry_out(experiment)  # simulates, identifies, compares with the truth
 for method, estimate in run.estimates.items():
     print(f"{method}: rms error {run.metrics[f'{method}_rms_relative_error']:.2%}")
     print(estimate)
-for warning in run.warnings:
-    print("warning:", warning)
+for line in tb.sentences(run.diagnostics):
+    print(line)
 
 found = tb.predict(run).smoothed(
     10.0

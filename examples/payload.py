@@ -16,5 +16,5 @@ for name, value, sigma, told in zip(
 ):
     print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if told else f"{name:6s} not told alone")
 print("centre [m]:", (found.values[1:4] / found.values[0]).round(4))
-for warning in found.warnings:
-    print("warning:", warning)
+for line in tb.sentences(found.diagnostics):
+    print(line)

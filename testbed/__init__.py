@@ -12,6 +12,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from testbed.diagnostics.diagnostic import Diagnostic as Diagnostic
+    from testbed.diagnostics.diagnostic import sentences as sentences
     from testbed.dynamics.inverse_dynamics import base_wrench as base_wrench
     from testbed.dynamics.inverse_dynamics import joint_forces as joint_forces
     from testbed.dynamics.inverse_dynamics import pedestal_wrench as pedestal_wrench
@@ -65,6 +67,7 @@ if TYPE_CHECKING:
     from testbed.viewer.view import view as view
 
 _HOMES = {
+    "testbed.diagnostics.diagnostic": ("Diagnostic", "sentences"),
     "testbed.experiment.carry_out": ("carry_out",),
     "testbed.experiment.simulate": ("simulate",),
     "testbed.experiment.experiment": ("Experiment",),

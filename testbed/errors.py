@@ -82,6 +82,11 @@ def quoted(names: Iterable[str]) -> str:
     return few([f"'{name}'" for name in names], WIDTH)
 
 
+def components(vector: Iterable[float]) -> str:
+    """A vector as a person reads it."""
+    return " ".join(f"{value:.4g}" for value in vector)
+
+
 def _start(pieces: Sequence[str], limit: int, *, backwards: bool = False) -> str:
     """As many whole pieces as there is place for."""
     taken: list[str] = []

@@ -22,6 +22,7 @@ import numpy as np
 import testbed
 from testbed.blas import one_blas_thread
 from testbed.campaign.campaign import experiment_of
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ExperimentError, TestbedError, printable
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.versions import versions
@@ -132,7 +133,7 @@ class Outcome:
         error: Why not, in a line.
         metrics: Figures of merit by name.
         estimates: By method: names, truth, values, sigma, relative errors, a list each.
-        warnings: What a careful reader should know.
+        diagnostics: What a careful reader should know.
         recording: Content of its Parquet file; None where it is dropped.
     """
 
@@ -141,7 +142,7 @@ class Outcome:
     error: str = ""
     metrics: Mapping[str, float] | None = None
     estimates: Mapping[str, Mapping[str, Any]] | None = None
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     recording: bytes | None = None
 
 
@@ -204,7 +205,7 @@ def _outcome(
             "done",
             metrics=dict(done.metrics),
             estimates=_estimates(done),
-            warnings=done.warnings,
+            diagnostics=done.diagnostics,
             recording=_file_of(recording) if bundle.keeps else None,
         )
     except Exception as error:

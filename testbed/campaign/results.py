@@ -41,6 +41,9 @@ OWN = {RESULTS, EARLIER, CAMPAIGN, NEW, RECORDINGS, LOCK}
 LEAST_NEW = 1000
 """New rows that are worth writing the table again, unless it is larger than that."""
 
+SAID = ("code", "level", "subject", "text")
+"""Of a diagnostic, that is in the table."""
+
 FORMAT = "testbed campaign 1"
 """Name and version of the layout, kept in the file."""
 
@@ -72,7 +75,8 @@ def schema_of(campaign: Campaign) -> pa.Schema:
     for method in METHODS:
         fields.append(pa.field(f"{method}/names", pa.list_(pa.string())))
         fields += [pa.field(f"{method}/{kind}", pa.list_(pa.float64())) for kind in NUMBERS]
-    fields.append(pa.field("warnings", pa.list_(pa.string())))
+    said = pa.struct([(name, pa.string()) for name in SAID])
+    fields.append(pa.field("diagnostics", pa.list_(said)))
     about = {
         "format": FORMAT,
         "name": campaign.tables.name,
@@ -265,7 +269,9 @@ class CampaignFolder:
             "run": outcome.run,
             "status": outcome.status,
             "error": outcome.error,
-            "warnings": list(outcome.warnings),
+            "diagnostics": [
+                {name: getattr(each, name) for name in SAID} for each in outcome.diagnostics
+            ],
         }
         row |= self._known(outcome.run, outcome.status)
         row |= {f"metric/{name}": value for name, value in (outcome.metrics or {}).items()}

@@ -90,7 +90,7 @@ def calibrate(
     if as_json:
         output.print_json(plate_as_json(plate))
     else:
-        terminal.print_plate(plate, tree.warnings, out)
+        terminal.print_plate(plate, tree.diagnostics, out)
 
 
 @app.command()
@@ -150,7 +150,7 @@ def drives(
     if as_json:
         output.print_json(drives_as_json(found))
     else:
-        terminal.print_drives(found, [*tree.warnings, *bodies.warnings, *found.warnings])
+        terminal.print_drives(found, [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics])
 
 
 @app.command()
@@ -197,7 +197,7 @@ def payload(
             weighed = weigh_payload(tree, alone, carrying, joint)
         words = payload_table.weighed_as_json(weighed, weigh(tree, alone))
         lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
-        output.print_json(words) if as_json else output.print_lines(lines, tree.warnings)
+        output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
     estimates = []
     for source, name in zip(sources, ("without", "with"), strict=True):
@@ -212,5 +212,5 @@ def payload(
     if as_json:
         output.print_json(payload_table.payload_as_json(found))
     else:
-        warnings = [*tree.warnings, *(w for e in estimates for w in e.warnings), *found.warnings]
-        terminal.print_payload(found, warnings)
+        known = [each for estimate in estimates for each in estimate.diagnostics]
+        terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])

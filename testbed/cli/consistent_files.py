@@ -12,6 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from testbed.cli.reading import Reading
+    from testbed.diagnostics.diagnostic import Diagnostic
     from testbed.identification.consistency import Consistent
     from testbed.identification.estimate import Estimate, Method
     from testbed.recordings.source import Source
@@ -121,8 +122,8 @@ class Writing:
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
-    ) -> list[str]:
-        """Write the file that was asked for; a line for each thing to know.
+    ) -> tuple[Diagnostic, ...]:
+        """Write the file that was asked for.
 
         Args:
             found: What is written.
@@ -138,15 +139,13 @@ class Writing:
         from testbed.robot.write_model import write_model
 
         if self.write is None:
-            return []
+            return ()
         file = reading.model_file(model)
-        return list(
-            write_model(
-                file,
-                robot_of(found, file.tree()),
-                self.write,
-                fixed=self.fixed.value,
-                note=provenance(found, file, recordings),
-                over_source=self.in_place,
-            )
+        return write_model(
+            file,
+            robot_of(found, file.tree()),
+            self.write,
+            fixed=self.fixed.value,
+            note=provenance(found, file, recordings),
+            over_source=self.in_place,
         )

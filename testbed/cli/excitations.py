@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from testbed.cli.options import Json, Set, app, ending, note
+from testbed.diagnostics.diagnostic import sentences
 from testbed.installation import own_or_shipped
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def excite(
     if as_json:
         output.print_json(excitation_as_json(found) | {"file": str(out)})
     else:
-        note([*found.tree.warnings, *found.rules.notes, *found.warnings])
+        note(sentences([*found.tree.diagnostics, *found.rules.diagnostics, *found.diagnostics]))
         print_excitation(output.console(), found, out, everything=everything)
 
 
@@ -166,8 +167,8 @@ def _experiment(file: Path, settings: list[str]) -> Experiment:
 
     if file.suffix.lower() == ".toml":
         return Experiment.load(file, settings)
-    experiment, notes = with_nearest_bodies(Experiment.of_model(file, settings))
-    note(notes)
+    experiment, said = with_nearest_bodies(Experiment.of_model(file, settings))
+    note(sentences(said))
     return experiment
 
 
@@ -191,7 +192,7 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
     if as_json:
         output.print_json(proof_as_json(proof))
     else:
-        note([*found.rules.tree.warnings, *found.rules.notes])
+        note(sentences([*found.rules.tree.diagnostics, *found.rules.diagnostics]))
         print_proof(output.console(), proof, everything=everything)
     raise typer.Exit(0 if proof.holds else 1)
 

@@ -16,6 +16,7 @@ from testbed.cli.options import (
     ending,
     note,
 )
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 
 if TYPE_CHECKING:
@@ -175,5 +176,5 @@ def _watcher(experiment: Experiment) -> Watch:
     from testbed.viewer.live import Live
 
     look = load_appearance(robot_of(experiment), model_of(experiment))
-    note(look.warnings)
+    note(sentences(look.diagnostics))
     return Live(experiment.name, look)

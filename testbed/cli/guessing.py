@@ -53,7 +53,7 @@ def write_mapping(
         with output.Progress("solving for what names do not tell") as bar:
             found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
-        output.print_lines((), found.warnings)
+        output.print_lines((), found.diagnostics)
         if page is not None:
             from testbed.reporting.mapping_page import write_mapping_page
 

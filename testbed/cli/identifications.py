@@ -34,6 +34,7 @@ from testbed.cli.options import (
     app,
 )
 from testbed.cli.reading import Reading, corrected_source, opened
+from testbed.diagnostics.diagnostic import diagnose
 
 if TYPE_CHECKING:
     from testbed.identification.estimate import Estimate, Method
@@ -95,8 +96,8 @@ def identify(
     wanted = METHODS if method is _Method.both else (METHODS[list(_Method).index(method)],)
     there = [name for name in wanted if SIGNAL_OF[name] in source.signals]
     lacking = [name for name in wanted if name not in there and not tree.floating]
-    warnings = [f"the recording has no {SIGNAL_OF[m]}: no {m} estimate" for m in lacking]
-    warnings += accepted
+    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m]) for m in lacking]
+    said += [*tree.diagnostics, *accepted]
 
     def estimate_of(part: Source, name: Method) -> Estimate:
         """By one method, of the recording or of a part of it."""
@@ -113,7 +114,7 @@ def identify(
     bodies = None
     if writing.wanted:
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
-        warnings += [*bodies.warnings, *writing.written(bodies, reading, model, recordings)]
+        said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
         from testbed.experiment.consistent_results import consistent_as_json
         from testbed.experiment.results import identified_as_json
@@ -123,7 +124,6 @@ def identify(
             content["consistent"] = consistent_as_json(bodies)
         output.print_json(content)
     else:
-        said = [*tree.warnings, *warnings]
         terminal.print_estimates(estimates, said, bodies, everything=everything)
         if write is not None:
             output.print_lines([f"model file: {write}"], ())
@@ -166,13 +166,10 @@ def validate(
     kept = read_result(result, model, settings or ())
     source = corrected_source(opened(recording), kept.tree, plate)
     there = [e for e in kept.estimates if SIGNAL_OF[e.method] in source.signals]
-    warnings = [
-        f"the recording has no {SIGNAL_OF[e.method]}: the {e.method} estimate is not validated"
-        for e in kept.estimates
-        if e not in there
-    ]
+    lacking = [e.method for e in kept.estimates if e not in there]
+    said = [diagnose("estimate.no-signal", m, signal=SIGNAL_OF[m]) for m in lacking]
     if not there:
-        raise RecordingError("; ".join(warnings))
+        raise RecordingError("; ".join(map(str, said)))
     found = {}
     for estimate in there:
         with output.Progress(f"validating, {estimate.method}") as progress:
@@ -188,4 +185,4 @@ def validate(
     if as_json:
         output.print_json({method: validation_as_json(each) for method, each in found.items()})
     else:
-        terminal.print_validations(list(found.values()), warnings)
+        terminal.print_validations(list(found.values()), said)

@@ -19,6 +19,7 @@ from testbed.cli.options import (
     ending,
 )
 from testbed.cli.reading import Reading
+from testbed.diagnostics.diagnostic import Diagnostic, ordered
 
 
 @app.command("import")
@@ -85,8 +86,8 @@ def import_(
         raise typer.BadParameter("say where the recording goes, as --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
-    lines, warnings = [], []
-    notes: tuple[str, ...] = ()
+    lines: list[str] = []
+    checked: list[Diagnostic] = []
     if tree is None:
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
@@ -95,23 +96,27 @@ def import_(
             options = {"align": align, "unchecked": unchecked}
             made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
         taken = " (taken back)" if align else ""
-        lines = [each.text + taken * each.matters for each in found.offsets]
-        notes, warnings = found.notes, [*tree.warnings, *found.warnings]
+        lines = [each.diagnostic().text + taken * each.matters for each in found.offsets]
+        checked = [*tree.diagnostics, *found.diagnostics]
     paths = _paths(out, len(made))
     for recording, path in zip(made, paths, strict=True):
         recording.save(path)
     reports = [ImportReport.from_dict(recording.facts["import"]) for recording in made]
-    doubts = [*dict.fromkeys(line for report in reports for line in report.warnings()), *warnings]
+    doubts = ordered([*(each for report in reports for each in report.diagnostics), *checked])
     if as_json:
-        several = {"recordings": [str(path) for path in paths], "cuts": cuts} if cuts else {}
+        several = (
+            {"recordings": [str(path) for path in paths], "cuts": [each.text for each in cuts]}
+            if cuts
+            else {}
+        )
         found_in = [report.as_dict() for report in reports]
-        said = {"import": found_in if cuts else found_in[0], "clocks": lines, "notes": notes}
-        output.print_json(said | {"warnings": warnings} | several)
+        said = {"import": found_in if cuts else found_in[0], "clocks": lines}
+        output.print_json(said | {"diagnostics": [d.as_dict() for d in checked]} | several)
         return
     told = [line for report in reports for line in report.lines()]
     names = ", ".join(map(str, paths))
     last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
-    output.print_lines([*cuts, *told, *lines, *notes, last], doubts)
+    output.print_lines([*told, *lines, last], [*cuts, *doubts])
 
 
 def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:

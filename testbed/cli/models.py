@@ -115,7 +115,7 @@ def minimal(
     elif as_latex:
         print_latex(output.console(), found, lengths)
     else:
-        output.print_warnings(output.console(), tree.warnings)
+        output.print_diagnostics(output.console(), tree.diagnostics)
         print_sets(output.console(), found, lengths)
     raise typer.Exit(0 if found.hold else 1)
 

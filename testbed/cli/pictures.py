@@ -23,6 +23,7 @@ from testbed.cli.options import (
     ending,
 )
 from testbed.cli.reading import Reading, corrected_source
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -88,8 +89,8 @@ def view(
     motion = model is None and [path.suffix.lower() for path in runs] == [".toml"]
     if motion:  # a mapping, which is a TOML file, too, needs --model
         with output.Progress("looking"):
-            warnings = _write_motion(runs[0], settings or [], log)
-        _show(log, warnings, serve, save is None, port)
+            said = _write_motion(runs[0], settings or [], log)
+        _show(log, said, serve, save is None, port)
         return
     _check_said(runs, model, reading)
     scenes = []
@@ -99,17 +100,17 @@ def view(
             run = _run_at(path, model, reading, unchecked=unchecked)
             scenes.append(scene_of(run, growth(run)))
         write_rrd(scenes, log)
-    _show(log, [line for scene in scenes for line in scene.warnings], serve, save is None, port)
+    _show(log, [each for scene in scenes for each in scene.diagnostics], serve, save is None, port)
 
 
-def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int) -> None:
+def _show(path: Path, said: list[Diagnostic], serve: bool, opened: bool, port: int) -> None:
     """Say what was written, and show it as is wished."""
     from testbed.reporting import output
     from testbed.viewer.show import open_viewer
     from testbed.viewer.show import serve as served
 
     out = output.console()
-    output.print_warnings(out, warnings)
+    output.print_diagnostics(out, said)
     out.print(f"{path}, {path.stat().st_size / 1e6:.1f} MB", soft_wrap=True)
     if serve:
         served(path, port)
@@ -117,7 +118,7 @@ def _show(path: Path, warnings: list[str], serve: bool, opened: bool, port: int)
         open_viewer(path)
 
 
-def _write_motion(file: Path, settings: list[str], path: Path) -> list[str]:
+def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnostic]:
     """Write what there is to see of a file's motion; what to know of it."""
     from testbed.experiment.evaluate import model_of
     from testbed.experiment.motions import checked_motion, obstacles_of
@@ -129,8 +130,10 @@ def _write_motion(file: Path, settings: list[str], path: Path) -> list[str]:
     look = load_appearance(tree, model_of(found.experiment))
     boxes = obstacles_of(found.experiment)
     write_motion_rrd(path, found.motion, found.rules, found.proof, look, boxes)
-    lines = [] if found.proof.holds else [f"not proven: {found.proof.worst.words}"]
-    return list(dict.fromkeys([*lines, *tree.warnings, *look.warnings, *found.rules.notes]))
+    proof, said = found.proof, [*tree.diagnostics, *look.diagnostics, *found.rules.diagnostics]
+    if proof.holds:
+        return said
+    return [diagnose("motion.not-proven", reason=proof.worst.words), *said]
 
 
 @app.command()
@@ -241,7 +244,7 @@ def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool
         model=reading.model_file(model),
         doubt=reading.doubt(tree),
     )
-    return replace(run, warnings=tuple(dict.fromkeys((*accepted, *run.warnings))))
+    return replace(run, diagnostics=ordered([*accepted, *run.diagnostics]))
 
 
 def _alike(path: Path) -> str:
@@ -258,7 +261,7 @@ def _alike(path: Path) -> str:
 
 def _loaded(
     path: Path, tree: Tree, reading: Reading, *, unchecked: bool
-) -> tuple[Recording, tuple[str, ...]]:
+) -> tuple[Recording, tuple[Diagnostic, ...]]:
     """A recording in memory, the plate's faults taken back, and what to doubt of it."""
     from testbed.recordings.measured_base import with_base_joints
     from testbed.recordings.recording import Recording
@@ -278,10 +281,8 @@ def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Ru
     from testbed.experiment.unseen import validated
 
     other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
-    done = validated(run, other)
-    said = (*other.facts.get("warnings", ()), *doubted)
-    lines = [f"{path.name}: {line}" for line in said]
-    return replace(done, warnings=tuple(dict.fromkeys((*done.warnings, *lines))))
+    said = (*of_recording(other.facts), *doubted)
+    return validated(run, other).with_diagnostics(replace(d, recording=path.name) for d in said)
 
 
 def _with_bodies(run: Run, reading: Reading) -> Run:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError
 from testbed.stages import stage
 
@@ -89,7 +90,7 @@ class Reading:
     @stage("reading and plausibility")
     def joined(
         self, paths: Sequence[Path], tree: Tree, *, unchecked: bool
-    ) -> tuple[Source, list[str]]:
+    ) -> tuple[Source, list[Diagnostic]]:
         """Recordings as one source, each held against the robot, and what to doubt of them.
 
         Of one that is cut where a source was silent, the longest piece is.
@@ -102,18 +103,20 @@ class Reading:
         from testbed.reporting import output
 
         _require_different(paths)
-        several, sources, warnings = len(paths) > 1, [], []
+        several = len(paths) > 1
+        sources: list[Source] = []
+        said: list[Diagnostic] = []
         for path in paths:
             with output.Progress("holding the recording against the robot"):
-                pieces, said = opened_pieces(path)
+                pieces, cuts = opened_pieces(path)
                 made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
                 longest = max(made, key=lambda source: source.samples)
-                said += self.accepted(longest, tree, unchecked=unchecked)
-            warnings += [f"{path.name}: {line}" if several else line for line in said]
+                own = [*cuts, *self.accepted(longest, tree, unchecked=unchecked)]
+            said += [replace(each, recording=path.name) for each in own] if several else own
             sources += made
-        return joined(sources), warnings
+        return joined(sources), said
 
-    def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[str, ...]:
+    def accepted(self, source: Source, tree: Tree, *, unchecked: bool) -> tuple[Diagnostic, ...]:
         """What to doubt of an imported recording; nothing is said of others.
 
         Raises:
@@ -126,7 +129,7 @@ class Reading:
         from testbed.sanity.check import check_recording
 
         with Progress("looking for mistakes") as bar:
-            return check_recording(tree, source, unchecked=unchecked, progress=bar).warnings
+            return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
     def doubt(self, tree: Tree) -> PlateDoubt | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""
@@ -164,8 +167,8 @@ def opened(path: Path) -> Source:
     return Recording.from_mapping(path) if path.suffix == ".toml" else open_source(path)
 
 
-def opened_pieces(path: Path) -> tuple[Sequence[Source], list[str]]:
-    """The same; what a mapping file makes is cut where a source was silent, and in words where.
+def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
+    """The same; what a mapping file makes is cut where a source was silent.
 
     Args:
         path: Parquet, or TOML for a mapping.

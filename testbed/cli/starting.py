@@ -88,7 +88,7 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     last = f"{made}: testbed identify {made} --model {robot}"
     if recording.wrench is not None:  # the plate's frame and clock are known to a sigma only
         last += """ --set 'identification.nuisances=["pose","skew"]'"""
-    output.print_lines([*found.notes, last], found.warnings)
+    output.print_lines([last], found.diagnostics)
 
 
 def _check_free(path: Path) -> None:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.errors import few
 from testbed.excitation.approach import levers
 from testbed.excitation.collision_model import CELL, CollisionModel
 from testbed.excitation.limits import Limits
@@ -312,12 +314,12 @@ class Watched:
     Attributes:
         collision: The pairs.
         clearance: Distance that each has to keep, (k,) [m].
-        notes: What is not watched, or kept less, a line each.
+        diagnostics: What is not watched, or kept less.
     """
 
     collision: CollisionModel
     clearance: Array
-    notes: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def watched(
@@ -345,14 +347,12 @@ def watched(
     built = np.where(always, np.median(found, axis=0), np.inf)
     usual = np.minimum(built, np.where(home > 0, home, np.inf))
     kept = np.where(~around & (usual < NARROW * clearance), usual / 2, clearance)
-    notes = [
-        f"{name}: their shapes touch in nearly every posture; not watched"
+    said = [
+        diagnose("motion.touching", name)
         for name, watch in zip(collision.names, free, strict=True)
         if not watch
     ]
     nearer = [k for k in np.flatnonzero(free) if kept[k] < clearance]
     if nearer:
-        first = collision.names[nearer[0]]
-        more = f" and {len(nearer) - 1} more pairs" if len(nearer) > 1 else ""
-        notes.append(f"{first}{more}: built about as near as the clearance; half of that is kept")
-    return Watched(collision.only(free.tolist()), kept[free], tuple(notes))
+        said.append(diagnose("motion.near", few([collision.names[k] for k in nearer])))
+    return Watched(collision.only(free.tolist()), kept[free], tuple(said))

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.motion import Motion
 from testbed.excitation.approach import levers
 from testbed.excitation.clearance import FAR, DistanceMeter
@@ -133,7 +134,7 @@ class Rules:
         terms: Limits of efforts and plate.
         collision: Shapes and the pairs that are watched; None if nothing is.
         clearance: Distance that each pair keeps, (k,) [m].
-        notes: What could not be watched, a line each.
+        diagnostics: What could not be watched.
     """
 
     tree: Tree
@@ -142,7 +143,7 @@ class Rules:
     terms: Sequence[SmoothTerm]
     collision: CollisionModel | None
     clearance: Array
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def prove(motion: Fourier, rules: Rules) -> Proof:

@@ -13,7 +13,8 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from testbed.errors import ExperimentError
+from testbed.diagnostics.diagnostic import messages, ordered
+from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import Expectations, Table
@@ -40,8 +41,7 @@ class VariantTable(Table):
     remedy: tuple[str, ...] = ()
     """What is done about it, besides: also such words."""
     says: str | None = None
-    """What the estimates should say first that they do not say of the experiment itself; ""
-    for nothing."""
+    """Code of the first diagnostic that the experiment itself does not have; "" for none."""
     expect: Expectations = Field(default_factory=dict)
     """Bounds on metrics."""
     remedied: Expectations = Field(default_factory=dict)
@@ -65,7 +65,7 @@ class Variant:
         name: Of the variant.
         experiment: Its settings, and what is expected.
         remedied: The same with the remedy; None if there is none.
-        says: What should be said first; "" for nothing; None where nothing is claimed.
+        says: Code of the first diagnostic; "" for none; None where nothing is claimed.
     """
 
     name: str
@@ -116,6 +116,8 @@ class Comparison:
             cured = made([*each.set, *each.remedy], each.remedied) if each.remedy else None
             if each.remedied and cured is None:
                 raise ExperimentError(f"{path}: variant '{each.name}' expects what no remedy does")
+            if each.says and each.says not in messages():
+                raise UnknownName("diagnostic", each.says, messages())
             variant = Variant(each.name, made(each.set, each.expect), cured, each.says)
             for experiment in filter(None, (variant.experiment, cured)):
                 _check_shared(base, experiment, f"{path}: variant '{each.name}'")
@@ -149,7 +151,7 @@ class Compared:
         variant: The variant.
         run: Its run.
         remedied: The run with the remedy; None if there is none.
-        said: What the estimates say that they do not say of the experiment itself, in short.
+        said: Codes of the estimates' diagnostics that the experiment itself does not have.
     """
 
     variant: Variant
@@ -163,7 +165,7 @@ class Compared:
         wanted = self.variant.says
         if wanted is None:
             return None
-        return wanted in self.said[0] if wanted and self.said else not (wanted or self.said)
+        return self.said[:1] == ((wanted,) if wanted else ())
 
     @property
     def as_expected(self) -> bool:
@@ -193,22 +195,20 @@ def compare(
     for variant in comparison.variants:
         run = carried_out(variant.experiment)
         cured = None if variant.remedied is None else carried_out(variant.remedied)
-        said = tuple(said_in_short(run.estimates.values()))
-        yield Compared(variant, run, cured, tuple(line for line in said if line not in usual))
+        said = tuple(codes_of(run.estimates.values()))
+        yield Compared(variant, run, cured, tuple(code for code in said if code not in usual))
         if variant.name == PLAIN:
             usual = said
 
 
-def said_in_short(estimates: Iterable[Estimate]) -> Iterator[str]:
-    """The likeliest cause of every finding, then how other warnings begin, none twice.
+def codes_of(estimates: Iterable[Estimate]) -> Iterator[str]:
+    """Codes of diagnostics in their order, none twice, without those that follow from others.
 
     Args:
         estimates: Of one recording.
     """
-    found = list(estimates)
-    causes = [finding.causes[0] for each in found for finding in each.findings]
-    others = [line.partition(":")[0].partition(" (")[0] for each in found for line in each.notes]
-    yield from dict.fromkeys([*causes, *others])
+    every = ordered(each for estimate in estimates for each in estimate.diagnostics)
+    yield from dict.fromkeys(each.code for each in every if not each.follows)
 
 
 def comparison_as_json(comparison: Comparison, rows: Sequence[Compared]) -> dict[str, Any]:
@@ -245,5 +245,5 @@ def _judged(run: Run) -> dict[str, Any]:
         "verdicts": run.verdicts,
         "failures": dict(run.failures),
         "nuisances": {method: nuisances_as_json(e) for method, e in estimates.items()},
-        "warnings": {method: list(e.warnings) for method, e in estimates.items()},
+        "diagnostics": {m: [d.as_dict() for d in e.diagnostics] for m, e in estimates.items()},
     }

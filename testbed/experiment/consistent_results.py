@@ -58,7 +58,7 @@ def consistent_as_json(found: Consistent) -> dict[str, Any]:
         "binding": list(found.binding),
         "prior_error": found.prior_error,
         "tried": {f"{error:g}": left for error, left in found.tried.items()},
-        "warnings": list(found.warnings),
+        "diagnostics": [each.as_dict() for each in found.diagnostics],
     }
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import diagnose
 from testbed.errors import TestbedError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
@@ -83,9 +84,8 @@ def _with_bodies(run: Run, believed: Tree, wishes: Wishes) -> Run:
     try:
         found = consistent_by_held_out(run.tree, estimates, prior, wishes, blind, identified)
     except TestbedError as error:
-        return replace(run, warnings=(*run.warnings, f"no consistent bodies: {error}"))
-    warnings = tuple(dict.fromkeys((*run.warnings, *found.warnings)))
-    return replace(run, consistent=found, warnings=warnings)
+        return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
+    return replace(run, consistent=found).with_diagnostics(found.diagnostics)
 
 
 def wrong_prior(tree: Tree, experiment: Experiment) -> Tree:

@@ -19,6 +19,7 @@ def drives_as_json(drives: DriveFindings) -> dict[str, Any]:
     both = drives.combined
     return {
         "joints": _joints_as_json(drives.estimates),
+        "diagnostics": [each.as_dict() for each in drives.diagnostics],
         "curves": {
             curve.joint: {
                 "speed": curve.speed.tolist(),

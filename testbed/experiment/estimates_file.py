@@ -30,7 +30,7 @@ from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.friction import JointLaw, joint_law
 
 FIELDS = (
-    "estimates", "failures", "score", "warnings", "validation", "drives", "consistent", "findings",
+    "estimates", "failures", "score", "validation", "drives", "consistent", "diagnostics",
 )  # fmt: skip
 """Of a run, that are in its file."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ExperimentError
 from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
@@ -100,7 +101,7 @@ def model_of(experiment: Experiment) -> ModelFile:
     return ModelFile(Path(experiment.model), weld_root=welded, repair=bodies, lock=held)
 
 
-def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[str, ...]]:
+def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[Diagnostic, ...]]:
     """The same with the nearest bodies in place of those that cannot be, and what to say of it.
 
     Args:
@@ -110,4 +111,4 @@ def with_nearest_bodies(experiment: Experiment) -> tuple[Experiment, tuple[str, 
     found = nearest_bodies(model.path, weld_root=model.weld_root, lock=model.lock)
     tables = {name: BodyTable.of(body) for name, body in found.bodies.items()}
     robot = experiment.robot.model_copy(update={"repair": tables | experiment.robot.repair})
-    return experiment.model_copy(update={"robot": robot}), found.notes
+    return experiment.model_copy(update={"robot": robot}), found.diagnostics

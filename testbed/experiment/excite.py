@@ -9,7 +9,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
-from testbed.errors import ExperimentError, TestbedError
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import information_of, models_of
@@ -32,7 +33,7 @@ FEWEST = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation:
+class Excitation(Diagnosed):
     """A designed motion beside a random one.
 
     Attributes:
@@ -75,20 +76,14 @@ class Excitation:
         return f"{self.gain:.2f} times smaller than that of {drawn} ({theirs:.3g})"
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What the motion hardly tells, in a line."""
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Parameters that the motion hardly excites."""
         poor = [
             name
             for name, relative in zip(self.predicted.names, self.predicted.relative, strict=True)
             if relative > 1
         ]
-        if not poor:
-            return ()
-        more = f" and {len(poor) - 3} more" if len(poor) > 3 else ""
-        return (
-            f"the motion hardly tells {', '.join(poor[:3])}{more}: sigma is as large as they are; "
-            "a longer motion.duration, more excitation.harmonics or wider limits tell more",
-        )
+        return (diagnose("motion.uncertain", few(poor)),) if poor else ()
 
 
 def excite(

@@ -34,7 +34,7 @@ def excitation_as_json(found: Excitation) -> dict[str, Any]:
         if found.random_predicted is None
         else prediction_as_json(found.random_predicted),
         "gain": found.gain,
-        "warnings": list(found.warnings),
+        "diagnostics": [each.as_dict() for each in found.diagnostics],
         "proof": proof_as_json(design.proof),
     }
 

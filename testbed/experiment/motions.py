@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
 from testbed.errors import ExperimentError, InfeasibleMotion
 from testbed.excitation.clearance import Watched, watched
@@ -148,16 +149,16 @@ def rules_of(
         return replace(like, margin=margin, terms=tuple(terms))
     if isinstance(table.clearance, str):
         return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0))
-    seen, notes = _surroundings(experiment, tree, limits, table.clearance)
+    seen, said = _surroundings(experiment, tree, limits, table.clearance)
     if seen is None:
-        return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0), notes)
-    return Rules(tree, limits, margin, tuple(terms), seen.collision, seen.clearance, notes)
+        return Rules(tree, limits, margin, tuple(terms), None, np.zeros(0), said)
+    return Rules(tree, limits, margin, tuple(terms), seen.collision, seen.clearance, said)
 
 
 def _surroundings(
     experiment: Experiment, tree: Tree, limits: Limits, clearance: float
-) -> tuple[Watched | None, tuple[str, ...]]:
-    """The robot's shapes and what stands around them; what cannot be watched, a line each."""
+) -> tuple[Watched | None, tuple[Diagnostic, ...]]:
+    """The robot's shapes and what stands around them; what cannot be watched."""
     table, model = experiment.excitation, model_of(experiment)
     drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
     if not any(shape.body >= 0 for shape in drawn.shapes):
@@ -166,17 +167,17 @@ def _surroundings(
                 f"{model.path} has no shapes: whether it keeps clear of excitation.obstacle cannot "
                 "be told; give the file collision or visual geometry"
             )
-        return None, ("the model file has no shapes: nothing is known of collisions",)
+        return None, (diagnose("motion.no-shapes"),)
     floor = None if isinstance(table.floor, str) else table.floor
-    notes: tuple[str, ...] = drawn.warnings
+    said = drawn.diagnostics
     if table.floor is None:
         floor = _floor(tree, drawn.shapes)
         if floor is None:
-            notes += ("the robot reaches below what stands on the bedplate: no floor is assumed",)
+            said += (diagnose("motion.no-floor"),)
     every = collision_model(tree, drawn.shapes, obstacles_of(experiment), floor)
     every = every.without(table.exclude)
     found = watched(every, limits, clearance, np.random.default_rng(0))
-    return found, (*notes, *found.notes)
+    return found, (*said, *found.diagnostics)
 
 
 def _floor(tree: Tree, shapes: tuple[Shape, ...]) -> float | None:

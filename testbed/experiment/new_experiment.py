@@ -10,6 +10,7 @@ import numpy as np
 import tomli_w
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural, round_significant
 from testbed.excitation.limits import Limits, limits_of
 from testbed.experiment.assumptions import (
@@ -70,7 +71,7 @@ def new_experiment(
         ModelError: The robot cannot be read.
     """
     found = find_robot(model, {} if strict else None)
-    for line in (*found.tree.warnings, *_flaws(found.repair)):
+    for line in (*sentences(found.tree.diagnostics), *_flaws(found.repair)):
         say(line)
     assumed = assumptions(found.tree)
 

@@ -48,8 +48,8 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
         off = found.centre[0] - np.broadcast_to(np.asarray(loads[0].centre), 3)
         if np.isfinite(off).all():
             metrics["payload_centre_error"] = float(np.linalg.norm(off))
-    warnings = tuple(dict.fromkeys((*run.warnings, *found.warnings)))
-    return replace(run, score=replace(run.score, metrics=metrics), warnings=warnings)
+    judged = replace(run, score=replace(run.score, metrics=metrics))
+    return judged.with_diagnostics(found.diagnostics)
 
 
 def _without(experiment: Experiment) -> Experiment:

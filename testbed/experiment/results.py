@@ -42,7 +42,7 @@ def result(run: Run) -> dict[str, Any]:
         "expect": {k: b.model_dump(exclude_none=True) for k, b in expect.items()},
         "verdicts": run.verdicts,
         "as_expected": run.as_expected,
-        "warnings": list(run.warnings),
+        "diagnostics": [each.as_dict() for each in run.diagnostics],
         "drives": None if run.drives is None else drives_as_json(run.drives),
         "consistent": None if run.consistent is None else consistent_as_json(run.consistent),
         "validation": {m: validation_as_json(found) for m, found in run.validation.items()},
@@ -84,7 +84,7 @@ def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
         ],
         "choice": choice_as_json(estimate.choice),
         "doubtful": estimate.doubtful,
-        "warnings": list(estimate.warnings),
+        "diagnostics": [each.as_dict() for each in estimate.diagnostics],
     }
 
 
@@ -188,7 +188,7 @@ def validation_as_json(found: Validation) -> dict[str, Any]:
         "units": list(found.units),
         "rows": list(found.rows),
         **{name: _finite(values) for name, values in numbers.items()},
-        "warnings": list(found.warnings),
+        "diagnostics": [each.as_dict() for each in found.diagnostics],
     }
 
 

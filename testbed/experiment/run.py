@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, ordered
 from testbed.errors import RecordingError, TestbedError, UnseenParameters
 from testbed.experiment.drive_score import drive_metrics
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.run_warnings import findings_of_run, notes_of
+from testbed.experiment.run_diagnostics import diagnostics_of_run
 from testbed.experiment.score import Score, score
 from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.consistency import Consistent
 from testbed.identification.drive_findings import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.finding import Finding, folded
 from testbed.identification.identify import identify
 from testbed.identification.passes import Progress
 from testbed.identification.plate_doubt import PlateDoubt
@@ -33,7 +33,7 @@ from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class Run(Diagnosed):
     """One recording and what came of it.
 
     Attributes:
@@ -46,8 +46,7 @@ class Run:
         experiment: What was carried out; None for a recording that no experiment made.
         score: The estimates against the truth; None where the truth is not known.
         model: The model file, for its shapes; None if the robot came from no file.
-        warnings: What a careful reader should know, one line each; causes of findings first.
-        findings: What is wrong with the recording or its estimates.
+        diagnostics: What a careful reader should know, in order.
         validation: What the estimates leave of a motion that they have not seen, by method;
             {} where there is none.
         unseen: A recording of that motion; None for none.
@@ -64,22 +63,19 @@ class Run:
     experiment: Experiment | None = None
     score: Score | None = None
     model: ModelFile | None = None
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     validation: Mapping[Method, Validation] = field(default_factory=dict)
     unseen: Recording | None = None
     drives: DriveFindings | None = None
     consistent: Consistent | None = None
-    findings: tuple[Finding, ...] = ()
 
-    def finding(self, more: Iterable[Finding]) -> Run:
-        """The same with more findings: all are told anew, symptoms beside their causes.
+    def with_diagnostics(self, more: Iterable[Diagnostic]) -> Run:
+        """The same with more diagnostics, put in order anew.
 
         Args:
-            more: The findings.
+            more: The diagnostics.
         """
-        before, every = folded(self.findings), (*self.findings, *more)
-        notes = [line for line in self.warnings if line not in before]
-        return replace(self, findings=every, warnings=tuple(folded(every) + notes))
+        return replace(self, diagnostics=ordered([*self.diagnostics, *more]))
 
     @property
     def truths(self) -> dict[str, float]:
@@ -166,7 +162,7 @@ def assemble_run(
         friction = experiment.simulation.friction
         judged = score(tree, estimates, settings.zeros, friction, motion, torque)
     errors = {} if judged is None else judged.errors
-    notes = notes_of(tree, recording, estimates, failures)
+    known = diagnostics_of_run(tree, recording, estimates, failures, errors)
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
         told = drive_metrics(tree, experiment, recording, drives)
@@ -181,9 +177,9 @@ def assemble_run(
         experiment=experiment,
         score=judged,
         model=model,
-        warnings=(*notes, *more),
+        diagnostics=(*known, *more),
         drives=drives,
-    ).finding(findings_of_run(estimates, errors))
+    )
 
 
 def _drives(
@@ -192,12 +188,13 @@ def _drives(
     estimates: Mapping[Method, Estimate],
     settings: Settings,
     progress: Progress,
-) -> tuple[DriveFindings | None, tuple[str, ...]]:
+) -> tuple[DriveFindings | None, tuple[Diagnostic, ...]]:
     """What the plate says of the drives where that is asked, and what to know of it."""
     if settings.drives == "off":
         return None, ()
     if recording.torque is None or "external" not in estimates:
-        return None, ("drives are held against the plate: that needs its estimate and torques",)
+        reason = "that needs torques and the plate's estimate"
+        return None, (diagnose("drives.missing", "the drives", reason=reason),)
     choose = settings.drives == "chosen"
     try:
         found = identify_drives(
@@ -209,5 +206,5 @@ def _drives(
             progress=progress,
         )
     except TestbedError as error:
-        return None, (f"drives could not be held against the plate: {error}",)
-    return found, found.warnings
+        return None, (diagnose("drives.missing", "the drives", reason=error),)
+    return found, found.diagnostics

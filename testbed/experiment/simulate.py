@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from testbed.diagnostics.diagnostic import diagnose
 from testbed.excitation.fourier import Fourier
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.prepare import Plants, Prepared, prepare
@@ -84,7 +85,7 @@ def _rollout(ready: Prepared) -> Rollout | Exception:
 def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
     """What a recording keeps about how it was made."""
     saturated = [
-        f"the motor of joint '{name}' was at its limit in {share:.1%} of the samples"
+        diagnose("motion.saturated", name, share).as_dict()
         for name, share in zip(tree.names, run.saturated, strict=True)
         if share
     ]
@@ -96,5 +97,5 @@ def _facts(experiment: Experiment, tree: Tree, run: Rollout) -> dict[str, Any]:
         "seed": experiment.seed,
         "versions": versions(),
         "tracking_rms": dict(zip(tree.names, run.tracking.tolist(), strict=True)),
-        "warnings": saturated,
+        "diagnostics": saturated,
     }

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural, round_significant
 from testbed.experiment.accuracy import share_of_signal
 from testbed.identification.estimate import Method
@@ -174,7 +175,7 @@ def verdict(run: Run) -> str:
 
 
 def _cautions(run: Run) -> list[str]:
-    count = len(run.warnings)
+    count = len(sentences(run.diagnostics))
     if not count:
         return []
     return [f"There {'is' if count == 1 else 'are'} {plural(count, 'warning')}."]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from testbed.diagnostics.diagnostic import diagnose
 from testbed.errors import TestbedError
 from testbed.experiment.accuracy import accuracies
 from testbed.experiment.evaluate import robot_of
@@ -36,7 +37,7 @@ def on_unseen_motion(run: Run, progress: Progress = lambda done, total: None) ->
     try:
         recording = unseen(run, progress)
     except TestbedError as error:
-        return _warned(run, f"predictions are checked on the identified motion only: {error}")
+        return run.with_diagnostics([diagnose("estimate.not-validated", reason=error)])
     return run if recording is None else validated(run, recording)
 
 
@@ -78,9 +79,9 @@ def validated(run: Run, recording: Recording) -> Run:
             for method, estimate in run.estimates.items()
         }
     except TestbedError as error:
-        return _warned(run, f"not validated on another motion: {error}")
-    findings = [each for validation in found.values() for each in validation.findings]
-    return replace(run, validation=found, score=_judged(run, recording)).finding(findings)
+        return run.with_diagnostics([diagnose("estimate.not-validated", reason=error)])
+    run = run.with_diagnostics(each for v in found.values() for each in v.diagnostics)
+    return replace(run, validation=found, score=_judged(run, recording))
 
 
 def _judged(run: Run, recording: Recording) -> Score | None:
@@ -90,7 +91,3 @@ def _judged(run: Run, recording: Recording) -> Score | None:
     motion, _ = shown_motion(recording, run.settings)
     told = accuracies(run.tree, run.estimates, run.settings.zeros, motion)
     return replace(run.score, accuracy=told)
-
-
-def _warned(run: Run, line: str) -> Run:
-    return replace(run, warnings=(*run.warnings, line))

@@ -20,9 +20,10 @@ from scipy.linalg import block_diag, null_space
 
 from testbed.arrays import Array
 from testbed.blas import eigh
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, ordered
 from testbed.errors import SettingsError
 from testbed.identification.calibration import Calibration, calibration_of, settings_of
-from testbed.identification.diagnosis import quality_warnings
+from testbed.identification.diagnosis import quality
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import estimate_of
 from testbed.identification.known import PAYLOAD
@@ -53,6 +54,9 @@ SETTLED = 1e-3
 WIDER, LEAST = 100.0, 1e-5
 """Doubt about a number that was found and is held again, in its sigmas, and at least: it weighs
 nothing, and what is left is no small difference of large numbers."""
+
+LOADED = "with the payload"
+"""Name of the second recording."""
 
 IMPOSSIBLE = 1e-6
 """Chance below which the two recordings do not differ by the payload."""
@@ -179,9 +183,7 @@ def joined(pair: Pair, first: Estimate, second: Estimate) -> Estimate:
         nuisance_covariance=spread[p:, p:],
         nuisance_cross=spread[:p, p:],
     )
-    return replace(
-        joint, warnings=(*_of_both(first, joint), *_warnings(pair, first, second, chance))
-    )
+    return replace(joint, diagnostics=_diagnostics(pair, first, second, joint, chance))
 
 
 class _Facts(NamedTuple):
@@ -239,23 +241,16 @@ def _inverse(matrix: Array) -> tuple[Array, int]:
     return root @ root.T, int(kept.sum())
 
 
-def _of_both(first: Estimate, joint: Estimate) -> list[str]:
-    """What was said of the first estimate; what it left open is said of both."""
-    alone = quality_warnings(first)
-    return [
-        *(warning for warning in first.warnings if warning not in alone),
-        *quality_warnings(joint),
+def _diagnostics(
+    pair: Pair, first: Estimate, second: Estimate, joint: Estimate, chance: float
+) -> tuple[Diagnostic, ...]:
+    """Of each recording, what it leaves open apart, and of both together."""
+    alone = {*quality(first), *quality(second)}
+    before = [each for each in first.diagnostics if each not in alone]
+    after = [
+        replace(each, recording=LOADED)
+        for each in second.diagnostics
+        if each not in alone and each not in before
     ]
-
-
-def _warnings(pair: Pair, first: Estimate, second: Estimate, chance: float) -> list[str]:
-    """Of the recording with the payload, and of both together."""
-    alone = (*quality_warnings(second), *first.warnings)
-    found = [f"with the payload: {each}" for each in second.warnings if each not in alone]
-    if chance < IMPOSSIBLE:
-        found.append(
-            f"the two recordings do not differ by this payload on the link of "
-            f"'{pair.payload.joint}' (chance {chance:.0e}): its mass, its centre or its link is "
-            "another, or the plate has changed"
-        )
-    return found
+    mismatch = diagnose("payload.mismatch", pair.payload.joint, chance)
+    return ordered([*before, *quality(joint), *after, *[mismatch] * (chance < IMPOSSIBLE)])

@@ -18,6 +18,7 @@ from scipy.linalg import block_diag
 
 from testbed.arrays import Array, readonly
 from testbed.blas import eigh
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.identification.drive_regression import JointRegression, Torques
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import scaled_inverse
@@ -39,7 +40,7 @@ IMPOSSIBLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Disagreement:
+class Disagreement(Diagnosed):
     """How the plate's estimate moves when joint torques are added.
 
     Attributes:
@@ -56,16 +57,18 @@ class Disagreement:
         object.__setattr__(self, "z", readonly(self.z, (len(self.names),), "z"))
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Which parameters, and how far; () where the two agree."""
         if self.chance >= IMPOSSIBLE:
             return ()
         worst = np.argsort(-np.abs(self.z))[:3]
-        listed = ", ".join(f"{self.names[k]} by {self.z[k]:+.1f} sigma" for k in worst)
         return (
-            f"plate and joint torques do not agree (chance {self.chance:.0e}): the torques move "
-            f"{listed}; friction of another law or a rotor that is not among the terms, or a "
-            "fault of the plate, are likely",
+            diagnose(
+                "drives.disagreement",
+                "plate and torques",
+                self.chance,
+                parameters=", ".join(f"{self.names[k]} by {self.z[k]:+.1f} sigma" for k in worst),
+            ),
         )
 
 

@@ -15,10 +15,15 @@ import numpy as np
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.conditions import conditions
+from testbed.identification.consistent_diagnostics import (
+    counted_twice,
+    diagnostics_of,
+    left_out,
+)
 from testbed.identification.consistent_program import Scaled, scaled, solve
-from testbed.identification.consistent_warnings import counted_twice, left_out, warnings_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
 from testbed.identification.stated import Stated, stated
@@ -86,7 +91,7 @@ class Bent:
 
 
 @dataclass(frozen=True, eq=False)
-class Consistent:
+class Consistent(Diagnosed):
     """Bodies, friction and rotors that could exist.
 
     Attributes:
@@ -110,7 +115,7 @@ class Consistent:
         prior_error: That was used, in parts of the prior's bodies.
         tried: By prior error, rms of what was foretold wrongly of held-out data, in sigmas of
             its noise; {} where it was given.
-        warnings: What a careful reader should know, a line each.
+        diagnostics: What a careful reader should know.
     """
 
     joints: tuple[str, ...]
@@ -130,7 +135,7 @@ class Consistent:
     unsettled: float
     prior_error: float
     tried: Mapping[float, float]
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
     def __post_init__(self) -> None:
         n, t = len(self.joints), len(self.terms)
@@ -212,11 +217,11 @@ def _consistent(
         unsettled=left,
         prior_error=error,
         tried=tried,
-        warnings=(
-            *prior.warnings,
+        diagnostics=(
+            *prior.diagnostics,
             *left_out(estimates, used),
             *counted_twice(prior, used),
-            *warnings_of(used, bent, left),
+            *diagnostics_of(used, bent, left),
         ),
     )
 

@@ -1,7 +1,7 @@
-"""What a careful reader of an estimate should know: wrong data say so themselves.
+"""What data show of their own faults.
 
 Nothing here needs statistics of the residuals, and nothing looks at the masses of the model
-file: data are held against themselves, against limits, and against what rigid bodies can be.
+file: data are compared with themselves, with limits, and with what rigid bodies can be.
 """
 
 from __future__ import annotations
@@ -11,15 +11,18 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import pedestal_wrench
-from testbed.errors import ENOUGH, few, plural
+from testbed.errors import ENOUGH, components, few
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import Finding, components
-from testbed.identification.noise_warnings import noise_warnings
-from testbed.identification.raw_signals import signal_findings
+from testbed.identification.raw_signals import signal_diagnostics
+from testbed.identification.residual_diagnostics import (
+    fault_diagnostics,
+    noise_diagnostics,
+    noisy,
+)
 from testbed.identification.rigid_bodies import possibility
 from testbed.identification.survey import Survey
-from testbed.identification.trace_findings import noisy, trace_findings
 from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
 from testbed.stages import stage
@@ -64,31 +67,20 @@ DIFFERENT = 0.1
 UNLIKELY = 4.0
 """Sigmas by which torques are late that are not late by chance: one in 15000 is."""
 
-UNTIMELY = ("friction that is not among the terms", "a sampling rate that is not the stated one")
-"""What looks like torques that are late."""
-
 FEW = 2
 """Values for each unknown below which standard deviations do not hold."""
 
 OTHER_CAUSES: Mapping[Method, tuple[str, ...]] = {
-    "external": (
-        "exchanged channels or encoders",
-        "moments in N mm or about another point than the model's origin",
-        "a turned plate",
-        "wrong gravity",
-    ),
-    "internal": (
-        "exchanged torques or encoders",
-        "an encoder of opposite sign or in degrees",
-        "N mm instead of N m",
-        "wrong gravity",
-    ),
+    "external": ("exchanged-channels-or-encoders", "moments", "turned", "gravity"),
+    "internal": ("exchanged-torques", "encoder-sign", "torques-in-n-mm", "gravity"),
 }
 """Of signals that do not follow their predictions."""
 
 
 @stage("what the residuals say")
-def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tuple[Finding, ...]:
+def diagnostics(
+    estimate: Estimate, tree: Tree, survey: Survey, tare: Array
+) -> tuple[Diagnostic, ...]:
     """What is wrong with a recording, as far as one method's data show it.
 
     Args:
@@ -96,31 +88,34 @@ def findings(estimate: Estimate, tree: Tree, survey: Survey, tare: Array) -> tup
         tree: The robot under the recording's gravity: the joints' limits are read, and the
             pedestal, which is known.
         survey: Some of the raw samples.
-        tare: What was taken off the wrench, (6,) [N, N m].
+        tare: What was subtracted from the wrench, (6,) [N, N m].
     """
-    found = [*_few(estimate), *signal_findings(estimate, tree, survey)]
-    negative: list[Finding] = []
+    found = [*_few(estimate), *signal_diagnostics(estimate, tree, survey)]
+    negative: list[Diagnostic] = []
     if estimate.method == "external":
         found += _tare(tree, tare)
         negative += _mass(estimate, tree, survey.measured, tare)
     else:
         negative += _friction(estimate)
         found += _late(estimate)
-    found += [*negative, *trace_findings(estimate), *_residuals(estimate, tree)]
+    found += [*negative, *fault_diagnostics(estimate), *_residuals(estimate, tree)]
     if not negative:
         found += _impossible(estimate)
     return tuple(found)
 
 
-def quality_warnings(estimate: Estimate) -> list[str]:
-    """Ill-conditioned equations, and parameters that the data hardly determine, a line each."""
-    warnings = []
+def quality(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Ill-conditioned equations, what noise does, and parameters of large standard deviations.
+
+    Args:
+        estimate: With what its noise is like.
+    """
+    subject = f"the {estimate.method} estimate"
     if estimate.condition > ILL_CONDITIONED:
-        warnings.append(
-            f"the {estimate.method} equations are ill-conditioned ({estimate.condition:.1e}): "
-            "errors of the instrument grow by up to that factor"
+        yield diagnose(
+            "estimate.ill-conditioned", subject, estimate.condition, method=estimate.method
         )
-    warnings += noise_warnings(estimate)
+    yield from noise_diagnostics(estimate)
     base = estimate.base
     largest: dict[str, float] = {}
     for unit, value in zip(base.units, base.values, strict=True):
@@ -133,49 +128,43 @@ def quality_warnings(estimate: Estimate) -> list[str]:
         if sigma > SIGNIFICANT * abs(value) and SMALL * largest[unit] < sigma < np.inf
     ]
     if loose:
-        warnings.append(f"the {estimate.method} estimate leaves poorly determined: {few(loose)}")
-    return warnings
+        yield diagnose("estimate.uncertain", subject, method=estimate.method, parameters=few(loose))
 
 
-def _few(estimate: Estimate) -> Iterator[Finding]:
+def _few(estimate: Estimate) -> Iterator[Diagnostic]:
     """Little more values than unknowns."""
     unknowns, values = len(estimate.values) + len(estimate.nuisances), sum(estimate.samples)
     if values < FEW * unknowns:
-        yield Finding(
+        yield diagnose(
+            "estimate.few-values",
             f"the {estimate.method} estimate",
-            f"is of {plural(values, 'value')} for {plural(unknowns, 'unknown')}: standard "
-            "deviations do not hold",
             values / unknowns,
-            ("a recording that is too short",),
-            f"record {ENOUGH * unknowns / values:.2g} times as long, and let no motion repeat "
-            "within that time",
-            code="few-values",
             method=estimate.method,
+            values=values,
+            unknowns=unknowns,
+            times=ENOUGH * unknowns / values,
         )
 
 
-def _tare(tree: Tree, tare: Array) -> Iterator[Finding]:
+def _tare(tree: Tree, tare: Array) -> Iterator[Diagnostic]:
     """A tare that is not the weight of the model's pedestal."""
     expected = pedestal_wrench(tree)[:3]
     size = max(np.linalg.norm(expected), np.linalg.norm(tare[:3]))
     gap = float(np.linalg.norm(tare[:3] - expected))
     if expected.any() and gap > UNLIKE * size:
-        causes = ["a tare that was never taken" if not tare.any() else "a tare in other units"]
-        if tare[:3] @ expected < 0:
-            causes.insert(0, "the opposite sign of tare and wrench (they are the bedplate's)")
-        yield Finding(
+        causes = ["units-of-tare" if tare.any() else "no-tare", "other-pedestal"]
+        yield diagnose(
+            "plate.tare",
             "the tare's force",
-            f"is {components(tare[:3])} N, the model's pedestal weighs {components(expected)} N",
             gap,
-            (*causes, "another pedestal or gravity than the model's"),
-            "state the pedestal's static wrench, or leave the tare out to take the model's",
-            code="tare",
             method="external",
-            alone=True,
+            causes=["sign-of-tare"] * bool(tare[:3] @ expected < 0) + causes,
+            force=components(tare[:3]),
+            expected=components(expected),
         )
 
 
-def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Finding]:
+def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterator[Diagnostic]:
     """A total mass that is negative, or not what the plate carries on average."""
     trunks = np.zeros(10 * tree.n)
     trunks[[10 * j for j in tree.children(-1)]] = 1.0
@@ -187,38 +176,28 @@ def _mass(estimate: Estimate, tree: Tree, wrench: Array, tare: Array) -> Iterato
     sigma = float(np.sqrt(form @ base.covariance @ form))
     up = -tree.gravity / gravity
     carried = float(np.mean(wrench[:, :3] @ up)) / gravity
+    subject = "the robot's total mass"
     if mass < -SURE * sigma and mass < -NOTICEABLE * abs(carried):
-        reversed_tare = tare[:3] @ up < 0
-        causes = (
-            "the wrench (of the bedplate on the robot) has the opposite sign",
-            "the tare is not the pedestal's, or in other units than the wrench",
-            "exchanged channels",
-            "wrong gravity",
-        )
-        yield Finding(
-            "the robot's total mass",
-            f"is negative: {mass:.4g} +- {sigma:.2g} kg",
-            mass,
-            causes if reversed_tare or not tare.any() else (causes[1], causes[0], *causes[2:]),
-            "check the signs and units of wrench and tare",
-            code="negative-mass",
-            method="external",
-            alone=True,
+        first = ["sign-of-wrench", "other-tare"]
+        if tare.any() and not tare[:3] @ up < 0:
+            first = first[::-1]
+        causes = (*first, "exchanged-channels", "gravity")
+        yield diagnose(
+            "plate.negative-mass", subject, mass, sigma=sigma, method="external", causes=causes
         )
     elif abs(mass - carried) > UNLIKE * max(abs(mass), abs(carried)) + SURE * sigma:
-        yield Finding(
-            "the robot's total mass",
-            f"is {mass:.4g} kg, but the plate carries {carried:.4g} kg on average",
+        yield diagnose(
+            "plate.mass",
+            subject,
             mass - carried,
-            ("wrong gravity", "a drift of the plate", "exchanged channels"),
-            "weigh the robot at rest",
-            code="other-mass",
+            sigma=sigma,
             method="external",
-            alone=True,
+            mass=mass,
+            carried=carried,
         )
 
 
-def _friction(estimate: Estimate) -> Iterator[Finding]:
+def _friction(estimate: Estimate) -> Iterator[Diagnostic]:
     """Friction that would drive the joint."""
     equations, drives = estimate.normal_equations, estimate.drives
     if drives is None:
@@ -230,37 +209,35 @@ def _friction(estimate: Estimate) -> Iterator[Finding]:
         torque = abs(term.value) * np.sqrt(normal[k, k])
         sure = term.value < -SURE * term.sigma and torque > NOTICEABLE * np.sqrt(square)
         if term.law.resists and sure:
-            yield Finding(
+            yield diagnose(
+                "friction.negative",
                 f"the friction {term.name}",
-                f"is negative ({term.value:.4g} +- {term.sigma:.2g} {term.unit})",
                 term.value,
-                ("the sign of the joint's torque or encoder", "exchanged joints", "late torques"),
-                "check each torque against its joint's velocity",
-                code="negative-friction",
+                sigma=term.sigma,
                 method="internal",
+                unit=term.unit,
             )
 
 
-def _late(estimate: Estimate) -> Iterator[Finding]:
+def _late(estimate: Estimate) -> Iterator[Diagnostic]:
     """Torques that follow the motion, or go before it."""
     found = None if estimate.noise is None else estimate.noise.lateness
     if found is None or abs(found.z) < UNLIKELY or not noisy(estimate):
         return
-    late, early = "torques that are late", "encoders that are late"
-    yield Finding(
+    first = "late-torques" if found.z > 0 else "encoder_delays"
+    yield diagnose(
+        "torque.delay",
         "the joint torques",
-        f"are {'behind' if found.z > 0 else 'ahead of'} the motion, by "
-        f"{1e3 * abs(found.delay):.2g} ms at least ({abs(found.z):.0f} sigma)",
         found.delay,
-        (late if found.z > 0 else early, *UNTIMELY),
-        "record torques and encoders by one clock, and look at the drives' filters",
-        code="late-torques",
+        significance=abs(found.z),
         method="internal",
-        support=abs(found.z),
+        causes=(first, "friction-terms", "sampling"),
+        direction="lag behind" if found.z > 0 else "lead",
+        delay=1e3 * abs(found.delay),
     )
 
 
-def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:
+def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Diagnostic]:
     """Channels that the model explains poorly, and not because there is little to explain."""
     large = _large(estimate, tree)
     for c, (share, residual) in enumerate(
@@ -270,15 +247,7 @@ def _residuals(estimate: Estimate, tree: Tree) -> Iterator[Finding]:
         apart = residual > OUTLIER * estimate.residual[like].min()
         wrong = share > WORSE or (share > UNEXPLAINED and apart)
         if (wrong and estimate.matters[c]) or (share > UNEXPLAINED and residual > large[c]):
-            yield Finding(
-                estimate.label(c),
-                f"is explained poorly (the residual is {share:.0%} of the signal)",
-                float(share),
-                _causes(estimate, c),
-                "plot it beside its prediction (`testbed view`)",
-                code="residual",
-                method=estimate.method,
-            )
+            yield _residual(estimate, c, float(share))
 
 
 def _large(estimate: Estimate, tree: Tree) -> Array:
@@ -296,35 +265,34 @@ def _large(estimate: Estimate, tree: Tree) -> Array:
     return np.repeat([UNEXPLAINED * force, moment], 3)
 
 
-def _causes(estimate: Estimate, c: int) -> tuple[str, ...]:
-    """The likeliest first, by how the measurement follows its prediction."""
+def _residual(estimate: Estimate, c: int, share: float) -> Diagnostic:
+    """By how the measurement follows its prediction: up to a factor, or not at all."""
     normal, right, square = estimate.normal_equations.of_channel(c)
     predicted = float(estimate.values @ normal @ estimate.values)
     together = float(right @ estimate.values)
     factor = together / predicted if predicted > 0 else 0.0
+    label, method = estimate.label(c), estimate.method
     if together**2 > ALIKE * predicted * square and abs(factor - 1) > DIFFERENT:
-        first = "the opposite sign" if factor < 0 else "another unit or gain"
-        return (f"{first} (it is {factor:.3g} times its prediction)",)
-    return OTHER_CAUSES[estimate.method]
+        causes = ["sign" if factor < 0 else "gain"]
+        return diagnose("channel.scale", label, share, method=method, causes=causes, factor=factor)
+    return diagnose("channel.residual", label, share, method=method, causes=OTHER_CAUSES[method])
 
 
-def _impossible(estimate: Estimate) -> Iterator[Finding]:
+def _impossible(estimate: Estimate) -> Iterator[Diagnostic]:
     """Minimal parameters that no rigid bodies have."""
     found = possibility(estimate)
     if not found.impossible:
         return
     base = estimate.base
     worst = np.argsort(found.gap)[::-1][:3]
-    told = ", ".join(
-        f"{base.names[k]} = {base.values[k]:.3g} where {found.nearest[k]:.3g} is possible"
-        for k in worst
-    )
-    yield Finding(
+    yield diagnose(
+        "estimate.impossible",
         f"the {estimate.method} estimate",
-        f"is of no rigid bodies, by {found.distance:.0f} sigma ({told})",
         found.distance,
-        ("the sign of a channel or encoder", *OTHER_CAUSES[estimate.method]),
-        "check signs, units and order of the channels",
-        code="no-rigid-bodies",
         method=estimate.method,
+        causes=("sign-of-channel", *OTHER_CAUSES[estimate.method]),
+        worst=", ".join(
+            f"{base.names[k]} = {base.values[k]:.3g} where {found.nearest[k]:.3g} is possible"
+            for k in worst
+        ),
     )

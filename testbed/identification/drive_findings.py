@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
 from testbed.identification.combined import Combined, combined
 from testbed.identification.drive_laws import choices, offered
 from testbed.identification.drive_regression import regressions, torques_beside
@@ -21,7 +22,7 @@ from testbed.robot.tree import Tree
 
 
 @dataclass(frozen=True, eq=False)
-class DriveFindings:
+class DriveFindings(Diagnosed):
     """What a recording's joint torques are, beside the plate's estimate.
 
     Attributes:
@@ -35,9 +36,9 @@ class DriveFindings:
     combined: Combined
 
     @property
-    def warnings(self) -> tuple[str, ...]:
-        """What a careful reader should know, one line each."""
-        return self.combined.disagreement.warnings
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What a careful reader should know."""
+        return self.combined.disagreement.diagnostics
 
 
 def identify_drives(

@@ -11,9 +11,9 @@ from typing import Any, Literal
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
 from testbed.identification.estimate_text import Words
-from testbed.identification.finding import Finding, folded
 from testbed.identification.held_out import TermChoice
 from testbed.identification.noise.found_noise import FoundNoise
 from testbed.identification.normal_equations import NormalEquations
@@ -137,7 +137,7 @@ class TermEstimate:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Estimate:
+class Estimate(Diagnosed):
     """What one method found.
 
     Attributes:
@@ -157,8 +157,7 @@ class Estimate:
         samples: Rows used of each, (channels,).
         condition: Of the equations with unit columns and weights.
         normal_equations: Of all rows: other weights and subsets of channels need no other pass.
-        findings: What is wrong with the data, as far as they show it themselves.
-        warnings: What a careful reader should know, findings among it, one line each.
+        diagnostics: What a careful reader should know; errors where the data contradict the model.
         minimal: The minimal set that comes first.
         drives: That set with the joints' own terms, for the internal method.
         joints: The joints' names.
@@ -186,8 +185,7 @@ class Estimate:
     samples: tuple[int, ...]
     condition: float
     normal_equations: NormalEquations
-    findings: tuple[Finding, ...]
-    warnings: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
     minimal: MinimalSet
     drives: DriveSet | None
     joints: tuple[str, ...]
@@ -218,17 +216,6 @@ class Estimate:
         unknown = [name in unidentifiable for name in self.names]
         sigma = np.where(unknown, np.inf, self.sigma)
         return replace(self, sigma=sigma, unidentifiable=tuple(unidentifiable))
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether the data show that something is wrong: sigma is then of no use."""
-        return bool(self.findings)
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """The warnings that are no findings."""
-        told = folded(self.findings)
-        return tuple(line for line in self.warnings if line not in told)
 
     @cached_property
     def matters(self) -> tuple[bool, ...]:
@@ -275,12 +262,12 @@ class Estimate:
     def words(self) -> Words:
         """What is printed of it."""
         source = "the bedplate" if self.method == "external" else "joint torques"
-        doubt = "; doubtful: sigma does not count what the warnings say" if self.doubtful else ""
+        doubt = "; doubtful: sigma does not count what the diagnostics say" if self.doubtful else ""
         numbers = zip(
             self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
         )
         head = f"{plural(len(self.names), 'parameter')} from {source}{doubt}"
-        return Words(head, tuple(numbers), self.warnings)
+        return Words(head, tuple(numbers), sentences(self.diagnostics))
 
     def __repr__(self) -> str:
         return str(self)

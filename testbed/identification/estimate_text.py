@@ -55,19 +55,19 @@ class Words:
     Attributes:
         head: What it is.
         rows: Name, value, sigma and unit of each parameter.
-        warnings: What to be careful about.
+        sentences: What to be careful about.
     """
 
     head: str
     rows: tuple[tuple[str, float, float, str], ...]
-    warnings: tuple[str, ...]
+    sentences: tuple[str, ...]
 
     def text(self) -> str:
-        """Name, value with sigma and unit, a line each; then the warnings."""
+        """Name, value with sigma and unit, a line each; then what to be careful about."""
         rows = [(name, number_with_sigma(value, s), unit) for name, value, s, unit in self.rows]
         name, value = (max(len(row[k]) for row in rows) for k in range(2))
         lines = [f"{row[0]:{name}s}  {row[1]:>{value}s}  {row[2]}" for row in rows]
-        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.warnings)])
+        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.sentences)])
 
     def html(self) -> str:
         """The same as a table of a page."""
@@ -77,6 +77,6 @@ class Words:
             f'<td style="text-align:left">{escape(unit)}</td></tr>'
             for name, value, sigma, unit in self.rows
         )
-        warnings = "".join(f"<li>{escape(line)}</li>" for line in self.warnings)
-        said = f"<ul>{warnings}</ul>" if warnings else ""
+        lines = "".join(f"<li>{escape(line)}</li>" for line in self.sentences)
+        said = f"<ul>{lines}</ul>" if lines else ""
         return f"<table><caption>{escape(self.head)}</caption>{body}</table>{said}"

@@ -6,7 +6,7 @@ Neither sees the truth: the tree loses its masses and the recording its true col
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,27 +14,27 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.coloured import Refined, under_coloured_noise
 from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
-from testbed.identification.diagnosis import findings, quality_warnings
+from testbed.identification.diagnosis import diagnostics, quality
 from testbed.identification.estimate import Estimate, Method, channel_units
-from testbed.identification.finding import folded
 from testbed.identification.instrument import (
     Side,
     Start,
     nuisance_covariance,
+    nuisance_diagnostics,
     nuisance_estimates,
-    nuisance_warnings,
     settled,
     side,
     trace_tests,
 )
-from testbed.identification.noise_warnings import zero_unknown
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.passes import Passes, Progress
 from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.problem import Data, Problem
+from testbed.identification.residual_diagnostics import zero_unknown
 from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
 from testbed.identification.solvers import solve
@@ -112,7 +112,7 @@ def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
         UnseenParameters: As `identify`.
     """
     problem, choice = with_all_terms(problem)
-    warnings = _warnings(problem)
+    said = [*_of_problem(problem)]
     settings, names = problem.settings, problem.names
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
@@ -139,46 +139,34 @@ def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
         plain = _estimate(problem, equations, found)
         told = _with_instrument(plain, problem.layout, beside, taken_back.values, found)
         estimate = replace(told, choice=choice)
-        wrong = findings(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
-    warnings += folded(wrong) + nuisance_warnings(beside, taken_back) + quality_warnings(estimate)
-    made = drawn(replace(estimate, findings=wrong, warnings=tuple(warnings)), settings.ridge)
+        wrong = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
+    said += [*wrong, *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
+    made = drawn(replace(estimate, diagnostics=ordered(said)), settings.ridge)
     open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
     return made.without([name for name in made.names if name in open_zero])
 
 
-def _warnings(problem: Problem) -> list[str]:
-    """What is to be known before any sample is used, a line each."""
+def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
+    """What is to be known before any sample is used."""
     source, settings, tare = problem.source, problem.settings, problem.tare
-    warnings = list(source.facts.get("warnings", ()))
     plate = problem.method == "external"
+    yield from of_recording(source.facts)
     if plate and source.tare is None and tare.any():
-        warnings.append(
-            "the recording does not say what of the wrench is the pedestal's; the model's "
-            f"pedestal is taken off (Fz {tare[2]:.4g} N)"
-        )
+        yield diagnose("plate.no-tare", "the tare", tare[2], method="external")
     if not plate:
-        warnings += _not_asked_for(problem.tree, settings)
+        yield from _missing_terms(problem.tree, settings)
     passing = [kind for kind in ("bias", "slope") if kind in settings.nuisances]
     if plate and passing and len(segments_of(source)) > 1:
-        warnings.append(
-            f"{' and '.join(passing)} are one for all recordings: of a plate that was zeroed "
-            "between them, identify each alone"
-        )
-    return warnings
+        yield diagnose("plate.common-offset", " and ".join(passing), method="external")
 
 
-def _not_asked_for(tree: Tree, settings: Settings) -> list[str]:
+def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
     """Terms of the joints' torque that the model file states and the settings leave out."""
-    warnings = []
     for law in LAWS:
         given = law.coefficients(tree)
         if given.any() and law not in settings.laws:
             names = ", ".join(name for name, value in zip(tree.names, given, strict=True) if value)
-            warnings.append(
-                f"the model file states '{law.kind}' of {names}; joint torques contain it, and the "
-                f"internal estimate takes it for the robot's: add '{law.kind}' to terms"
-            )
-    return warnings
+            yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 
 def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
@@ -219,8 +207,7 @@ def _estimate(problem: Problem, equations: NormalEquations, found: Refined) -> E
         samples=tuple(int(n) for n in equations.used),
         condition=found.fit.condition,
         normal_equations=equations,
-        findings=(),
-        warnings=(),
+        diagnostics=(),
         minimal=problem.minimal,
         drives=problem.drives,
         joints=problem.tree.names,

@@ -7,13 +7,14 @@ the robot's, and its covariance counts them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import SettingsError, few
 from testbed.identification.coloured import Refined, further_values
 from testbed.identification.known import Facts, facts
@@ -255,8 +256,8 @@ def nuisance_covariance(side: Side, found: Refined) -> tuple[Array, Array]:
     return found.further_covariance[np.ix_(kept, kept)], found.across[:, kept]
 
 
-def nuisance_warnings(side: Side, found: Settled) -> list[str]:
-    """What was asked for and cannot be, a line each.
+def nuisance_diagnostics(side: Side, found: Settled) -> Iterator[Diagnostic]:
+    """Calibration parameters that were asked for and are not identifiable.
 
     Args:
         side: The instrument's unknowns.
@@ -265,23 +266,14 @@ def nuisance_warnings(side: Side, found: Settled) -> list[str]:
     groups: dict[tuple[str, ...], list[str]] = {}
     for each in side.imitated:
         groups.setdefault(each.by, []).append(each.name)
-    lines = [
-        f"no motion tells {', '.join(names)} from {few(by)}: taken as zero, and "
-        f"{'that is' if len(by) == 1 else 'those are'} unseen but for that"
-        for by, names in groups.items()
-    ]
+    for by, names in groups.items():
+        verb = "is" if len(names) == 1 else "are"
+        yield diagnose("plate.collinear", ", ".join(names), verb=verb, others=few(by))
     if found.weak:
-        lines.append(
-            f"hardly told by these data: {few(found.weak)}; less than {OWN:.0%} of what each does "
-            "is its own, the encoders' noise may drown it, and sigma does not count that: leave it "
-            "out, or state known zeros"
-        )
+        verb = "is" if len(found.weak) == 1 else "are"
+        yield diagnose("plate.uncertain", few(found.weak), verb=verb, share=OWN)
     if not found.calm:
-        lines.append(
-            f"the nuisances did not settle in {ROUNDS} rounds: ask for fewer of them, or look for "
-            "a larger fault first"
-        )
-    return lines
+        yield diagnose("plate.not-converged", value=ROUNDS)
 
 
 def trace_tests(

@@ -7,12 +7,14 @@ bedplate sees; what else it holds would be a change of something else.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 
 from testbed.arrays import Array, readonly
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
 from testbed.identification.noise.scaled import scaled_inverse
@@ -34,7 +36,7 @@ IMPOSSIBLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class PayloadEstimate:
+class PayloadEstimate(Diagnosed):
     """Ten inertial parameters of what a link carries more, about and along the link's frame.
 
     Attributes:
@@ -47,7 +49,7 @@ class PayloadEstimate:
         covariance: (10, 10), of what is told.
         rank: How many combinations are told.
         chance: That noise alone leaves so much of the difference as no payload explains.
-        warnings: What a careful reader should know, one line each.
+        diagnostics: What a careful reader should know.
     """
 
     joint: str
@@ -59,7 +61,7 @@ class PayloadEstimate:
     covariance: Array
     rank: int
     chance: float
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("values", "sigma"):
@@ -159,20 +161,14 @@ def _fitted(joint: str, adds: Array, difference: Array, noise: Array) -> Payload
         covariance=covariance,
         rank=rank,
         chance=chance,
-        warnings=tuple(_warnings(joint, chance, seen @ found, sigma, told)),
+        diagnostics=tuple(_diagnostics(joint, chance, seen @ found, sigma, told)),
     )
 
 
-def _warnings(joint: str, chance: float, values: Array, sigma: Array, told: Array) -> list[str]:
-    found = []
+def _diagnostics(
+    joint: str, chance: float, values: Array, sigma: Array, told: Array
+) -> Iterator[Diagnostic]:
     if chance < IMPOSSIBLE:
-        found.append(
-            f"no payload on the link of '{joint}' explains the difference of the recordings "
-            f"(chance {chance:.0e}): something else changed, such as the plate's zero, its tare, "
-            "or the link that carries it"
-        )
+        yield diagnose("payload.unexplained", joint, chance)
     if told[0] and values[0] < -5 * sigma[0]:
-        found.append(
-            f"the payload's mass is {values[0]:.3g} kg: the two recordings may have changed places"
-        )
-    return found
+        yield diagnose("payload.negative-mass", joint, values[0], sigma=sigma[0])

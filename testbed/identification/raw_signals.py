@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.identification.estimate import Estimate
-from testbed.identification.finding import Finding
 from testbed.identification.survey import Repeats, Survey
 from testbed.robot.tree import Joint, Tree
 
@@ -35,7 +35,7 @@ TOGETHER = 10.0
 """Times as often as channels one by one that samples are repeated if it is no chance."""
 
 
-def signal_findings(estimate: Estimate, tree: Tree, survey: Survey) -> list[Finding]:
+def signal_diagnostics(estimate: Estimate, tree: Tree, survey: Survey) -> Iterator[Diagnostic]:
     """Encoders outside their joints' ranges, dead and saturated channels, impossible torques.
 
     Args:
@@ -43,107 +43,77 @@ def signal_findings(estimate: Estimate, tree: Tree, survey: Survey) -> list[Find
         tree: The robot; its joints' limits are read.
         survey: Some of the raw samples.
     """
-    found = [*_encoders(tree, survey.position), *_channels(estimate, survey.measured)]
-    found += _repeated(estimate, survey.repeats)
+    yield from _encoders(tree, survey.position)
+    yield from _channels(estimate, survey.measured)
+    yield from _repeated(estimate, survey.repeats)
     if estimate.method == "internal":
-        found += _efforts(tree, survey.measured)
-    return found
+        yield from _efforts(tree, survey.measured)
 
 
-def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Finding]:
+def _repeated(estimate: Estimate, repeats: Repeats) -> Iterator[Diagnostic]:
     """Samples in which all channels are what they were before, too often for chance."""
     if not repeats.steps or repeats.together < FEW_REPEATS:
         return
     share = repeats.together / repeats.steps
     by_chance = float(np.prod(repeats.channels / repeats.steps))
     if share > TOGETHER * by_chance:
-        what = "the plate's samples" if estimate.method == "external" else "the torques' samples"
-        yield Finding(
-            what,
-            f"repeat the ones before while the robot moves ({repeats.together} of "
-            f"{repeats.steps}, all channels together)",
+        yield diagnose(
+            "channel.repeated",
+            "the plate's samples" if estimate.method == "external" else "the torques' samples",
             share,
-            ("samples lost on the way and filled with the last", "a device slower than the others"),
-            "record at the slowest device's rate, and look for losses on the bus",
-            code="repeated-samples",
             method=estimate.method,
+            count=repeats.together,
+            steps=repeats.steps,
         )
 
 
-def _encoders(tree: Tree, position: Array) -> Iterator[Finding]:
+def _encoders(tree: Tree, position: Array) -> Iterator[Diagnostic]:
     """Positions that the joint cannot have, or that hardly change."""
     for joint, q in zip(tree.joints, position.T, strict=True):
-        unit = "rad" if joint.revolute else "m"
+        unit, subject = "rad" if joint.revolute else "m", f"the encoder of '{joint.name}'"
         low, high = float(q.min()), float(q.max())
         least, greatest = joint.position_range
         room = OUTSIDE * (greatest - least) if np.isfinite(greatest - least) else 0.0
         if low < least - room or high > greatest + room:
-            yield Finding(
-                f"the encoder of '{joint.name}'",
-                f"reads {low:.4g} to {high:.4g} {unit}, the joint's range is {least:.4g} to "
-                f"{greatest:.4g} {unit}",
+            yield diagnose(
+                "encoder.range",
+                subject,
                 max(least - low, high - greatest),
-                _encoder_causes(joint, low, high),
-                "convert the positions, or correct the range in the model file",
-                code="encoder-range",
+                causes=_encoder_causes(joint, low, high),
+                low=low,
+                high=high,
+                least=least,
+                greatest=greatest,
+                unit=unit,
             )
         elif high - low < STILL[joint.kind]:
-            yield Finding(
-                f"the encoder of '{joint.name}'",
-                f"moves by only {high - low:.2g} {unit}",
-                high - low,
-                ("the joint did not move", f"a unit other than {unit}"),
-                "move the joint: its parameters cannot be told otherwise",
-                code="joint-at-rest",
-                alone=True,
-            )
+            yield diagnose("encoder.still", subject, high - low, unit=unit)
 
 
-def _encoder_causes(joint: Joint, low: float, high: float) -> tuple[str, ...]:
+def _encoder_causes(joint: Joint, low: float, high: float) -> list[str]:
     """The likeliest first, by what would bring the positions into the joint's range."""
     least, greatest = joint.position_range
     factor = 180 / np.pi if joint.revolute else 1000.0
     converted = least <= low / factor and high / factor <= greatest
     converted &= high - low > greatest - least
     negated = least <= -high and -low <= greatest
-    unit = "degrees instead of rad" if joint.revolute else "mm instead of m"
-    causes = (
-        (converted, unit),
-        (negated, "the opposite sign"),
-        (not converted, "another zero"),
-        (True, "the encoder of another joint"),
-        (not converted, unit),
-    )
-    return tuple(cause for holds, cause in causes if holds)
+    unit = "degrees" if joint.revolute else "millimetres"
+    causes = ((converted, unit), (negated, "sign"), (not converted, "zero"),
+              (True, "encoder-of-another-joint"), (not converted, unit))  # fmt: skip
+    return [cause for holds, cause in causes if holds]
 
 
-def _channels(estimate: Estimate, measured: Array) -> Iterator[Finding]:
+def _channels(estimate: Estimate, measured: Array) -> Iterator[Diagnostic]:
     """Signals that stop at a value, or never leave it."""
     for c, values in enumerate(measured.T):
-        unit = estimate.channel_units[c]
+        unit, label, method = estimate.channel_units[c], estimate.label(c), estimate.method
         if np.ptp(values) == 0:
             if estimate.matters[c]:
-                yield Finding(
-                    estimate.label(c),
-                    f"is always {values[0]:.4g} {unit}, which the motion does not allow",
-                    float(values[0]),
-                    ("it is not connected", "a column that was filled in"),
-                    "record it, or weigh it with 0 (`fit`)",
-                    code="constant-channel",
-                    method=estimate.method,
-                )
+                yield diagnose("channel.constant", label, values[0], method=method, unit=unit)
             continue
         share, end = max((_piled(values, float(e)), float(e)) for e in (values.max(), values.min()))
         if share > PILED:
-            yield Finding(
-                estimate.label(c),
-                f"stays at its extreme value {end:.4g} {unit} in {share:.1%} of the samples",
-                share,
-                ("the sensor or its amplifier is saturated", "the drive is at its limit"),
-                "measure with a wider range, or move less",
-                code="saturation",
-                method=estimate.method,
-            )
+            yield diagnose("channel.saturated", label, share, method=method, end=end, unit=unit)
 
 
 def _piled(values: Array, end: float) -> float:
@@ -155,21 +125,19 @@ def _piled(values: Array, end: float) -> float:
     return here / len(values) if here > CLIFF * beside else 0.0
 
 
-def _efforts(tree: Tree, torque: Array) -> Iterator[Finding]:
+def _efforts(tree: Tree, torque: Array) -> Iterator[Diagnostic]:
     """Torques that no motor of the robot has."""
     for joint, values in zip(tree.joints, torque.T, strict=True):
-        unit = "N m" if joint.revolute else "N"
         most = float(np.abs(values).max())
         if most > BEYOND_EFFORT * joint.max_effort:
-            yield Finding(
+            causes = ["torque-of-another-joint", "raw-units"]
+            yield diagnose(
+                "torque.effort",
                 f"the torque of '{joint.name}'",
-                f"reaches {most:.4g} {unit}, the joint's greatest effort is "
-                f"{joint.max_effort:.4g} {unit}",
                 most / joint.max_effort,
-                ("N mm instead of N m", "the torque of another joint", "raw units of the drive")
-                if joint.revolute
-                else ("the force of another joint", "raw units of the drive"),
-                "convert the torques, or correct the effort in the model file",
-                code="effort",
                 method="internal",
+                causes=["torques-in-n-mm"] * joint.revolute + causes,
+                most=most,
+                effort=joint.max_effort,
+                unit="N m" if joint.revolute else "N",
             )

@@ -12,12 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import diagnose
 from testbed.identification.estimate import Estimate
-
-WARNING = (
-    "ridge regression draws all parameters towards zero: sigma counts what noise then does, "
-    "and not how far they are drawn"
-)
 
 
 def ridge(values: Array, covariance: Array) -> tuple[Array, Array]:
@@ -50,5 +46,5 @@ def drawn(estimate: Estimate, wanted: bool) -> Estimate:
         return estimate
     values, covariance = ridge(estimate.values, estimate.covariance)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    warnings = (*estimate.warnings, WARNING)
-    return replace(estimate, values=values, sigma=sigma, covariance=covariance, warnings=warnings)
+    said = (*estimate.diagnostics, diagnose("estimate.ridge"))
+    return replace(estimate, values=values, sigma=sigma, covariance=covariance, diagnostics=said)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
-from testbed.errors import SettingsError, few
+from testbed.errors import SettingsError, components, few
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import components
 from testbed.identification.nuisances.corrected import lastingly_corrected
 from testbed.identification.problem import Problem, set_of
 from testbed.recordings.source import Source

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (
     Estimate,
@@ -23,7 +24,6 @@ from testbed.identification.estimate import (
     channel_units,
     matters,
 )
-from testbed.identification.finding import Finding, in_lines
 from testbed.identification.normal_equations import NormalEquations
 from testbed.identification.passes import Progress
 from testbed.identification.problem import Data, Problem
@@ -37,7 +37,7 @@ LIMIT = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Diagnosed):
     """An estimate against another recording, channel by channel.
 
     Attributes:
@@ -101,14 +101,9 @@ class Validation:
         return matters(self.error, self.signal, self.units)
 
     @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Channels in which the estimate foretells worse than its sigma says."""
-        return tuple(_findings(self))
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
-        """The findings, a line for those that are alike."""
-        return tuple(in_lines(self.findings))
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Channels in which the estimate predicts worse than its sigma says."""
+        return tuple(_diagnostics(self))
 
 
 def validate(
@@ -196,32 +191,21 @@ def _validation(
     return found
 
 
-def _findings(found: Validation) -> Iterator[Finding]:
-    """Channels that are foretold worse than is said."""
+def _diagnostics(found: Validation) -> Iterator[Diagnostic]:
+    """Channels that are predicted worse than sigma says."""
     steady = _over(found.scatter, found.allowed) <= LIMIT  # never, if the zero is unknown
     for c, (name, ratio) in enumerate(zip(found.channels, found.ratio, strict=True)):
-        if not (ratio > LIMIT and found.matters[c]):
-            continue
-        unit = found.units[c]
-        told = f"{found.residual[c]:.3g} {unit} where {found.allowed[c]:.3g} {unit} are allowed"
-        causes: tuple[str, ...] = (
-            "a gain, sign or place of the instrument that has changed",
-            "an effect that the model lacks and the other motion shows",
-        )
-        remedy = "plot it beside its prediction (`testbed view`)"
-        if steady[c]:
-            told += f", a constant of {found.mean[c]:.3g} {unit} among it"
-            causes = ("a zero or tare that is another than in the estimate's own recording",)
-            remedy = "compare the instrument at rest before both"
-        yield Finding(
-            channel_label(found.method, name),
-            f"is predicted {ratio:.3g} times worse than noise and sigma say ({told})",
-            float(ratio),
-            causes,
-            remedy,
-            code="prediction",
-            method=found.method,
-        )
+        if ratio > LIMIT and found.matters[c]:
+            yield diagnose(
+                "estimate.prediction-offset" if steady[c] else "estimate.prediction",
+                channel_label(found.method, name),
+                float(ratio),
+                method=found.method,
+                residual=found.residual[c],
+                allowed=found.allowed[c],
+                mean=found.mean[c],
+                unit=found.units[c],
+            )
 
 
 def _over(above: Array, below: Array) -> Array:

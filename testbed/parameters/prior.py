@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.errors import quoted
 from testbed.parameters.barycentric import standard
 from testbed.parameters.pseudo_inertia import matrices, parameters
 from testbed.robot.inertia import ROUNDING, SMALL, Inertia, nearest_body
@@ -21,12 +23,9 @@ from testbed.robot.tree import Tree
 THINNEST = 1e-2
 """Share of a body's greatest principal second moment that its others have at least."""
 
-MOST_NAMED = 6
-"""Bodies in one line."""
-
 
 @dataclass(frozen=True, eq=False)
-class Prior:
+class Prior(Diagnosed):
     """Bodies and rotors as a model file has them.
 
     Attributes:
@@ -35,13 +34,13 @@ class Prior:
         rotors: Inertias of the drives at their joints, (n,) [kg m^2 or kg]; 0 where not known.
         extent: Least and greatest coordinates of every body's shapes in its own frame,
             (n, 2, 3) [m]; infinite where it has none.
-        warnings: What was put right, a line each.
+        diagnostics: What was put right.
     """
 
     standard: Array
     rotors: Array
     extent: Array
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     def __post_init__(self) -> None:
         n = len(self.rotors)
@@ -85,7 +84,7 @@ def prior_of(tree: Tree, extent: Array | None = None) -> Prior:
         found,
         rotors,
         everywhere if extent is None else extent,
-        tuple(_warnings(without_masses, impossible, nothing)),
+        tuple(_diagnostics(without_masses, impossible, nothing)),
     )
 
 
@@ -99,19 +98,13 @@ def _is_none(body: Array) -> bool:
     return bool(size[0] < -least or size[-1] <= least)
 
 
-def _warnings(without_masses: bool, impossible: list[str], nothing: list[str]) -> Iterator[str]:
-    """What was put right, a line each."""
+def _diagnostics(
+    without_masses: bool, impossible: list[str], massless: list[str]
+) -> Iterator[Diagnostic]:
+    """What was put right."""
     if without_masses:
-        yield "the model file gives no body a mass: what the data do not tell is of bodies of 1 kg"
+        yield diagnose("bodies.no-masses")
     elif impossible:
-        yield (
-            f"no body has the inertia that the model file gives {_listed(impossible)}; the nearest "
-            "ones with some extent are taken"
-        )
-    if nothing:
-        yield f"{_listed(nothing)} has no matter in the model file, and none is looked for"
-
-
-def _listed(names: list[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(f"'{name}'" for name in names[:MOST_NAMED]) + more
+        yield diagnose("bodies.inertia", quoted(impossible))
+    if massless:
+        yield diagnose("bodies.massless", quoted(massless))

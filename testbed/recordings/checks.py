@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError, plural
 
 LARGEST = 1e12
@@ -131,9 +132,7 @@ def checked_metadata(found: Any) -> tuple[tuple[float, ...] | None, dict[str, An
         _numbers(facts["gravity"], (3,), "'gravity'")
     if facts.get(COUNTED) is not None:
         _numbers(facts[COUNTED], (2,), f"'{COUNTED}'")
-    warnings = facts.get("warnings", [])
-    if not (isinstance(warnings, list) and all(isinstance(line, str) for line in warnings)):
-        raise ValueError("its 'warnings' are not a list of texts")
+    of_recording(facts)
     geometry = facts.get("geometry", {})
     if not isinstance(geometry, dict):
         raise ValueError("its 'geometry' is not a table by joint")

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.checks import COUNTED
 from testbed.recordings.counted import counted
@@ -34,7 +35,7 @@ class Joined:
         samples: Number of samples, those of the gaps counted.
         rate: Samples a second [Hz].
         tare: As `Recording.tare`: the first one's; the others' wrenches are changed accordingly.
-        facts: The first one's, with all warnings.
+        facts: The first one's, with all diagnostics.
         signals: What all of them measured.
         senses_kinematics: Whether all sensed velocities and accelerations, both.
         segments: First sample of each, and the one after its last.
@@ -60,9 +61,9 @@ class Joined:
             found.append((at, at + part.samples))
             at += part.samples + gap
         self.segments, self.samples = tuple(found), at - gap
-        lines = [line for part in self._parts for line in part.facts.get("warnings", ())]
-        facts = {key: fact for key, fact in first.facts.items() if key != COUNTED}
-        self.facts: Mapping[str, Any] = {**facts, "warnings": list(dict.fromkeys(lines))}
+        said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
+        facts = {k: fact for k, fact in first.facts.items() if k not in (COUNTED, "warnings")}
+        self.facts: Mapping[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
 
     names: tuple[str, ...]
     samples: int

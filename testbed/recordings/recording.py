@@ -268,7 +268,7 @@ class Recording:
     def from_mapping(path: str | Path) -> Recording:
         """Made of other programs' files, as a mapping file says (docs/real-recordings.md).
 
-        What was found on the way is in `facts["import"]`, what to doubt in `facts["warnings"]`.
+        What was found on the way is in `facts["import"]`, what to doubt in `facts["diagnostics"]`.
 
         Args:
             path: The mapping file, TOML; the files it names are relative to it.

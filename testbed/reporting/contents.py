@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 from testbed.experiment.predictions import predict
 from testbed.experiment.run import Run
@@ -56,7 +57,7 @@ def contents(run: Run) -> dict[str, Any]:
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
         "in_brackets": _in_brackets(run),
-        "warnings": [*run.warnings, *look.warnings],
+        "diagnostics": sentences([*run.diagnostics, *look.diagnostics]),
         "errors": dots_section(run),
         "figures": sections(predict(run, run.unseen)),
         "instrument": instrument_tables(run),

@@ -71,7 +71,7 @@ def drive_lines(drives: DriveFindings) -> list[str]:
         if each.choice is not None:
             lines.append(f"{printable(each.joint)}: {_chosen(each.choice)}")
     said = drives.combined.disagreement
-    if not drives.warnings:
+    if not drives.diagnostics:
         lines.append(f"Plate and joint torques agree (chance {said.chance:.2g}).")
     return lines
 

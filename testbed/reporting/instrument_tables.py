@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from testbed.diagnostics.diagnostic import phrase
 from testbed.experiment.run import Run
 from testbed.identification.noise.repetition import Repetition
 from testbed.identification.nuisances.estimates import TraceTest
@@ -57,7 +58,7 @@ def instrument_tables(run: Run) -> list[dict[str, Any]]:
                         "caption": "Faults without a clear trace",
                         "traced": False,
                         "heads": ["fault", "chance"],
-                        "rows": [[t.nuisance.said, _chance(t.chance)] for t in others],
+                        "rows": [[phrase(t.nuisance.kind), _chance(t.chance)] for t in others],
                     }
                 )
         if estimate.noise is not None and estimate.noise.repetition is not None:
@@ -84,4 +85,9 @@ def _chance(chance: float) -> str:
 
 def _test(test: TraceTest) -> list[str]:
     shift = f"{test.parameter} by {test.shift:.2g} sigma"
-    return [test.nuisance.said, _chance(test.chance), shift, "; ".join(test.largest(LARGEST))]
+    return [
+        phrase(test.nuisance.kind),
+        _chance(test.chance),
+        shift,
+        "; ".join(test.largest(LARGEST)),
+    ]

@@ -10,6 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
+from testbed.diagnostics.diagnostic import sentences
 from testbed.files import replacing
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import Draft
@@ -68,7 +69,7 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
         "title": f"Mapping {title}",
         "summary": [
             "What the columns' names do not say was solved from the data.",
-            *(f"Warning: {line}." for line in solved.warnings),
+            *(f"Warning: {line}." for line in sentences(solved.diagnostics)),
         ],
         "rows": [list(row) for row in table_of(solved.draft)],
         "figures": figures,

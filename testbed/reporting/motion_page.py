@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 from testbed.excitation.clearance import FAR
 from testbed.excitation.slack import slack
@@ -45,7 +46,7 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
             "predicted rms of the "
             f"relative sigmas {found.predicted.rms:.2g}, {found.beside_random}.",
-            *(f"Warning: {line}." for line in found.warnings),
+            *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],
         "holds": proof.holds,
         "verdict": f"all {plural(len(proof.margins), 'limit')} proven at every moment"
@@ -156,4 +157,5 @@ def _allowed(found: Excitation) -> str:
         )
         if rules.clearance.min() < rules.clearance.max():
             said += " Pairs that keep less are not drawn; the table has them."
-    return " ".join([said, *(f"{note[:1].upper()}{note[1:]}." for note in rules.notes)])
+    lines = (f"{line[:1].upper()}{line[1:]}." for line in sentences(rules.diagnostics))
+    return " ".join([said, *lines])

@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
 
-from testbed.errors import printable
+from testbed.diagnostics.diagnostic import Diagnostic, ordered, sentences
+from testbed.errors import plural, printable
 from testbed.stages import stage, stages
 
 BETWEEN = 10.0
@@ -121,20 +122,34 @@ def print_json(value: dict[str, Any]) -> None:
     sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
 
 
-def print_lines(lines: Sequence[str], warnings: Sequence[str]) -> None:
+def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None:
     """Print sentences.
 
     Args:
         lines: One each.
-        warnings: What a careful reader should know.
+        diagnostics: What a careful reader should know.
     """
     out = console()
     for line in lines:
         out.print(line, soft_wrap=True)
-    print_warnings(out, warnings)
+    print_diagnostics(out, diagnostics)
 
 
-def print_warnings(out: Console, warnings: Iterable[str]) -> None:
-    """Print warnings, a line each, none twice."""
-    for warning in dict.fromkeys(warnings):
-        out.print(f"warning: {printable(warning)}", style="yellow", soft_wrap=True)
+def print_diagnostics(
+    out: Console, diagnostics: Iterable[Diagnostic], most: int | None = None
+) -> None:
+    """Print diagnostics, a line each cause, in order.
+
+    Args:
+        out: Where to.
+        diagnostics: What a careful reader should know.
+        most: Lines that are printed; more are counted. Default all.
+    """
+    every = ordered(diagnostics)
+    lines = [("warning", line) for line in sentences(d for d in every if d.level != "info")]
+    lines += [("note", line) for line in sentences(d for d in every if d.level == "info")]
+    for kind, line in lines[:most]:
+        style = "yellow" if kind == "warning" else None
+        out.print(f"{kind}: {printable(line)}", style=style, soft_wrap=True)
+    if most is not None and len(lines) > most:
+        out.print(f"(--all prints {plural(len(lines) - most, 'more warning')})", soft_wrap=True)

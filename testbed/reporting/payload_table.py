@@ -101,7 +101,7 @@ def payload_as_json(found: PayloadEstimate) -> dict[str, Any]:
         "centre": None if centre is None else [_numbers(each) for each in centre],
         "rank": found.rank,
         "chance": found.chance,
-        "warnings": list(found.warnings),
+        "diagnostics": [each.as_dict() for each in found.diagnostics],
     }
 
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from testbed.errors import plural, printable
+from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.errors import printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
-from testbed.identification.cross_check import findings_of
+from testbed.identification.cross_check import diagnostics_of
 from testbed.identification.estimate_text import OPEN_ZERO
-from testbed.identification.finding import folded
 from testbed.reporting.choice_table import choice_lines
 from testbed.reporting.consistent_table import consistent_lines, consistent_tables
 from testbed.reporting.drive_table import drive_lines, drive_tables
-from testbed.reporting.output import console, print_warnings
+from testbed.reporting.output import console, print_diagnostics
 from testbed.reporting.payload_table import payload_lines, payload_table
 from testbed.reporting.plate_tables import plate_lines, plate_tables
 from testbed.reporting.tables import quality_lines, result_tables
@@ -38,7 +38,7 @@ ROWS = 10
 
 def print_estimates(
     estimates: list[Estimate],
-    warnings: Sequence[str],
+    diagnostics: Sequence[Diagnostic],
     bodies: Consistent | None = None,
     *,
     everything: bool = False,
@@ -47,15 +47,14 @@ def print_estimates(
 
     Args:
         estimates: Of one recording.
-        warnings: About the robot and the recording.
+        diagnostics: About the robot and the recording.
         bodies: Consistent with the estimates, where they were asked for.
         everything: Whether all parameters and warnings are printed.
     """
     out = console()
     out.print(printable(residual_line(estimates)), soft_wrap=True)
-    said = dict.fromkeys([*folded(findings_of(estimates)), *warnings])
-    said |= dict.fromkeys(note for e in estimates for note in e.notes)
-    _print_cautions(out, list(said), everything=everything)
+    most = None if everything else 1
+    print_diagnostics(out, [*diagnostics, *diagnostics_of(estimates)], most)
     _print_parameters(out, estimates, {}, everything=everything)
     lines = choice_lines(estimates)
     for line in [*quality_lines(estimates), *lines] if everything else lines:
@@ -65,14 +64,6 @@ def print_estimates(
             out.print(table)
         for line in consistent_lines(bodies):
             out.print(printable(line), soft_wrap=True)
-
-
-def _print_cautions(out: Console, warnings: Sequence[str], *, everything: bool) -> None:
-    """The first warning, or all."""
-    print_warnings(out, warnings if everything else warnings[:1])
-    if not everything and len(warnings) > 1:
-        count = len(warnings) - 1
-        out.print(f"({plural(count, 'more warning')}: --all)", soft_wrap=True)
 
 
 def _print_parameters(
@@ -96,26 +87,26 @@ def _print_parameters(
         out.print(f"({count} more that add less to what is predicted: --all)", soft_wrap=True)
 
 
-def print_validations(validations: Sequence[Validation], warnings: Sequence[str]) -> None:
+def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
     """Print what estimates leave of another recording.
 
     Args:
         validations: Of one recording, one a method.
-        warnings: About the recording.
+        diagnostics: About the recording.
     """
     out = console()
     for found in validations:
         for table in validation_tables(out, found):
             out.print(table)
-    print_warnings(out, [*warnings, *(line for found in validations for line in found.warnings)])
+    print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
 
 
-def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None:
+def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
     """Print what a robot's motion tells of the plate.
 
     Args:
         plate: The calibration, with the estimate.
-        warnings: About the robot.
+        diagnostics: About the robot.
         path: Where it is kept.
     """
     out = console()
@@ -126,20 +117,20 @@ def print_plate(plate: Calibration, warnings: Sequence[str], path: Path) -> None
     estimates = [] if plate.estimate is None else [plate.estimate]
     for table in result_tables(out, estimates, {}) if estimates else ():
         out.print(table)
-    print_warnings(out, [*warnings, *(w for e in estimates for w in e.warnings)])
+    print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
     out.print(f"plate: {path}", soft_wrap=True)
 
 
-def print_drives(drives: DriveFindings, warnings: Sequence[str]) -> None:
+def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> None:
     """Print what the plate says of the drives.
 
     Args:
         drives: All of it.
-        warnings: About robot, recording, bodies and drives.
+        diagnostics: About robot, recording, bodies and drives.
     """
     out = console()
     _print_drives(out, drives)
-    print_warnings(out, warnings)
+    print_diagnostics(out, diagnostics)
 
 
 def _print_drives(out: Console, drives: DriveFindings) -> None:
@@ -149,18 +140,18 @@ def _print_drives(out: Console, drives: DriveFindings) -> None:
         out.print(line, soft_wrap=True)
 
 
-def print_payload(found: PayloadEstimate, warnings: Sequence[str]) -> None:
+def print_payload(found: PayloadEstimate, diagnostics: Sequence[Diagnostic]) -> None:
     """Print what a link carries more.
 
     Args:
         found: The payload.
-        warnings: About robot, recordings and payload.
+        diagnostics: About robot, recordings and payload.
     """
     out = console()
     out.print(payload_table(found))
     for line in payload_lines(found):
         out.print(line, soft_wrap=True)
-    print_warnings(out, warnings)
+    print_diagnostics(out, diagnostics)
 
 
 def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
@@ -176,7 +167,7 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     for line in (headline(run), *accuracy_lines(run)):
         out.print(printable(line), soft_wrap=True)
     _print_verdict(out, run)
-    _print_cautions(out, run.warnings, everything=everything)
+    print_diagnostics(out, run.diagnostics, None if everything else 1)
     _print_parameters(out, estimates, run.truths, run.name, everything=everything)
     if everything:
         for line in quality_lines(estimates):

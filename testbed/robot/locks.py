@@ -8,11 +8,12 @@ it is held, or where the joint that it follows is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from graphlib import CycleError, TopologicalSorter
 from typing import TypeAlias
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import MimicError, ModelError, UnknownName
 from testbed.robot.parsing import decimals
 
@@ -84,7 +85,7 @@ def parse_lock(texts: Iterable[str]) -> dict[str, float | None]:
 
 def lock_positions(
     joints: Mapping[str, Travel], lock: Lock, source: str
-) -> tuple[dict[str, float], tuple[str, ...]]:
+) -> tuple[dict[str, float], tuple[Diagnostic, ...]]:
     """Where which joints are held, followers of held joints included.
 
     Args:
@@ -93,7 +94,7 @@ def lock_positions(
         source: The file, for messages.
 
     Returns:
-        Positions by name [rad or m], and a line for each follower whose master goes elsewhere.
+        Positions by name [rad or m], and followers whose masters go elsewhere.
 
     Raises:
         UnknownName: A joint to be held is not there.
@@ -133,7 +134,7 @@ def lock_positions(
     return held, tuple(_departures(joints, held))
 
 
-def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterable[str]:
+def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iterator[Diagnostic]:
     """Followers that are held where their masters would not take them."""
     for name, position in held.items():
         coupling = joints[name].coupling
@@ -141,12 +142,10 @@ def _departures(joints: Mapping[str, Travel], held: Mapping[str, float]) -> Iter
             continue
         master = coupling.master
         if master not in held:
-            yield f"joint '{name}' follows '{master}', which moves; it is held at {position:g}"
+            yield diagnose("model.follower-held", name, position, master=master)
         elif abs(taken := coupling.position(held[master]) - position) > _SLACK:
-            yield (
-                f"joint '{name}' is held at {position:g}, where '{master}' would take it to "
-                f"{position + taken:g}"
-            )
+            end = position + taken
+            yield diagnose("model.follower-off", name, position, master=master, taken=end)
 
 
 def _within(name: str, wanted: float, joint: Travel, source: str) -> float:

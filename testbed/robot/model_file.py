@@ -89,7 +89,7 @@ def load_tree(
         weld_root: Weld a floating root to the bedplate instead of refusing it.
         repair: Bodies in place of those that no matter can make (links that are fixed to
             each other are one body): what `nearest_bodies` finds, say; {} refuses such a file.
-            None takes the nearest bodies that can be and notes them in the tree's `warnings`.
+            None takes the nearest bodies that can be and names them in the tree's `diagnostics`.
         lock: Positions at which joints are held, by name [rad or m]: their bodies become part
             of those that carry them. None is where the joint rests: at zero, in the middle of
             a range without zero, or where the joint that it follows takes it. Joints that

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from testbed.arrays import Array, freeze
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import InertiaError, ModelError, UnknownName, quoted
 from testbed.robot.inertia import NOTHING, ROUNDING, Inertia, inertia_flaw, nearest_body
 
@@ -83,13 +84,13 @@ class Repair:
         bodies: The nearest bodies of which `links` is made, by the link that carries all that is
             fixed to it, about and along its frame; those changed by more than rounding.
         flaws: What was wrong with each of them, a line each.
-        notes: What to say of the repair, a line each.
+        diagnostics: What to know of the repair.
     """
 
     links: Mapping[str, Inertia]
     bodies: Bodies
     flaws: tuple[str, ...]
-    notes: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def repaired(
@@ -136,21 +137,18 @@ def repaired(
     grave = {n: line for n, line in flaws.items() if not robot.slight(bodies[n], nearest[n])}
     if grave and given is not None:
         raise InertiaError(source, list(grave.values()))
-    notes = []
+    said = []
     if slight := [name for name in flaws if name not in grave]:
-        notes.append(f"the inertia of {quoted(slight)} is corrected within rounding")
+        said.append(diagnose("model.rounding", quoted(slight)))
     if grave:
-        notes.append(
-            f"no body has the inertia that the model file gives {quoted(grave)}; the "
-            "nearest that can be is taken"
-        )
+        said.append(diagnose("model.inertia", quoted(grave)))
     changed = {name: bodies[name] for name in touched} | nearest
     emptied = (p.name for n in changed for p in parts[n] if p.name != n and p.inertia.pseudo.any())
     return Repair(
         links=dict.fromkeys(emptied, NOTHING) | changed,
         bodies={name: nearest[name] for name in grave},
         flaws=tuple(grave.values()),
-        notes=tuple(notes),
+        diagnostics=tuple(said),
     )
 
 

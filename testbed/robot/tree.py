@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, freeze, readonly
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
 from testbed.errors import ModelError, UnknownName, plural
 from testbed.robot.inertia import NOTHING, Inertia
 
@@ -161,7 +162,7 @@ class Shaft:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Tree:
+class Tree(Diagnosed):
     """An open tree of bodies on a bedplate.
 
     Attributes:
@@ -170,7 +171,7 @@ class Tree:
         inertias: One inertia a body, about and along the body's frame.
         pedestal: What is welded to the bedplate, in the bedplate frame; known, not moving.
         gravity: Gravity acceleration, (3,) [m/s^2], bedplate frame.
-        warnings: What was accepted on loading although it is wrong, one line each.
+        diagnostics: What was accepted on loading although it is wrong.
         shafts: Motor shafts that turn with several joints.
         floating: Whether the first six joints are the coordinates of a free base.
     """
@@ -180,7 +181,7 @@ class Tree:
     inertias: tuple[Inertia, ...]
     pedestal: Inertia = NOTHING
     gravity: Array = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     shafts: tuple[Shaft, ...] = ()
     floating: bool = False
 

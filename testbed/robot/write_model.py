@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.files import check_writable, replacing
 from testbed.robot.inertia import NOTHING, Inertia, upper_root
@@ -47,7 +48,7 @@ def write_model(
     fixed: Fixed = "lump",
     note: Sequence[str] = (),
     over_source: bool = False,
-) -> tuple[str, ...]:
+) -> tuple[Diagnostic, ...]:
     """Write a model file with a tree's masses, friction and rotors, all else byte for byte.
 
     Args:
@@ -60,7 +61,7 @@ def write_model(
         over_source: Whether `path` may be the model file itself.
 
     Returns:
-        Warnings: what the format has no place for, what readers will make otherwise.
+        What the format has no place for, what readers will make otherwise.
 
     Raises:
         ModelError: The file cannot be edited, or is not to be overwritten, or `path` has not the
@@ -84,16 +85,16 @@ def write_model(
         same = old.mass == new.mass and np.array_equal(old.first_moment, new.first_moment)
         if not (same and np.array_equal(old.tensor, new.tensor)):
             bodies[k] = new
-    inertias, notes = share_out(links, bodies, fixed)
+    inertias, shared = share_out(links, bodies, fixed)
     joints = {
         old.name: {k: getattr(new, k) for k in LOSSES if getattr(new, k) != getattr(old, k)}
         for old, new in zip(file.joints, tree.joints, strict=True)
     }
-    data, warnings = edit(model.path, {**repair, **inertias}, joints, [*note])
+    data, said = edit(model.path, {**repair, **inertias}, joints, [*note])
     unread = _check(model, data, tree)
     with replacing(path) as fresh:
         fresh.write_bytes(data)
-    return (*notes, *warnings, *unread, *_lost_files(model.path, path))
+    return (*shared, *said, *unread, *_lost_files(model.path, path))
 
 
 def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
@@ -123,7 +124,7 @@ def check_place(source: Path, path: Path, *, over_source: bool = False) -> None:
 
 def share_out(
     links: Sequence[Link], bodies: Mapping[int, Inertia], fixed: Fixed
-) -> tuple[dict[str, Inertia], tuple[str, ...]]:
+) -> tuple[dict[str, Inertia], tuple[Diagnostic, ...]]:
     """What each link gets.
 
     Args:
@@ -133,10 +134,10 @@ def share_out(
             "share" gives to every link in proportion to what it had.
 
     Returns:
-        Inertias by link, about and along its frame; and a line for what could not be shared.
+        Inertias by link, about and along its frame; and what could not be shared.
     """
     found: dict[str, Inertia] = {}
-    notes: list[str] = []
+    said: list[Diagnostic] = []
     for body, whole in bodies.items():
         own = [link for link in links if link.body == body]
         groups: dict[str, list[Link]] = {}  # by the link that gets what is theirs
@@ -144,10 +145,7 @@ def share_out(
             groups.setdefault(link.name if fixed == "share" else link.carrier, []).append(link)
         parts = _in_proportion(own, whole) if len(groups) > 1 else None
         if len(groups) > 1 and parts is None:
-            notes.append(
-                f"all of '{own[0].name}' and what is held with it is given to that link: the "
-                "file's bodies are no measure"
-            )
+            said.append(diagnose("model.shared", own[0].name))
             groups = {own[0].name: own}
         for group in groups.values():
             lump = whole if parts is None else total(parts[link.name] for link in group)
@@ -155,7 +153,7 @@ def share_out(
             found[group[0].name] = group[0].seen_from(lump)
     bare = {link.name for link in links if not link.inertia.pseudo.any()}
     kept = {name: own for name, own in found.items() if own.mass or name not in bare}
-    return kept, tuple(notes)
+    return kept, tuple(said)
 
 
 def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | None:
@@ -175,8 +173,8 @@ def _in_proportion(own: Sequence[Link], whole: Inertia) -> dict[str, Inertia] | 
     return {name: Inertia.of_pseudo(part) for name, part in parts.items()}
 
 
-def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
-    """Whether what is to be written is read as it is meant; a warning where losses are not."""
+def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[Diagnostic, ...]:
+    """Whether what is to be written is read as it is meant; a diagnostic where losses are not."""
     with tempfile.TemporaryDirectory() as folder:
         copy = copy_model(model.path, Path(folder))
         copy.write_bytes(data)
@@ -199,21 +197,14 @@ def _check(model: ModelFile, data: bytes, tree: Tree) -> tuple[str, ...]:
         for old, new in zip(read.joints, tree.joints, strict=True)
         if (old.coulomb, old.viscous) != (new.coulomb, new.viscous)
     ]
-    if not unread:
-        return ()
-    return (
-        f"friction of {', '.join(unread)} is written and not read: the file's options disable it",
-    )
+    return (diagnose("model.friction-unread", ", ".join(unread)),) if unread else ()
 
 
-def _lost_files(source: Path, path: Path) -> tuple[str, ...]:
-    """A warning where what the file refers to is not found from its new place."""
+def _lost_files(source: Path, path: Path) -> tuple[Diagnostic, ...]:
+    """A diagnostic where what the file refers to is not found from its new place."""
     if path.resolve().parent == source.resolve().parent or not references(source):
         return ()
     names = [mesh.get("filename", "") for mesh in read_xml(source).iter("mesh")]
     if names and all("://" in name for name in names):  # addresses of packages, whatever the place
         return ()
-    return (
-        f"the file refers to others by their places beside '{source}', which are not found from "
-        f"'{path.parent}': write it there, or copy them along",
-    )
+    return (diagnose("model.lost-files", str(source), folder=path.parent),)

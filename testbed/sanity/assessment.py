@@ -16,16 +16,18 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, Level, sentences
 from testbed.errors import RecordingError
-from testbed.identification.finding import Finding, in_lines
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.source import Source
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.findings import (
+from testbed.sanity.hypotheses import Hypothesis, in_words
+from testbed.sanity.plate import WrenchFit
+from testbed.sanity.plate_map import rotation_vector
+from testbed.sanity.recording_diagnostics import (
     Alternatives,
-    Doubt,
     at_rest,
     negative_weight,
     odd_sizes,
@@ -37,9 +39,6 @@ from testbed.sanity.findings import (
     unexplained_plate,
     wrong_mapping,
 )
-from testbed.sanity.hypotheses import Hypothesis, in_words
-from testbed.sanity.plate import WrenchFit
-from testbed.sanity.plate_map import rotation_vector
 from testbed.sanity.remedies import Remedy, remedies_for
 from testbed.sanity.search import Progress, Search
 
@@ -66,38 +65,35 @@ MOST_SAMPLES = 200_000
 
 
 @dataclass(frozen=True, eq=False)
-class Assessment:
+class Assessment(Diagnosed):
     """What speaks for and against a recording.
 
     Attributes:
-        doubts: What is certainly wrong, and what may be.
+        diagnostics: What is certainly wrong, an error each; what may be; what is left open.
         sizes: Torques are so many times what the model file's masses say; nan where they do not
             tell, (n,) or (0,).
         remedies: What would make it right, to be applied together; empty where nothing is wrong.
         alternatives: What else explains it.
         as_read: The recording as it is; None where nothing can be told.
         explanations: What explains it, the best first; none where nothing can be told.
-        undecided: What of the positions is left open, where nothing of the mapping is wrong; empty
-            where that is nothing, or was not looked at.
     """
 
-    doubts: tuple[Doubt, ...]
+    diagnostics: tuple[Diagnostic, ...]
     sizes: Array = field(default_factory=lambda: np.zeros(0))
     remedies: tuple[Remedy, ...] = ()
     alternatives: Alternatives = field(default_factory=Alternatives)
     as_read: Explanation | None = None
     explanations: tuple[Explanation, ...] = ()
-    undecided: str = ""
 
     @property
-    def certain(self) -> tuple[Finding, ...]:
+    def certain(self) -> tuple[Diagnostic, ...]:
         """What is certainly wrong."""
-        return tuple(each.finding for each in self.doubts if each.certain)
+        return tuple(each for each in self.diagnostics if each.level == "error")
 
     @property
-    def likely(self) -> tuple[Finding, ...]:
+    def likely(self) -> tuple[Diagnostic, ...]:
         """What may be wrong."""
-        return tuple(each.finding for each in self.doubts if not each.certain)
+        return tuple(each for each in self.diagnostics if each.level == "warning")
 
     @property
     def best(self) -> Explanation | None:
@@ -123,7 +119,7 @@ class Assessment:
         """
         late = len(self.certain) == 1 and [each.kind for each in self.remedies] == ["late"]
         if self.certain and not (align and late):
-            lines = "; ".join(in_lines(self.certain))
+            lines = "; ".join(sentences(self.certain))
             raise RecordingError(f"the recording cannot be true of this robot: {lines}")
 
 
@@ -157,7 +153,7 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
 
 
 def _judge(
-    tree: Tree, mapping: Mapping[str, Any], tare: Array | None, beyond: Sequence[Doubt],
+    tree: Tree, mapping: Mapping[str, Any], tare: Array | None, beyond: Sequence[Diagnostic],
     search: Search,
 ) -> Assessment:  # fmt: skip
     """What explanations say for and against a recording; `beyond`: of positions out of range."""
@@ -167,10 +163,11 @@ def _judge(
     gain = as_read.cost - best.cost
     clear = gain > CERTAIN and _explains(as_read, best)
     plate = tuple(unexplained_plate(best))
-    foreign = any(each.certain for each in plate)
+    foreign = any(each.level == "error" for each in plate)
     still = tuple(still_joints(tree, as_read))
-    if any(each.number for each in still) and (foreign or not clear):
-        return Assessment(tuple(Doubt(foreign, each) for each in still), sizes)
+    if any(each.value for each in still) and (foreign or not clear):
+        level: Level = "error" if foreign else "warning"
+        return Assessment(tuple(replace(each, level=level) for each in still), sizes)
     wrong = []
     if gain > LIKELY and not foreign:
         wrong = [_timed(each, best) for each in best.hypotheses if each.kind != "torque_size"]
@@ -180,21 +177,22 @@ def _judge(
     before[:torques] = best.torques.unexplained_as_recorded
     remedies = remedies_for(tree, hypotheses, before, best.unexplained, mapping, torques)
     others = _alternatives(tree, explanations)
-    doubts = [] if wrong else list(beyond)
+    said = [] if wrong else list(beyond)
     if not (wrong and clear):
-        doubts += plate
+        said += plate
     if wrong:
-        doubts.append(Doubt(clear, wrong_mapping(tree, remedies, others, gain)))
+        said.append(wrong_mapping(tree, remedies, others, gain, certain=clear))
     if not foreign:
         if best.has_plate:
-            doubts += negative_weight(best, tare)
+            said += negative_weight(best, tare)
         if zero is not None and not wrong:
-            doubts.append(Doubt(False, other_zero(remedies[-1])))
+            said.append(other_zero(remedies[-1]))
         sized = any(each.kind == "torque_size" for each in best.hypotheses)
-        doubts += odd_sizes(tree, sizes, mapping, certain=sized)
-    doubts += [Doubt(False, each) for each in still]
-    unclear = "" if wrong or foreign else undecided(tree, search.undecided())
-    return Assessment(tuple(doubts), sizes, remedies, others, as_read, tuple(explanations), unclear)
+        said += odd_sizes(tree, sizes, mapping, certain=sized)
+    said += still
+    if not (wrong or foreign):
+        said += undecided(tree, search.undecided())
+    return Assessment(tuple(said), sizes, remedies, others, as_read, tuple(explanations))
 
 
 def _timed(hypothesis: Hypothesis, best: Explanation) -> Hypothesis:

@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_recording
 from testbed.errors import RecordingError
 from testbed.parameters.barycentric import standard
 from testbed.recordings.geometry import geometry
@@ -25,8 +27,6 @@ from testbed.robot.tree import Tree
 from testbed.sanity.assessment import MOST_SAMPLES, assess
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import TimeOffset, align_mapping, remedy_of, time_offsets
-
-UNCHECKED = "the recording was not held against the robot (--unchecked)"
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -42,23 +42,21 @@ BLOCK = 100_000
 
 
 @dataclass(frozen=True)
-class CheckReport:
+class CheckReport(Diagnosed):
     """What a recording held against its robot shows.
 
     Attributes:
         offsets: How late torques and wrench are.
-        doubts: What may be wrong.
+        doubts: What may be wrong, and what the data leave open.
         delays: Signals that are late, with lines for the mapping.
-        notes: What the data leave open.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
-    doubts: tuple[str, ...] = ()
-    delays: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    doubts: tuple[Diagnostic, ...] = ()
+    delays: tuple[Diagnostic, ...] = ()
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
         """All that may be wrong."""
         return (*self.doubts, *self.delays)
 
@@ -80,44 +78,38 @@ def check_recording(
         RecordingError: The recording cannot be true of this robot; says what would make it right.
     """
     source = on_its_base(source, tree)
-    notes: list[str] = []
-    doubts = [] if tree.floating else _base_motion(source)
+    doubts = [] if tree.floating else [*_base_motion(source)]
     if doubts and not unchecked:
-        raise RecordingError(doubts[0])
+        raise RecordingError(str(doubts[0]))
     if unchecked:
-        doubts.append(UNCHECKED)
+        doubts.append(diagnose("recording.unchecked"))
     else:
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(doubts=tuple(verdict["warnings"]))
+            return CheckReport(doubts=of_recording(verdict))
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
-        doubts += [each.text for each in assessment.likely]
-        notes += [assessment.undecided] * bool(assessment.undecided)
+        doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
     mapping = source.facts.get("mapping", {})
-    delays = [f"{each.text}; {remedy_of(each, mapping)}" for each in offsets if each.matters]
-    return CheckReport(tuple(offsets), tuple(doubts), tuple(delays), tuple(notes))
+    delays = tuple(each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters)
+    return CheckReport(tuple(offsets), tuple(doubts), delays)
 
 
-def _base_motion(source: Source) -> list[str]:
+def _base_motion(source: Source) -> Iterator[Diagnostic]:
     """What is wrong where a base moves and the robot's is taken as welded."""
     if "base" not in source.signals:
-        return []
+        return
     base = source.part(0, min(source.samples, MOST_SAMPLES)).measured("base")
     distance = float(np.linalg.norm(np.ptp(base[:, :3], axis=0)))
-    if distance <= RESTS:
-        return []
-    return [
-        f"the recording's base moves by {distance:.2g} m, and the robot's is taken as welded to "
-        "the bedplate: add --set robot.base=measured"
-    ]
+    if distance > RESTS:
+        yield diagnose("recording.base-moves", "the base", distance)
 
 
 def import_and_check(
     path: Path, tree: Tree, *, align: bool = False, unchecked: bool = False,
     progress: Progress | None = None,
-) -> tuple[tuple[Recording, ...], list[str], CheckReport]:  # fmt: skip
+) -> tuple[tuple[Recording, ...], list[Diagnostic], CheckReport]:  # fmt: skip
     """Recordings made by a mapping file, the longest of which is held against its robot.
 
     Args:
@@ -129,7 +121,7 @@ def import_and_check(
 
     Returns:
         The recording, or its pieces where a source was silent for too long, with the verdict;
-        where it was cut, in words; and what it shows before anything is taken back.
+        where it was cut; and what it shows before anything is taken back.
 
     Raises:
         ExperimentError: The mapping is not understood.
@@ -154,7 +146,7 @@ def import_and_check(
 def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:
     """A recording that keeps what was said of it."""
     of = digest(tree, on_its_base(recording, tree))
-    verdict = {"of": of, "warnings": list(report.warnings)}
+    verdict = {"of": of, "diagnostics": [each.as_dict() for each in report.diagnostics]}
     return replace(recording, facts={**recording.facts, FACT: verdict})
 
 

@@ -7,12 +7,14 @@ frame is refined (`correction`). Beside each value stands what it is known by.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import round_significant
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.draft import Draft, in_toml
@@ -27,10 +29,10 @@ from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
 from testbed.sanity.assessment import Assessment, assess, zero_hypothesis
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.findings import CLEARLY, FOREIGN, SIZE, WEIGHT, share
 from testbed.sanity.hypotheses import in_words
 from testbed.sanity.plate import WrenchFit, frame_of
 from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
+from testbed.sanity.recording_diagnostics import CLEARLY, share
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import align_mapping, time_offsets
 from testbed.toml_text import checked
@@ -71,12 +73,12 @@ three normal numbers is beyond in .3 % of all cases."""
 
 
 @dataclass(frozen=True, eq=False)
-class MappingSolution:
+class MappingSolution(Diagnosed):
     """A mapping, and how the data bear it out.
 
     Attributes:
         draft: The mapping, with keys still empty where no columns or no clock was found.
-        warnings: What may be wrong with it.
+        diagnostics: What may be wrong with it.
         before: The plate by the columns' names alone, if there is one.
         after: The same by the mapping.
         shares: Explanations in words, the mapping's first, and the part of the plate's channels
@@ -84,7 +86,7 @@ class MappingSolution:
     """
 
     draft: Draft
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     before: WrenchFit | None = None
     after: WrenchFit | None = None
     shares: tuple[tuple[str, float], ...] = ()
@@ -124,19 +126,18 @@ def solve_mapping(
         assessment = assess(tree, source, progress)
     assessment.require()
     if assessment.best is None:
-        return MappingSolution(draft, tuple(each.text for each in assessment.likely))
+        return MappingSolution(draft, assessment.likely)
     draft = _by_the_data(draft, assessment, assessment.best, open_keys)
     in_time = _with_clocks(draft, source, out, tree)
     if in_time is not draft:
         draft, assessment = in_time, assess(tree, _recording(in_time, out, tree), progress)
     if assessment.best is not None:
         draft = _with_plate(draft, assessment.best)
-    warnings = [each.text for each in assessment.likely]
-    short = _too_short(assessment.best)
-    if short or any(each.code == FOREIGN for each in assessment.likely):
-        draft, warnings = _doubted(draft), [*warnings, *([short] if short else [])]
+    said = (*assessment.likely, *_too_short(assessment.best))
+    if any(each.code in ("plate.foreign", "recording.short") for each in said):
+        draft = _doubted(draft)
     before, after = first.wrench_fit, assessment.wrench_fit
-    return MappingSolution(draft, tuple(warnings), before, after, _shares(tree, first))
+    return MappingSolution(draft, said, before, after, _shares(tree, first))
 
 
 def missing(draft: Draft) -> list[str]:
@@ -216,11 +217,11 @@ def _better(draft: Draft, assessment: Assessment, tree: Tree) -> Draft:
     codes, best = {each.code for each in assessment.certain}, assessment.best
     plate = best is not None and best.has_plate
     zero_open = "wrench" in draft.tables and "tare" not in draft.tables["wrench"]
-    if best is not None and codes == {WEIGHT} and zero_open:
+    if best is not None and codes == {"plate.weight"} and zero_open:
         return _with_zero(draft, best)  # the plate's zero is not the model's pedestal
     if assessment.remedies:
         return _with_remedies(draft, assessment)
-    if SIZE in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
+    if "torque.size" in codes and plate and draft.notes.get(("torque", "unit")) == ASSUMED:
         note = f"{ASSUMED}: currents, or torques on the motors' side of gears"
         return draft.saying("torque", "unit", "raw", note).saying("torque", "gain", 1.0, ASSUMED)
     finite = np.isfinite(assessment.sizes)
@@ -365,18 +366,14 @@ def _list(values: Array, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def _too_short(best: Explanation | None) -> str:
-    """What is wrong with a recording in which another mapping may fit as well; nothing else."""
+def _too_short(best: Explanation | None) -> Iterator[Diagnostic]:
+    """Whether another mapping may fit a recording as well."""
     if best is None:
-        return ""
+        return
     instants, parameters = best.fit.instants, best.fit.prior.lift.shape[1]
     count, joints = instants.position.shape
-    if count * (6 if best.has_plate else joints) > SHORT * parameters:
-        return ""
-    return (
-        f"{count * instants.spacing:.2g} s of motion are few for {parameters} parameters: "
-        "another mapping may fit as well; record more"
-    )
+    if count * (6 if best.has_plate else joints) <= SHORT * parameters:
+        yield diagnose("recording.short", value=count * instants.spacing, parameters=parameters)
 
 
 def _doubted(draft: Draft) -> Draft:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.errors import round_significant
@@ -96,13 +97,23 @@ class TimeOffset:
         """Whether it is late or drifts."""
         return self.late or self.drifts
 
-    @property
-    def text(self) -> str:
-        """For a person."""
-        drift = f", and clocks differ by {1e6 * self.skew:.0f} ppm" if self.drifts else ""
-        return (
-            f"clock: the {self.signal} is {1e3 * self.delay:.3f} +- {1e3 * self.sigma:.3f} ms late"
-            f"{drift} (unexplained {self.before:.2%}, without it {self.after:.2%})"
+    def diagnostic(self, remedy: str = "") -> Diagnostic:
+        """For a person.
+
+        Args:
+            remedy: What to do about it.
+        """
+        return diagnose(
+            "recording.delay",
+            self.signal,
+            self.delay,
+            sigma=self.sigma,
+            delay=1e3 * self.delay,
+            deviation=1e3 * self.sigma,
+            drift=1e6 * self.skew * self.drifts,
+            before=self.before,
+            after=self.after,
+            lines=remedy,
         )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 from testbed.excitation.collision_model import Obstacle
 from testbed.excitation.fourier import Fourier
@@ -93,6 +94,7 @@ def _notes(name: str, rules: Rules, proof: Proof) -> str:
     lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
     nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
     lines.append("\n".join(f"- {plain(margin.words)}" for margin in nearest[:20]))
-    if rules.notes:
-        lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in rules.notes)]
+    if rules.diagnostics:
+        known = sentences(rules.diagnostics)
+        lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in known)]
     return "\n\n".join(lines)

@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, sentences
 from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
 from testbed.experiment.growth import Growth
@@ -54,9 +55,9 @@ class Scene:
         return self.predictions.run
 
     @property
-    def warnings(self) -> tuple[str, ...]:
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What a careful reader should know, of the run and of what cannot be shown."""
-        return (*self.run.warnings, *self.appearance.warnings)
+        return (*self.run.diagnostics, *self.appearance.diagnostics)
 
     @property
     def motion(self) -> Motion:
@@ -127,9 +128,9 @@ class Scene:
         if run.experiment is not None and run.experiment.claim:
             lines.insert(1, f"**Claim.** {plain(run.experiment.claim)}")
         lines += [*notes_of_drives(run), *notes_of_plate(run)]
-        if self.warnings:
+        if self.diagnostics:
             lines.append("## Warnings")
-            lines.append("\n".join(f"- {plain(line)}" for line in self.warnings))
+            lines.append("\n".join(f"- {plain(line)}" for line in sentences(self.diagnostics)))
         return "\n\n".join(lines)
 
     def friction_axes(self, j: int) -> tuple[float, float]:

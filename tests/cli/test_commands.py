@@ -32,8 +32,8 @@ COMMANDS = {
     "run": (f"run table.toml {QUICK} --set expect={{}} --all --out OUT/run", ""),
     "run, claim": (f"run table.toml {QUICK} --set seed=7 --out OUT/claim --json "
                    "--set expect.external_max_z.at_most=1e-9", "accuracy as_expected claim "
-                   "consistent drives expect external failures folder internal metrics "
-                   "model_sha256 name validation verdicts versions warnings"),
+                   "consistent diagnostics drives expect external failures folder internal metrics "
+                   "model_sha256 name validation verdicts versions"),
     "compare": (f"compare variants.toml {QUICK} --json", "as_expected claim name variants"),
     "identify": (f"identify one.parquet {ROBOT} --zeros --all --json",
                  "external internal model settings"),
@@ -44,9 +44,9 @@ COMMANDS = {
     "validate": ("validate other.parquet result.json --json", "external internal"),
     "calibrate": (f"calibrate one.parquet {ROBOT} --zeros --known mass=20 --known gain/Fz=1+-1e-3 "
                   "--out OUT/plate.toml --json", "known matrix matrix_sigma numbers robot"),
-    "drives": (f"drives one.parquet {ROBOT} --zeros --json", "combined curves joints"),
+    "drives": (f"drives one.parquet {ROBOT} --zeros --json", "combined curves diagnostics joints"),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance joint parameters rank warnings"),
+                "centre chance diagnostics joint parameters rank"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
                       "centre mass poses robot_mass"),
     "report": ("report OUT/run --out OUT/run.html", ""),
@@ -56,14 +56,14 @@ COMMANDS = {
     "campaign, summary": ("campaign --summary OUT/many --rrd OUT/many.rrd", ""),
     "excite": ("excite two.urdf --set excitation.starts=1 --set excitation.harmonics=2 --set "
                "motion.duration=6 --out OUT/m.toml --page OUT/m.html --trajectory OUT/m.csv --json",
-               "complete criterion file fundamental gain harmonics predicted proof random searches "
-               "value warnings"),
+               "complete criterion diagnostics file fundamental gain harmonics predicted proof "
+               "random searches value"),
     "excite, check": ("excite OUT/m.toml --check --json",
                       "binding holds instants margins postures"),
     "excite, exceeded": ("excite OUT/m.toml --check --set motion.max_velocity={leads=0.01} --json",
                          "binding holds instants margins postures"),
     "view, motion": ("view OUT/m.toml --save OUT/m.rrd", ""),
-    "import": ("import map.toml --out OUT/i.parquet --json", "clocks import notes warnings"),
+    "import": ("import map.toml --out OUT/i.parquet --json", "clocks diagnostics import"),
     "import, guess": ("import --guess log.csv", ""),
     "new": ("new two.urdf --out OUT/two.toml", ""),
     "new, recording": ("new --recording log.csv --out OUT/log.toml", ""),

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.diagnostics.diagnostic import sentences
 from testbed.dynamics.kinematics import poses
 from testbed.excitation.approach import levers
 from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
@@ -114,7 +115,7 @@ def test_pairs_that_always_touch_are_left_out_and_near_ones_keep_half(puma: tb.T
         collision = collision_model(puma, list(shapes))
         found = watched(collision, limits_of(puma), clearance, np.random.default_rng(0))
         np.testing.assert_allclose(found.clearance, kept, rtol=0.2)
-        (note,) = found.notes
+        (note,) = sentences(found.diagnostics)
         assert [link for link in ("'link1'", "'link3'") if link not in note] == []
 
 

@@ -25,7 +25,7 @@ LATE = """
 name = "late"
 set = ['measurement.fault=[{kind="plate_delay",delay=4e-3}]']
 remedy = ['identification.nuisances=["skew"]']
-says = "a plate that is late"
+says = "sensor.skew"
 remedied.external_max_z = { at_most = 6.0 }
 """
 
@@ -63,7 +63,7 @@ def test_a_fault_is_said_and_its_remedy_takes_its_error_away(tmp_path: Path) -> 
     assert late.remedied is not None
     error = "external_rms_relative_error"
     assert late.remedied.metrics[error] < 0.5 * late.run.metrics[error]
-    for says in ("", "crosstalk"):
+    for says in ("", "sensor.crosstalk"):
         wrong = replace(late, variant=replace(late.variant, says=says))
         assert (wrong.named, wrong.as_expected) == (False, False)
     claimed = late.variant.experiment.model_copy(update={"expect": {"none": Bound(at_most=1.0)}})

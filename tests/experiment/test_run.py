@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
 from testbed.experiment import unseen as module
@@ -27,7 +28,7 @@ from testbed.experiment.motions import another_motion, motion_of
 from testbed.experiment.predictions import predict
 from testbed.experiment.results import result as as_json
 from testbed.experiment.run import Run, assemble_run
-from testbed.experiment.run_warnings import close_pairs, systematic_errors
+from testbed.experiment.run_diagnostics import correlated, systematic_errors
 from testbed.experiment.score import relative_errors
 from testbed.experiment.summary import headline
 from testbed.experiment.unseen import unseen, validated
@@ -164,9 +165,10 @@ def test_a_run_is_judged_under_the_gravity_of_its_recording_with_the_warnings_of
     run = run_of(tree, replace(there, facts={"gravity": moon}), experiment())
     assert run.metrics["external_max_relative_error"] < 1e-9
     assert run.metrics["internal_max_relative_error"] < 1e-9
-    told = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
-    warnings = run_of(replace(tree, warnings=("odd model",)), told).warnings
-    assert {"odd model", "hot motor"} <= set(warnings)
+    there = replace(noisy(ideal(tree)), facts={"warnings": ["hot motor"]})
+    odd = Diagnostic("note", "odd model")
+    said = run_of(replace(tree, diagnostics=(odd,)), there).diagnostics
+    assert {odd, Diagnostic("note", "hot motor")} <= set(said)
 
 
 # warnings and words
@@ -180,7 +182,7 @@ def test_parameters_that_are_told_apart_poorly_are_named_the_closest_first() -> 
         for k, value in enumerate(values, 1):
             correlation[0, k] = correlation[k, 0] = value
         spread = correlation * np.outer(external.sigma, external.sigma)
-        return list(close_pairs(replace(external, covariance=spread)))
+        return [*map(str, correlated(replace(external, covariance=spread)))]
 
     assert lines(0.89) == []
     (line,) = lines(0.91, -0.97, 0.5)
@@ -200,11 +202,11 @@ def test_errors_that_sigma_does_not_tell_are_named() -> None:
         wrong = replace(errors, z=z, relative=np.where(z == 0, 0.0, 0.1))
         (found,) = systematic_errors(off, wrong)
         assert found.method == method
-        assert found.number == pytest.approx(40)
+        assert found.value == pytest.approx(40)
         assert estimate.names[3] in found.subject
     tree = robot("puma")  # without noise sigmas are rounding, and errors may be many of them
     exact = assemble_run(tree, ideal(tree), name="made", settings=EXACT, experiment=experiment())
-    assert {f.code for f in exact.findings} <= {f.code for f in run.findings}
+    assert not [d for d in exact.diagnostics if d.code == "estimate.bias"]
 
 
 # what the estimates say that the instruments should read
@@ -261,8 +263,12 @@ def test_another_motion_is_about_as_fast_lasts_no_longer_and_shows_what_it_shows
     run = run_of(robot("puma"))
     other = noisy(ideal(run.tree, seed=8), 4)
     done = validated(run, plus(other, wrench=[0, 0, 0, 0, 0, 50.0]))
-    (new,) = done.findings[len(run.findings) :]
-    assert (new.code, new.method, new.subject) == ("prediction", "external", "channel Mz")
+    (new,) = {*done.diagnostics} - {*run.diagnostics}
+    assert (new.code, new.method, new.subject) == (
+        "estimate.prediction-offset",
+        "external",
+        "channel Mz",
+    )
     assert validated(run, ideal(robot("gantry"))).validation == {}
     asked = tb.Experiment.of_model(MODELS["gantry"], ["motion.candidates=5", "seed=3"])
     motions = [make(asked, robot("gantry")) for make in (motion_of, another_motion)]

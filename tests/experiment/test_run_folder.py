@@ -112,8 +112,8 @@ def test_all_that_came_of_a_run_comes_back(name: str, tmp_path: Path) -> None:
     """To the bit, of every kind of robot and of whatever was asked; of another source, nothing."""
     run: Run = result(name)
     bare = replace(
-        run, estimates={}, failures={}, score=None, warnings=(), validation={}, drives=None,
-        consistent=None, findings=(),
+        run, estimates={}, failures={}, score=None, validation={}, drives=None,
+        consistent=None, diagnostics=(),
     )  # fmt: skip
     paths = tmp_path / "one", tmp_path / "other"
     for path in paths:

@@ -18,6 +18,7 @@ from testbed.campaign.bundle import Bundle, Outcome
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.conduct import conduct
 from testbed.campaign.summary import Summary, read_campaign, summarise
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.excitation.design import Design
 from testbed.excitation.prediction import Prediction
 from testbed.experiment.excite import Excitation
@@ -63,7 +64,9 @@ def hostile() -> Run:
     joints = tuple(replace(each, name=f"{each.name}{HOSTILE}") for each in tree.joints)
     tree = replace(tree, name=HOSTILE, joints=joints)
     asked = experiment().model_copy(update={"name": HOSTILE, "claim": HOSTILE})
-    return replace(run_of(tree, asked=asked), name=HOSTILE, warnings=(HOSTILE,))
+    return replace(
+        run_of(tree, asked=asked), name=HOSTILE, diagnostics=(Diagnostic("note", HOSTILE),)
+    )
 
 
 def half() -> Run:
@@ -139,7 +142,9 @@ def mapping() -> MappingSolution:
     notes = {("wrench", "rate"): KNOWN[0], ("wrench", "file"): KNOWN[0] + HOSTILE}
     draft = Draft({"wrench": {"rate": 100.0, "file": HOSTILE}}, notes)
     shares = (("as it is", 0.01), (f"{HOSTILE} turned", 0.2))
-    return MappingSolution(draft, (HOSTILE,), read, replace(read, fit=wrench), shares)
+    return MappingSolution(
+        draft, (Diagnostic("note", HOSTILE),), read, replace(read, fit=wrench), shares
+    )
 
 
 @cache

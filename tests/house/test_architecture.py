@@ -19,7 +19,7 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-BASE = "errors arrays files blas"
+BASE = "errors arrays files blas diagnostics"
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {

@@ -170,7 +170,7 @@ def test_a_payload_is_what_was_added(name: str) -> None:
     noisy = payload(tree, one, other)
     assert np.abs((noisy.values - ten())[told] / noisy.sigma[told]).max() < 4.5
     assert noisy.chance > 1e-4
-    assert noisy.warnings == ()
+    assert noisy.diagnostics == ()
 
 
 @given(trees((2, 5)), st.integers(0, 4), rngs)
@@ -209,7 +209,7 @@ def test_what_is_no_payload_is_noticed() -> None:
     one, other = (tb.identify(t, measured(t, k)) for k, t in enumerate((tree, heavy)))
     found, swapped = payload(tree, one, other), payload(tree, other, one)
     assert found.chance < 1e-6
-    assert len(swapped.warnings) > len(found.warnings) > 0
+    assert len(swapped.diagnostics) > len(found.diagnostics) > 0
 
 
 def test_what_tells_no_payload_is_refused() -> None:

@@ -92,7 +92,7 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
     for key in ("coulomb", "viscous", "rotor_inertia"):
         told, true = ([getattr(j, key) for j in each.joints] for each in (own, tree))
         np.testing.assert_allclose(told, true, rtol=1e-5, atol=1e-4)
-    assert found.warnings == ()
+    assert found.diagnostics == ()
     assert (found.coefficients >= 0).all()
     false = wrong_bodies(tree, 0.9, np.random.default_rng(0)).without_friction()
     other = consistent(false, estimates, prior_of(tree))
@@ -165,11 +165,11 @@ def test_data_that_no_bodies_have_are_said() -> None:
     mirrored = replace(plate, values=-plate.values)
     told = [(mirrored,), (backwards,), (plate, scaled), (plate, hollow)]
     wrong, rubbing, both, without = found = [consistent(tree, each, prior) for each in told]
-    assert all(each.warnings for each in found)
+    assert all(each.diagnostics for each in found)
     assert wrong.bent[0].distance > 100
     assert (rubbing.coefficients >= 0).all()
     alone = consistent(tree, [plate], prior)
-    assert alone.warnings == ()
+    assert alone.diagnostics == ()
     assert both.bent[1].widened > 3
     assert (np.abs(both.bent[0].values - alone.bent[0].values) / plate.sigma).max() < 2
     assert [each.method for each in without.bent] == ["external"]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ast
+import json
 from dataclasses import replace
+from string import Formatter
 
 import numpy as np
 import pytest
@@ -10,36 +13,48 @@ import pytest
 import testbed as tb
 from benchmarks.fault_trials import trials
 from testbed.arrays import Array
-from testbed.identification.cross_check import cross_check, findings_of, torque_factor
+from testbed.diagnostics.diagnostic import (
+    Diagnostic,
+    from_json,
+    messages,
+    ordered,
+    phrase,
+    sentences,
+)
+from testbed.identification.cross_check import cross_check, diagnostics_of, torque_factor
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.finding import SYMPTOMS, Finding, folded
+from testbed.identification.nuisances.all_nuisances import TESTED
 from testbed.parameters.minimal_set import selection
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import plus
 from tests.helpers.measured import measured
-from tests.helpers.paths import GOLDEN
+from tests.helpers.paths import GOLDEN, ROOT
 from tests.helpers.refusals import is_message
 from tests.helpers.runs import robot
 
 pytestmark = pytest.mark.slow
 
 TOLD = {
-    "tare 0": "tare of the tare's force",
-    "moments in N mm": "no-rigid-bodies of the external estimate",
-    "Fz of opposite sign": "negative-mass of the robot's total mass",
-    "Mz of opposite sign": "residual of channel Mz",
-    "Fy dead": "constant-channel of channel Fy",
-    "My saturated at half": "saturation of channel My",
-    "torques of opposite sign": "negative-friction of the friction coulomb/waist",
-    "torques in N mm": "effort of the torque of 'waist'",
-    "torques of shoulder and elbow exchanged": "residual of the torque of 'elbow'",
-    "encoders in degrees": "encoder-range of the encoder of 'waist'",
+    "tare 0": "plate.tare of the tare's force",
+    "moments in N mm": "estimate.impossible of the external estimate",
+    "Fz of opposite sign": "plate.negative-mass of the robot's total mass",
+    "Mz of opposite sign": "channel.residual of channel Mz",
+    "Fy dead": "channel.constant of channel Fy",
+    "My saturated at half": "channel.saturated of channel My",
+    "torques of opposite sign": "friction.negative of the friction coulomb/waist",
+    "torques in N mm": "torque.effort of the torque of 'waist'",
+    "torques of shoulder and elbow exchanged": "channel.residual of the torque of 'elbow'",
+    "encoders in degrees": "encoder.range of the encoder of 'waist'",
 }
-"""What must be among the findings of a gross fault; `python -m benchmarks faults` has them all."""
+"""What must be among the diagnostics of a gross fault; `benchmarks faults` has them all."""
 
 
 def both(tree: tb.Tree, recording: Recording, zeros: bool = True) -> list[Estimate]:
     return [tb.identify(tree, recording, m, zeros=zeros) for m in METHODS]
+
+
+def errors_of(estimates: list[Estimate]) -> list[str]:
+    return [each.code for each in diagnostics_of(estimates) if each.level == "error"]
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +67,11 @@ def test_nothing_is_found_in_clean_recordings(name: str) -> None:
     """White and coloured noise, slow motions, poor and perfect instruments, no gravity."""
     tree = robot(name)
     for case in ({}, {"memory": 0.98}, {"speed": 0.2}, {"noise": 10.0}, {"noise": 0.0}):
-        assert findings_of(both(tree, measured(tree, 1, **case))) == []
+        assert errors_of(both(tree, measured(tree, 1, **case))) == []
     free = tree.with_gravity([0.0, 0.0, 0.0])
-    assert tb.identify(free, measured(free)).findings == ()
+    assert not tb.identify(free, measured(free)).doubtful
     pendulum = tb.load_tree(GOLDEN / "robots/pendulum.urdf")  # forces that are constant
-    assert findings_of(both(pendulum, measured(pendulum, noise=0.0), zeros=False)) == []
+    assert errors_of(both(pendulum, measured(pendulum, noise=0.0), zeros=False)) == []
 
 
 def test_a_gross_fault_is_told_with_its_subject(puma: tb.Tree, recording: Recording) -> None:
@@ -65,9 +80,9 @@ def test_a_gross_fault_is_told_with_its_subject(puma: tb.Tree, recording: Record
     for fault, told in TOLD.items():
         trial = made[fault]
         found = tb.identify(trial.tree, trial.change(recording), trial.method, zeros=True)
-        said = [f"{each.code} of {each.subject}" for each in found.findings]
+        said = [f"{each.code} of {each.subject}" for each in found.diagnostics]
         missed |= {fault: said} if told not in said else {}
-        assert all(is_message(line[:300]) for line in found.warnings)
+        assert all(is_message(line[:300]) for line in map(str, found.diagnostics))
     assert missed == {}
 
 
@@ -85,22 +100,22 @@ def test_a_fault_is_told_from_what_is_near_to_it(puma: tb.Tree, recording: Recor
     forward, tare = np.abs(position) + 0.25, tb.pedestal_wrench(puma)
     still, off = position * [1.0, 1.0, 5e-3], position + np.array([0.0, 2.5, 0.0])
     cases: tuple[tuple[tb.Tree, Recording, str, int, str], ...] = (
-        (puma, replace(quiet, wrench=coarse), "saturation", 0, ""),
-        (puma, replace(quiet, wrench=stopped), "saturation", 4, ""),
-        (puma, replace(recording, tare=1.3 * tare), "tare", 0, ""),
-        (puma, replace(recording, tare=0.7 * tare), "tare", 0, ""),
-        (puma, replace(recording, tare=0.2 * tare), "tare", 1, ""),
-        (puma, replace(recording, tare=-tare), "tare", 1, "sign"),
-        (limited, replace(recording, position=forward), "encoder-range", 0, ""),
-        (limited, replace(recording, position=-forward), "encoder-range", 1, "sign"),
-        (puma, replace(recording, position=np.rad2deg(position)), "encoder-range", 1, "degrees"),
-        (puma, replace(recording, position=off), "encoder-range", 1, "zero"),
-        (puma, replace(recording, position=still), "joint-at-rest", 1, ""),
-        (robot("ur5"), measured(robot("ur5"), duration=1.85), "few-values", 1, ""),
-        (robot("ur5"), measured(robot("ur5"), duration=6.0), "few-values", 0, ""),
+        (puma, replace(quiet, wrench=coarse), "channel.saturated", 0, ""),
+        (puma, replace(quiet, wrench=stopped), "channel.saturated", 4, ""),
+        (puma, replace(recording, tare=1.3 * tare), "plate.tare", 0, ""),
+        (puma, replace(recording, tare=0.7 * tare), "plate.tare", 0, ""),
+        (puma, replace(recording, tare=0.2 * tare), "plate.tare", 1, ""),
+        (puma, replace(recording, tare=-tare), "plate.tare", 1, "sign"),
+        (limited, replace(recording, position=forward), "encoder.range", 0, ""),
+        (limited, replace(recording, position=-forward), "encoder.range", 1, "sign"),
+        (puma, replace(recording, position=np.rad2deg(position)), "encoder.range", 1, "degrees"),
+        (puma, replace(recording, position=off), "encoder.range", 1, "zero"),
+        (puma, replace(recording, position=still), "encoder.still", 1, ""),
+        (robot("ur5"), measured(robot("ur5"), duration=1.85), "estimate.few-values", 1, ""),
+        (robot("ur5"), measured(robot("ur5"), duration=6.0), "estimate.few-values", 0, ""),
     )
     for tree, given, code, least, cause in cases:
-        found = tb.identify(tree, given, zeros=True).findings
+        found = tb.identify(tree, given, zeros=True).diagnostics
         causes = [each.causes[0] for each in found if each.code == code]
         assert len(causes) >= least
         assert not causes or least
@@ -111,25 +126,26 @@ def test_a_drift_that_only_the_total_mass_feels_is_said(
     puma: tb.Tree, recording: Recording
 ) -> None:
     """No constant of Fz can be told from the mass: that it wanders can."""
-    assert tb.identify(puma, recording).warnings == ()
+    assert tb.identify(puma, recording).diagnostics == ()
     for size in (2.0, 20.0):
         drift = np.linspace(0, size, recording.samples)[:, None] * np.eye(6)[2]
-        lines = tb.identify(puma, plus(recording, wrench=drift)).warnings
-        assert sum("Fz" in line and "drift" in line for line in lines) == 1
+        found = tb.identify(puma, plus(recording, wrench=drift)).diagnostics
+        assert sum("Fz" in d.text and d.code in ("plate.drift", "plate.offset") for d in found) == 1
 
 
 def test_late_torques_are_told_from_early_ones_without_a_plate() -> None:
     """By 20 ms; early ones are late encoders."""
     tree = robot("gantry")
     whole = measured(tree, duration=60.0)
-    assert tb.identify(tree, whole, "internal").findings == ()
-    for samples, cause in ((4, "torques"), (-4, "encoders")):
+    assert not tb.identify(tree, whole, "internal").doubtful
+    for samples, cause in ((4, "late-torques"), (-4, "encoder_delays")):
         torque = np.roll(whole.measured("torque"), samples, axis=0)
         late = replace(whole, torque=torque).part(8, whole.samples - 8)
-        found = tb.identify(tree, late, "internal").findings
-        (told,) = (each for each in found if each.code == "late-torques")
-        assert 0 < told.number * np.sign(samples) <= 0.02
-        assert cause in told.causes[0]
+        found = tb.identify(tree, late, "internal").diagnostics
+        (told,) = (each for each in found if each.code == "torque.delay")
+        assert told.value is not None
+        assert 0 < told.value * np.sign(samples) <= 0.02
+        assert told.causes[0] == cause
 
 
 # Both methods.
@@ -145,20 +161,20 @@ def test_factors_between_the_methods_are_told_and_what_they_mean(
     """Constants that are off a little, units, signs; 1.5 % is left in peace."""
     seen = []
     for factor in (1.015, 1.1, 0.92, -1.0, 1e3, 0.7376, 1 / 53.7):
-        found = cross_check(*both(puma, scaled(recording, factor)))
+        found = [*cross_check(*both(puma, scaled(recording, factor)))]
         assert len(found) == 3 * (factor != 1.015)
-        assert all(each.number == pytest.approx(factor, rel=0.02) for each in found)
+        assert all(each.value == pytest.approx(factor, rel=0.02) for each in found)
         near = 0.8 < factor < 1.2
-        assert {each.code for each in found} <= {"torque-constant" if near else "torque-scale"}
+        assert {each.code for each in found} <= {"torque.constant" if near else "torque.scale"}
         if near:
-            assert all(each.support > 8 for each in found)
-            assert len(folded(found)) <= 1
+            assert all((each.significance or 0) > 8 for each in found)
+            assert len(sentences(ordered(found))) <= 1
         else:
             seen.append({each.causes[0] for each in found})
     assert [len(causes) for causes in seen] == [1, 1, 1, 1]
     assert len(set.union(*seen)) == 4  # sign, N mm, lbf ft, the gear
     other = tb.identify(puma, recording, "internal", gravity=[0, 0, -1])
-    assert cross_check(tb.identify(puma, recording, zeros=True), other) == ()
+    assert not [*cross_check(tb.identify(puma, recording, zeros=True), other)]
 
 
 @pytest.mark.parametrize("name", ["puma", "gantry"])
@@ -183,33 +199,76 @@ def test_the_factor_is_the_torque_constant_whatever_rubs(name: str) -> None:
 
 # As a person reads them.
 
-CONSTANT = Finding("A", "is off", 1.05, ("a",), "mend", "torque-constant", "internal", 90.0)
-CLOCK = Finding("B", "is late", 2.0, ("b",), "set", "fault-skew", "external", 30.0)
-ENCODER = Finding("C", "is in degrees", 1.0, ("c",), "convert", "encoder-range")
+
+def a_case(code: str, method: str = "", significance: float | None = None) -> Diagnostic:
+    """Of a code, with causes and remedy of its own."""
+    return Diagnostic(
+        code, f"{code} {method}", "error", code, 1.0, None, significance, method, (code,), "look"
+    )
+
+
+CONSTANT = a_case("torque.constant", "internal", 90.0)
+CLOCK = a_case("sensor.skew", "external", 30.0)
+ENCODER = a_case("encoder.range")
 
 
 def test_one_cause_comes_first_with_what_follows_from_it() -> None:
     """Of its own method; a small fault explains no gross residual; the clearest first."""
     bodies, other, error, residual = (
-        Finding(f"{method} {code}", "is odd", 1.0, ("anything",), "look", code, method)
-        for code, method in (
-            ("no-rigid-bodies", "external"),
-            ("no-rigid-bodies", "internal"),
-            ("systematic-error", "internal"),
-            ("residual", "external"),
-        )
+        a_case("estimate.impossible", "external"),
+        a_case("estimate.impossible", "internal"),
+        a_case("estimate.bias", "internal"),
+        a_case("channel.residual", "external"),
     )
-    for given, wanted in (
-        ([], []),
-        ([other, CONSTANT, error], ["A"]),
-        ([CLOCK, CONSTANT, ENCODER, bodies, other], ["C", "A", "B"]),
-        ([CONSTANT, bodies], ["external", "A"]),
-        ([CLOCK, residual], ["external", "B"]),
-        ([ENCODER, residual], ["C"]),
-        ([error, other], ["internal"]),
+    note = Diagnostic("note", "what else is known", "info")
+    for given, wanted, follows in (
+        ([], [], 0),
+        ([note, other, CONSTANT, error], [CONSTANT, note], 2),
+        ([CLOCK, CONSTANT, ENCODER, bodies, other], [ENCODER, CONSTANT, CLOCK], 2),
+        ([CONSTANT, bodies], [bodies, CONSTANT], 0),
+        ([CLOCK, residual], [residual, CLOCK], 0),
+        ([ENCODER, residual], [ENCODER], 1),
+        ([error, other], [other], 1),
     ):
-        assert [line.split()[0] for line in folded(given)] == wanted
-    for given, told in (([other, CONSTANT, error], [True]), ([CONSTANT, bodies], [False, False])):
-        assert [SYMPTOMS["no-rigid-bodies"] in line for line in folded(given)] == told
-    assert "anything" not in folded([other, CONSTANT, error])[0]
-    assert folded([error, other])[0].startswith(other.subject)
+        found = ordered(given)
+        assert [each for each in found if not each.follows] == wanted
+        assert sum(bool(each.follows) for each in found) == follows
+        assert ordered(found) == found
+        lines = sentences(found)
+        assert [line.startswith(d.text) for line, d in zip(lines, wanted, strict=True)] == [
+            True for _ in wanted
+        ]
+        symptoms = {messages()[each.code].symptom for each in found if each.follows}
+        assert all(any(symptom in line for line in lines) for symptom in symptoms)
+        assert from_json(json.loads(json.dumps([d.as_dict() for d in found]))) == found
+    several = [replace(ENCODER, text=f"joint {k}") for k in range(5)]
+    (line,) = sentences(ordered(several))
+    assert "3 more" in line
+    assert [each.text for each in from_json(["as it was"])] == ["as it was"]
+
+
+def test_every_sentence_has_its_numbers() -> None:
+    """What the calls of the whole house give is what the table's sentences hold."""
+    for path in (ROOT / "testbed").rglob("*.py"):
+        for call in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(call, ast.Call) or getattr(call.func, "id", "") != "diagnose":
+                continue
+            given = {each.arg for each in call.keywords} | {"subject", "method"}
+            given |= {"value"} if len(call.args) > 2 else set()
+            more = {each.arg for each in call.keywords if each.arg is None}
+            for code in codes_in(call.args[0]):
+                message = messages()[code]
+                texts = [message.text, message.remedy, *message.optional.values()]
+                needed = {f[1] for text in texts for f in Formatter().parse(text) if f[1]}
+                needed |= message.optional.keys()
+                assert more or needed <= given, f"{path}: {code} lacks {needed - given}"
+                assert all(phrase(cause) != cause for cause in message.causes), code
+
+
+def codes_in(code: ast.expr) -> list[str]:
+    """Codes that an expression may be."""
+    if isinstance(code, ast.IfExp):
+        return [*codes_in(code.body), *codes_in(code.orelse)]
+    if isinstance(code, ast.Constant):
+        return [str(code.value)]
+    return [f"sensor.{nuisance.kind}" for nuisance in TESTED]  # the only computed ones

@@ -86,7 +86,7 @@ def test_constants_friction_and_rotors_are_found(name: str) -> None:
     assert np.abs((both.values - truth) / both.sigma).max() < 5
     assert np.abs((both.constants - constants(tree)) / both.constant_sigma).max() < 4.5
     assert both.disagreement.chance > 0.003
-    assert both.disagreement.warnings == ()
+    assert both.disagreement.diagnostics == ()
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_a_rotor_that_is_not_among_the_terms_is_caught() -> None:
         for each in (tb.Settings(), SETTINGS)
     )
     assert missing.chance < 1e-6
-    assert missing.warnings
+    assert missing.diagnostics
     assert cured.chance > 1e-3
 
 

@@ -138,7 +138,9 @@ def test_parameters_that_a_motion_does_not_show_are_named(puma: tb.Tree) -> None
     loose = tb.identify(puma, measured(puma, noise=300.0, duration=10.0))
     poor = np.abs(loose.sigma / loose.values) > 0.3
     assert poor.sum() > 6
-    named = [sum(f"{name} (" in line for name in loose.names) for line in loose.warnings]
+    named = [
+        sum(f"{name} (" in line for name in loose.names) for line in map(str, loose.diagnostics)
+    ]
     assert 6 in named  # the worst; the others are counted
 
 
@@ -176,7 +178,7 @@ def test_a_term_of_the_model_file_that_the_settings_leave_out_is_said_once(puma:
     geared, recording = with_drives(puma, np.random.default_rng(0)), measured(puma)
     for terms, count in ((("coulomb", "viscous"), 1), (("coulomb", "viscous", "rotor"), 0)):
         found = tb.identify(geared, recording, "internal", settings=tb.Settings(terms=terms))
-        assert sum(all(x in w for x in ("rotor", *puma.names)) for w in found.warnings) == count
+        assert [d.code for d in found.diagnostics].count("drives.term") == count
 
 
 def test_filters_pass_what_is_slow_stop_what_is_fast_and_have_no_phase() -> None:

@@ -448,6 +448,8 @@ def test_sigma_counts_what_coarse_encoders_do() -> None:
         assert found.noise is not None
         assert found.noise.steps_matter == seen
         np.testing.assert_allclose(found.noise.least_counts, [COUNT] * 3 * seen, rtol=1e-6)
-        (line,) = [w for w in found.warnings if all(n in w for n in tree.names)] or [""]
-        assert (f"{COUNT:g}" in line) == seen
+        said = [d.text for d in found.diagnostics if d.code == "encoder.resolution"]
+        assert [all(n in text for n in (*tree.names, f"{COUNT:g}")) for text in said] == [
+            True
+        ] * seen
     assert (coarse.sigma > fine.sigma).mean() > 0.8

@@ -173,7 +173,7 @@ def test_what_was_added_is_found_or_named(kind: str) -> None:
     told = {each.name: each.value for each in found.nuisances}
     hidden = wanted.keys() - told.keys()
     assert hidden == ({"tare/Fz"} if kind == "tare" else set())
-    said = " ".join(w for w in found.warnings if w.startswith("no motion tells"))
+    said = " ".join(d.subject for d in found.diagnostics if d.code == "plate.collinear")
     assert {name for name in wanted if name in said} == hidden
     size = np.abs(values).max(initial=1.0)
     assert max(abs(told[name] - wanted[name]) for name in told) < 3e-6 * size

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.problem import Problem
@@ -131,7 +132,10 @@ def test_what_does_not_fit_the_robot_or_the_recording_is_refused_by_name() -> No
 
 def test_every_form_holds_every_parameter(monkeypatch: pytest.MonkeyPatch) -> None:
     """Warnings too, and safely; data frames by whichever package is there."""
-    found = replace(result("gantry").estimates["internal"], warnings=("<b>mind</b> this",))
+    found = replace(
+        result("gantry").estimates["internal"],
+        diagnostics=(Diagnostic("note", "<b>mind</b> this"),),
+    )
     lines = str(found).splitlines()
     for name, value, sigma, unit, line in zip(
         found.names, found.values, found.sigma, found.units, lines[1:-1], strict=True

@@ -19,7 +19,6 @@ from testbed.identification.influence import by_influence, influence
 from testbed.identification.known import parse_known
 from testbed.identification.predict import motion_in
 from testbed.identification.ridge import ridge
-from testbed.identification.trace_findings import LEVEL
 from testbed.robot.rotations import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured
@@ -93,8 +92,8 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
     assert np.abs(scores(tree, sure)).max() < 5
     other = plus(measured(tree, 1), wrench=20 + zero)
     held, false = (tb.validate(tree, other, each) for each in (found, tb.identify(tree, clean)))
-    assert [each.code for each in held.findings] == []
-    assert {each.code for each in false.findings} == {"prediction"}
+    assert [each.code for each in held.diagnostics] == []
+    assert {each.code for each in false.diagnostics} == {"estimate.prediction-offset"}
 
 
 @pytest.mark.slow
@@ -194,7 +193,7 @@ def test_a_plate_that_is_not_level_is_named() -> None:
         made = noisy(ideal(actual, duration=20.0), size=0.02)
         facts = {**made.facts, "gravity": tree.gravity.tolist()}
         found = tb.identify(tree, replace(made, facts=facts))
-        assert any(LEVEL in finding.causes for finding in found.findings) == said
+        assert any("level" in each.causes for each in found.diagnostics) == said
 
 
 def test_a_parameter_counts_for_the_signal_that_it_makes_alone() -> None:

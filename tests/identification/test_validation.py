@@ -99,13 +99,16 @@ def test_a_sound_instrument_is_foretold_and_a_changed_gain_is_named(
     estimate, other = tb.identify(tree, measured(tree, 1), method), measured(tree, 2)
     found = validate(tree, other, estimate)
     assert np.all((found.ratio > 0.6) & (found.ratio < 1.6))
-    assert found.findings == ()
+    assert found.diagnostics == ()
     strong = np.flatnonzero(0.05 * found.signal > 3 * LIMIT * estimate.residual)
     assert len(strong) > 0
     for c in strong.tolist():
         more = 0.05 * np.eye(len(found.signal))[c] * other.measured(signal)
-        (told,) = validate(tree, plus(other, **{signal: more}), estimate).findings
-        assert (told.code, told.subject) == ("prediction", estimate.label(c))
+        (told,) = validate(tree, plus(other, **{signal: more}), estimate).diagnostics
+        assert (told.code.partition("-")[0], told.subject) == (
+            "estimate.prediction",
+            estimate.label(c),
+        )
 
 
 def test_rows_of_joints_that_rest_do_not_count(puma: tb.Tree) -> None:
@@ -121,7 +124,7 @@ def test_rows_of_joints_that_rest_do_not_count(puma: tb.Tree) -> None:
     found = validate(puma, still, estimate, settings=settings)
     assert found.rows[1] == 0
     assert np.isnan([found.residual[1], found.ratio[1], found.signal[1], found.spread[1]]).all()
-    assert not any("shoulder" in each.subject for each in found.findings)
+    assert not any("shoulder" in each.subject for each in found.diagnostics)
 
 
 @pytest.mark.slow
@@ -135,8 +138,8 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     zero = np.array([0.0, -8.0, 0, 0, 0, 0])
     found = validate(puma, plus(other, wrench=zero), sound)
     gain = validate(puma, plus(other, wrench=0.05 * other.measured("wrench")), sound)
-    assert [each.subject for each in found.findings] == ["channel Fy"]
-    assert found.findings[0].causes not in [each.causes for each in gain.findings]
+    assert [each.subject for each in found.diagnostics] == ["channel Fy"]
+    assert found.diagnostics[0].code not in [each.code for each in gain.diagnostics]
     np.testing.assert_allclose(found.mean, zero, atol=1.0)
     passing = replace(stated(sound), nuisances={"bias/Fx": 50.0, "slope/Fy": 5.0})
     np.testing.assert_array_equal(validate(puma, other, passing).residual, plain.residual)
@@ -156,8 +159,8 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     assert estimate.nuisances[0].value == pytest.approx(0.02, rel=0.1)
     ignorant = replace(stated(estimate), nuisances={})
     told, silent = (validate(puma, late[1], e, settings=asked) for e in (ignorant, estimate))
-    assert told.findings
-    assert not silent.findings
+    assert told.diagnostics
+    assert not silent.diagnostics
 
 
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:

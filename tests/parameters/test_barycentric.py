@@ -113,8 +113,10 @@ def test_bodies_before_the_data_are_the_files_or_the_nearest_that_can_be(puma: t
         tree = replace(puma, inertias=bodies)
         found = prior_of(tree)
         np.testing.assert_allclose(found.standard[:, 0], masses, rtol=1e-9)
-        assert bool(found.warnings) == (bodies is not thick)
-        assert all(any(puma.joints[k].body in line for line in found.warnings) for k in named)
+        assert bool(found.diagnostics) == (bodies is not thick)
+        assert all(
+            any(puma.joints[k].body in each.text for each in found.diagnostics) for k in named
+        )
         for k in found.massive:
             sizes = np.linalg.eigvalsh(central(found, k))
             assert sizes[0] >= 0.99 * THINNEST * sizes[-1] > 0

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.held_samples import held_share, slow_device
@@ -104,8 +105,8 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
     true = np.arange(0, 8, 4e-3)
     stamps = true + 1e-3 * rng.uniform(-1, 1, len(true))
     logs.write(true, true, stamps)
-    (warning,) = logs.recording(rate="250").facts["warnings"]
-    assert "steady = true" in warning
+    (said,) = of_recording(logs.recording(rate="250").facts)
+    assert said.code == "import.jitter"
     assert logs.off(rate="250", plate="steady = true") < logs.off(rate="250") / 10
     gone = np.delete(np.arange(len(true)), slice(900, 1000))
     logs.write(true, true[gone], stamps[gone])
@@ -116,7 +117,7 @@ def test_stamps_that_jitter_and_samples_that_are_held_are_said_and_cured(logs: L
         facts = logs.recording().facts
         share = facts["import"]["signals"]["wrench"]["held"]
         assert share == pytest.approx(1 - 1 / times, abs=0.01)
-        assert "drop_held = true" in facts["warnings"][0]
+        assert of_recording(facts)[0].code == "import.held"
         assert logs.off(plate="drop_held = true") < logs.off() / 100
     lengths = [3, 3, 2, 3, 7, 3, 1, 3, 3, 3]
     values = np.repeat(np.arange(10.0), lengths)[:, None]
@@ -148,10 +149,13 @@ def test_gaps_are_bridged_or_cut_and_time_that_repeats_or_runs_back_is_named(log
     logs.write(long[~silent], long[(long < 7.5) | (long > 8)])
     with refuses(RecordingError, "testbed import"):
         logs.recording()
-    parts, lines = pieces(logs.folder / "map.toml")
+    parts, said = pieces(logs.folder / "map.toml")
     ends = [(round(part.samples / part.rate, 2), round(part.rate, 6)) for part in parts]
     assert ends == [(2.0, 500.0), (2.5, 500.0), (2.0, 500.0)]
-    assert len(lines) == 4  # where it was cut, and that a piece was left out
+    assert [each.code for each in said] == [
+        *["import.cut"] * 3,
+        "import.short",
+    ]  # where it was cut, and that a piece was left out
     for part, begin in zip(parts, (0.0, 5.0, 8.0), strict=True):
         at = begin + part.time - part.time[0]
         apart = [np.abs(part.position[:, 0] - signal(at + k * 2e-3)).max() for k in (0, 1)]

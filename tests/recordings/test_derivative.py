@@ -117,4 +117,4 @@ def test_a_right_velocity_is_taken_and_a_robot_at_rest_says_nothing(tmp_path: Pa
         moved = {kind: share * data[kind] for kind in ("position", "velocity")}
         np.savez(tmp_path / "log.npz", **data | moved)
         told = imported(tmp_path, mapping()).facts["import"]["signals"]["velocity"]
-        assert bool(told["notes"]) == doubted
+        assert bool(told["diagnostics"]) == doubted

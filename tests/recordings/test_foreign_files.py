@@ -61,7 +61,7 @@ def test_a_format_is_read_back_guessed_and_refused_where_it_is_damaged(
         for signal, wanted in (("position", log.q), ("torque", log.tau), ("wrench", log.w)):
             exact = wanted.astype(np.float32) if name == "c3d" else wanted
             np.testing.assert_array_equal(found.measured(signal), exact)
-        assert found.facts.get("warnings") is None
+        assert found.facts.get("diagnostics") is None
     data = file.read_bytes()
     file.write_bytes(data[: len(data) // 3] + b"," * (name == "csv"))
     with refuses(RecordingError, "log."):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.diagnostics.diagnostic import phrase
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
@@ -214,7 +215,7 @@ def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:
                 assert chances == sorted(chances)
                 assert table["traced"] == (max(chances) <= CLEAR) == (len(table["heads"]) == 4)
                 rows += table["rows"]
-        wanted = {test.nuisance.said: test.chance for test in external.trace_tests}
+        wanted = {phrase(test.nuisance.kind): test.chance for test in external.trace_tests}
         assert set(wanted) == {row[0] for row in rows}
         for fault, chance, *_ in rows:
             if "below" not in chance:

@@ -81,7 +81,7 @@ def test_no_number_of_a_run_is_cut_and_the_first_screen_holds_it(
         monkeypatch.setenv("COLUMNS", str(columns))
         shows: tuple[Callable[..., None], ...] = (
             partial(print_run, run, Path("folder")),
-            partial(print_estimates, estimates, run.warnings),
+            partial(print_estimates, estimates, run.diagnostics),
         )
         for show in shows:
             show(everything=False)

@@ -335,7 +335,7 @@ def test_what_else_acts_on_a_robot_is_left_out_and_said(tmp_path: Path) -> None:
     """A spring would be identified as gravity; the plant leaves it out, too."""
     for parts in LEFT_OUT:
         tree = arm(tmp_path / "r.xml", **parts)
-        assert len(tree.warnings) == (parts is not LEFT_OUT[-1]), parts
+        assert len(tree.diagnostics) == (parts is not LEFT_OUT[-1]), parts
         assert [body.mass for body in tree.inertias] == [2.0, 1.5]
 
 

@@ -133,10 +133,10 @@ def test_offset_and_multiplier_say_where_a_follower_is(pitch: float, tmp_path: P
     assert mimic_joints(path) == ("j4", "j5")
     rest = assert_held(full, path, {"j4": None, "j5": None}, {"j4": 0.25, "j5": 0.5})
     held = {"j2": 0.6, "j4": -0.05, "j5": 0.2}
-    assert assert_held(full, path, {"j2": 0.6}, held).warnings == ()
+    assert assert_held(full, path, {"j2": 0.6}, held).diagnostics == ()
     astray = tb.load_tree(path, lock={"j2": 0.6, "j4": 0.1})
     for tree, culprit in ((rest, "'j2'"), (astray, "'j4'")):  # not where they would be taken
-        assert [line for line in tree.warnings if culprit in line]
+        assert [each for each in tree.diagnostics if culprit in each.text]
 
 
 def test_an_equality_between_joints_is_a_follower(tmp_path: Path) -> None:
@@ -228,7 +228,7 @@ def test_flaws_of_fixed_links_are_their_carriers_and_harmless(
     with TemporaryDirectory() as folder:
         path = written(text, folder)
         tree = tb.load_tree(path, repair={}).with_gravity(robot.gravity)
-        assert tree.warnings == ()
+        assert tree.diagnostics == ()
         build_plant(ModelFile(path, repair={}), tb.load_tree(path, repair={}), 1e-3)
     states = random_states(rng, 3, tree.n)
     witness = by_pinocchio(text, tree, states)
@@ -267,7 +267,7 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
     with TemporaryDirectory() as folder:
         path = written(robot, folder, form)
         sound, found = tb.load_tree(path), nearest_bodies(path)
-        assert (found.links, found.bodies, found.notes) == ({}, {}, ())
+        assert (found.links, found.bodies, found.diagnostics) == ({}, {}, ())
         for mass, moment in ((-1.0, 1e-3), (1.0, float("nan"))):  # no body is near
             written(spoiled(robot, mass, (1e-3, 1e-3, moment)), folder, form)
             with refuses(ModelError, "'j2_body'"):
@@ -279,7 +279,7 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         (body,) = found.bodies.values()
         assert inertia_flaw("j2_body", body.mass, body.central) is None
         tree, again = tb.load_tree(path), tb.load_tree(path, repair=found.bodies)
-        assert (len(tree.warnings), again.warnings) == (1, ())
+        assert (len(tree.diagnostics), again.diagnostics) == (1, ())
         for k, three in enumerate(zip(tree.inertias, again.inertias, sound.inertias, strict=True)):
             new, same, old = (each.pseudo for each in three)
             np.testing.assert_allclose(same, new, rtol=1e-13, atol=1e-16)
@@ -287,7 +287,7 @@ def test_a_body_that_cannot_be_is_refused_or_repaired_alone(
         build_plant(ModelFile(path), tree, 1e-3)
         written(spoiled(robot, 0.5, (1e-3, 1e-3, 2.0001e-3)), folder, form)
         rounded = tb.load_tree(path, repair={})  # whatever is asked for: it is rounding, and said
-        assert len(rounded.warnings) == 1
+        assert [each.code for each in rounded.diagnostics] == ["model.rounding"]
         moments = np.linalg.eigvalsh(rounded.inertias[rounded.index("j2")].central)
         np.testing.assert_allclose(moments, [1e-3, 1e-3, 2e-3], atol=2e-7)
 

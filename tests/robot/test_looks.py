@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 
 import testbed as tb
+from testbed.diagnostics.diagnostic import sentences
 from testbed.dynamics.kinematics import poses
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_appearance, load_shapes
@@ -103,7 +104,7 @@ def test_shapes_are_where_mujoco_has_them(
         write_mesh(tmp_path / f"wedge.{ending}")
     tree = tb.load_tree(path, lock=lock)
     seen = load_shapes(path, tree, lock=lock)
-    assert seen.warnings == ()
+    assert seen.diagnostics == ()
     model = mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     for j in range(model.njnt):
@@ -141,7 +142,7 @@ def test_what_cannot_be_shown_is_named_in_one_line_and_the_rest_is_shown(tmp_pat
     def left_out(file: str, text: str, culprit: str) -> int:
         (tmp_path / file).write_text(text)
         seen = load_shapes(tmp_path / file, tb.load_tree(tmp_path / file))
-        (line,) = seen.warnings
+        (line,) = sentences(seen.diagnostics)
         assert culprit in line
         assert line.isprintable()
         return len(seen.shapes)

@@ -23,7 +23,7 @@ from testbed.errors import RecordingError
 from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import FREE, coordinates, poses
 from testbed.sanity.assessment import assess
-from testbed.sanity.check import UNCHECKED, check_recording
+from testbed.sanity.check import check_recording
 from tests.helpers.measured import measured
 from tests.helpers.paths import ROOT
 from tests.helpers.riding import riding
@@ -153,9 +153,11 @@ def test_zeros_that_data_do_not_decide_are_named() -> None:
     for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
         found = assess(tree, of_joint(joint, zero=angle)(recording))
         assert (found.certain, found.remedies) == ((), ())
-        assert tree.names[joint] in found.undecided
-        assert tree.names[1] not in found.undecided
-    assert assess(*right("ur5")).undecided == ""
+        (said,) = found.diagnostics
+        assert (said.code, said.level) == ("recording.undecided", "info")
+        assert tree.names[joint] in said.subject
+        assert tree.names[1] not in said.subject
+    assert assess(*right("ur5")).diagnostics == ()
 
 
 @pytest.mark.slow
@@ -237,13 +239,12 @@ def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
         (said,) = checked({signal: values}).certain
         assert said.causes == ("spikes",)
         assert channel in said.subject
-        assert f"{recording.time[700]:.6g} s" in said.found
+        assert f"{recording.time[700]:.6g} s" in said.text
     dead = recording.position * [1, 0, 1]
     for lacks in ("", "wrench"):
         found = checked({"position": dead}, lacks)
-        findings: list[Any] = [*found.certain, *found.likely]
-        assert len(findings) == 1
-        assert tree.names[1] in findings[0].subject
+        (doubt,) = (each for each in found.diagnostics if each.level != "info")
+        assert tree.names[1] in doubt.subject
     still: dict[str, Any] = {
         name: np.repeat(recording.measured(name)[:1], recording.samples, axis=0)
         for name in ("position", "torque", "wrench")
@@ -333,4 +334,4 @@ def test_unchecked_recordings_are_not_searched() -> None:
     wrong = torques(-1, -1)(recording)
     with pytest.raises(RecordingError):
         check_recording(tree, wrong)
-    assert check_recording(tree, wrong, unchecked=True).warnings[0] == UNCHECKED
+    assert check_recording(tree, wrong, unchecked=True).diagnostics[0].code == "recording.unchecked"

@@ -21,7 +21,6 @@ from testbed.recordings.importing.mapping import WrenchTable, read_mapping
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
 from testbed.robot.rotations import to_rpy
-from testbed.sanity.findings import odd_sizes, out_of_range
 from testbed.sanity.hypotheses import (
     Hypothesis,
     joint_map,
@@ -30,6 +29,7 @@ from testbed.sanity.hypotheses import (
     rarer_hypotheses,
 )
 from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.sanity.recording_diagnostics import odd_sizes, out_of_range
 from testbed.sanity.remedies import remedies_for, with_lines
 from testbed.sanity.time_offset import TimeOffset, align_mapping
 from tests.helpers.foreign_files import npz, some_log
@@ -160,13 +160,13 @@ def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -
     ]
     for sizes, remedy, unit, number in cases:
         mapping = {"torque": {"unit": unit}}
-        ((_, found),) = odd_sizes(tree, np.array(sizes), mapping, certain=True)
+        (found,) = odd_sizes(tree, np.array(sizes), mapping, certain=True)
         assert remedy in found.remedy
-        assert found.number == number
+        assert found.value == number
         odd = [n for n, s in zip(tree.names, sizes, strict=True) if s < 0.2 or s > 5]
-        assert [name in found.found for name in tree.names] == [n in odd for n in tree.names]
+        assert [name in found.text for name in tree.names] == [n in odd for n in tree.names]
     mapping = {"torque": {"unit": "N m"}}
-    ((_, other),) = odd_sizes(tree, np.full(3, 40.0), mapping, certain=True)
+    (other,) = odd_sizes(tree, np.full(3, 40.0), mapping, certain=True)
     assert "=" not in other.remedy
     gantry = robot("gantry")  # three joints slide, three turn
     low, high = np.array([joint.position_range for joint in gantry.joints]).T
@@ -174,10 +174,10 @@ def test_sizes_of_torques_and_ranges_of_positions_name_joints_and_what_to_do() -
     for joint, unit in ((1, '"mm"'), (4, '"deg"')):
         beyond = np.stack([low, high])
         beyond[1, joint] += 0.2 * (high - low)[joint]
-        ((_, said),) = out_of_range(gantry, beyond, 0.1)
-        assert gantry.names[joint] in said.found
+        (said,) = out_of_range(gantry, beyond, 0.1)
+        assert gantry.names[joint] in said.text
         assert unit in said.remedy
-        assert said.number == 1.0
+        assert said.value == 1.0
 
 
 def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def test_currents_get_torque_constants_by_the_plate_and_rest_leaves_all_assumed(
         if moving:
             np.testing.assert_allclose(found.draft.tables["torque"]["gain"], constants, rtol=0.1)
         else:
-            assert found.warnings
+            assert found.diagnostics
             assert found.draft.notes["position", "unit"].startswith(ASSUMED)
 
 

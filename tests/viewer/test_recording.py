@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 import testbed as tb
 from testbed.arrays import Array
 from testbed.campaign.summary import Figure, ParameterErrors, Summary
+from testbed.diagnostics.diagnostic import sentences
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
 from testbed.identification.estimate import METHODS
@@ -268,7 +269,7 @@ def test_what_was_not_measured_is_not_in_the_file_and_runs_stand_side_by_side(
 def test_notes_say_every_warning_and_names_are_no_markup() -> None:
     hostile = scene("hostile")
     assert "<script" not in hostile.notes.replace("\\<script", "")
-    assert scene("ur5").notes.count("\n- ") == len(run_named("ur5").warnings)
+    assert scene("ur5").notes.count("\n- ") == len(sentences(run_named("ur5").diagnostics))
     for name in run_named("plate").tree.names:
         assert f"| {name} |" in scene("plate").notes
 

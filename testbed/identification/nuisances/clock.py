@@ -67,7 +67,6 @@ def _faster(foretold: Foretold) -> Array:
 
 SKEW = Nuisance(
     "skew",
-    "a plate that is late",
     always(Part("skew", "s")),
     _late,
     _earlier,
@@ -77,9 +76,7 @@ SKEW = Nuisance(
 
 CLOCK_RATE = Nuisance(
     "clock_rate",
-    "clocks that run at different rates",
     always(Part("clock_rate", "")),
     _faster,
-    cure="give plate and encoders one clock; or cut the recording and estimate each part's skew",
 )
 """By how much the plate gets later, relative to time."""

@@ -90,42 +90,34 @@ def _back(recording: Recording, values: Array, time: Array) -> Recording:
     return replace(recording, position=recording.position - values)
 
 
-JOINT_ZEROS = Nuisance("joint_zeros", "zeros of the encoders that are off", _zeros, _moved, _back)
+JOINT_ZEROS = Nuisance("joint_zeros", _zeros, _moved, _back)
 """What the encoders show too much."""
 
 ENCODER_GAINS = Nuisance(
     "encoder_gains",
-    "scales of the encoders that are wrong",
     _gains,
     _scaled,
-    cure="correct the encoders' scales",
 )
 """Relative."""
 
 ECCENTRICITY = Nuisance(
     "eccentricity",
-    "eccentric encoders",
     _waves,
     _waved,
-    cure="correct the encoders once a turn",
 )
 """Errors that repeat with every turn."""
 
 ENCODER_DELAYS = Nuisance(
     "encoder_delays",
-    "encoders that are late",
     _delays,
     _late,
-    cure="read all encoders at one instant",
     covers=("skew",),
 )
 """By how much each is late; all of them by as much are a plate that is early."""
 
 SAMPLING = Nuisance(
     "sampling",
-    "a sampling rate that is not the stated one, or lost samples",
     always(Part("sampling", "")),
     _hurried,
-    cure="count the samples of a known time, and look for lost ones",
 )
 """By how much more time passes between samples than their stamps say, relative."""

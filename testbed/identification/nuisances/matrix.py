@@ -49,7 +49,6 @@ def _unmixed(values: Array) -> Array:
 
 MATRIX = Nuisance(
     "matrix",
-    "a plate of other sensitivities",
     always(*SENSITIVITIES),
     _columns,
     _felt,

@@ -60,12 +60,10 @@ class Nuisance:
 
     Attributes:
         kind: Its name in `identification.nuisances`.
-        said: What it is called in a sentence.
         parts: Its numbers, for a robot.
         columns: How much the measured wrench grows with each of them, to first order,
             (rows, 6, k).
         undo: What takes it back exactly; None where it can only be tested for.
-        cure: What to do about it.
         by_measured: The columns made of the measured wrench instead of the foretold one. Noise of
             the encoders is in the foretold one and in what is to be explained, and makes weakly
             told numbers drift; noise of the plate is in neither twice.
@@ -79,23 +77,12 @@ class Nuisance:
     """
 
     kind: str
-    said: str
     parts: Numbers
     columns: Effect
     undo: Undo | None = None
-    cure: str = ""
     by_measured: Effect | None = None
     passing: bool = False
     covers: tuple[str, ...] = ()
     whole: bool = False
     added: bool = False
     unmixed: Unmix | None = None
-
-    @property
-    def remedy(self) -> str:
-        """What to do about it: estimate it, where that can be."""
-        if self.undo is None:
-            return self.cure
-        return (
-            f"estimate it with the parameters: --set 'identification.nuisances=[\"{self.kind}\"]'"
-        )

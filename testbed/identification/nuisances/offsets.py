@@ -37,7 +37,6 @@ def _channels(kind: str, per: str = "") -> Numbers:
 
 BIAS = Nuisance(
     "bias",
-    "a zero of the plate that is off",
     _channels("bias"),
     _constant,
     _without_constant,
@@ -47,7 +46,6 @@ BIAS = Nuisance(
 
 SLOPE = Nuisance(
     "slope",
-    "a drift of the plate",
     _channels("slope", "/s"),
     _trend,
     _without_trend,
@@ -56,5 +54,5 @@ SLOPE = Nuisance(
 )
 """From the middle of the recording."""
 
-TARE = Nuisance("tare", "a wrong tare", _channels("tare"), _constant, _without_constant, added=True)
+TARE = Nuisance("tare", _channels("tare"), _constant, _without_constant, added=True)
 """What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""

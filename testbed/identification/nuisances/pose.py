@@ -63,7 +63,6 @@ def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
 
 POSE = Nuisance(
     "pose",
-    "a plate that is turned or shifted",
     always(*_PARTS),
     _pose,
     _moved_back,
@@ -72,7 +71,6 @@ POSE = Nuisance(
 
 HEIGHT = Nuisance(
     "height",
-    "an origin of the plate at another height",
     always(Part("height", "m")),
     _height,
     _lowered,

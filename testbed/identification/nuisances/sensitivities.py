@@ -29,17 +29,13 @@ def _others(foretold: Foretold) -> Array:
     return found
 
 
-GAINS = Nuisance(
-    "gains", "gains of the plate that are wrong", _of_channels, _own, cure="calibrate the plate"
-)
+GAINS = Nuisance("gains", _of_channels, _own)
 """Relative."""
 
 CROSSTALK = Nuisance(
     "crosstalk",
-    "crosstalk of the plate",
     _of_pairs,
     _others,
-    cure="calibrate the plate",
     covers=("pose",),
 )
 """What a channel shows of another's load; a plate that is turned or shifted does that, too."""

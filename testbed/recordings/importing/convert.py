@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, plural
 from testbed.recordings.columns import members_of
 from testbed.recordings.importing.derivative import derivatives
@@ -113,22 +114,22 @@ def converted(mapping: Mapping, folder: Path) -> Imported:
     return _converted(mapping, tables, times, _window(mapping, times))
 
 
-def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[str]]:
-    """The same, cut wherever a source was silent for too long; and in words where.
+def converted_pieces(mapping: Mapping, folder: Path) -> tuple[list[Imported], list[Diagnostic]]:
+    """The same, cut wherever a source was silent for too long.
 
     Args:
         mapping: What the files' columns mean.
         folder: To which the files are relative.
 
     Returns:
-        One or more, in the order of time; a line a cut, none where there is one piece.
+        One or more, in the order of time; and where they were cut.
 
     Raises:
         RecordingError: As `converted`; of a gap where no piece is long enough.
     """
     tables, times = _opened(mapping, folder)
-    windows, lines = cut(_window(mapping, times), mapping.sources, times)
-    return [_converted(mapping, tables, times, each) for each in windows], lines
+    windows, said = cut(_window(mapping, times), mapping.sources, times)
+    return [_converted(mapping, tables, times, each) for each in windows], said
 
 
 def clock_ranges(mapping: Mapping, folder: Path) -> dict[str, tuple[float, float]]:
@@ -350,8 +351,8 @@ def _metadata(mapping: Mapping, report: ImportReport) -> dict[str, Any]:
     """What the recording's file keeps beside its columns."""
     said = mapping.model_dump(mode="json", exclude_none=True)
     facts: dict[str, Any] = {"import": report.as_dict(), "mapping": said}
-    if report.warnings():
-        facts["warnings"] = report.warnings()
+    if report.diagnostics:
+        facts["diagnostics"] = [each.as_dict() for each in report.diagnostics]
     kinds = joint_kinds(mapping.position, mapping.joints)
     if kinds:
         facts["geometry"] = kinds

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import RecordingError
 from testbed.recordings.importing.foreign_units import UNITS, Kind, plain
 from testbed.recordings.importing.import_report import SignalReport
@@ -127,16 +128,16 @@ def derivatives(
             for each in (below, kind)
         )
         _check_moves(kind, below, mapping.joints, values, rates, columns["time"])
-        notes = _notes(
+        said = _diagnostics(
             *(kind, mapping.signals[kind], below, mapping.signals[below]),
             mapping.joints,
             slopes(values, rates, columns["time"]),
             np.sqrt([np.mean(each**2, axis=0) for each in (values, rates)]),
         )
-        said = f"; held against the {below}s, " + (
+        use = f"; held against the {below}s, " + (
             "taken for their derivatives" if used else "and not used by estimates"
         )
-        found[kind] = replace(reports[kind], notes=notes, use=said)
+        found[kind] = replace(reports[kind], diagnostics=said, use=use)
     return found
 
 
@@ -154,10 +155,10 @@ def _check_moves(
         )
 
 
-def _notes(
+def _diagnostics(
     kind: Kind, table: SignalTable, of: Kind, below: SignalTable, joints: Sequence[str],
     found: Slopes, sizes: Array,
-) -> tuple[str, ...]:  # fmt: skip
+) -> tuple[Diagnostic, ...]:  # fmt: skip
     """What to doubt of a signal that should be the derivative of another, both of sizes (2, n).
 
     Raises:
@@ -181,10 +182,8 @@ def _notes(
     if not moving.any():
         return ()
     names = [joint for joint, moves in zip(joints, moving, strict=True) if moves]
-    return (
-        f"the {kind} of {_listed(names, n)} follows the derivative of the {of} by "
-        f"{fit[moving].min():.0%} only: noise, hardly any motion, or something else",
-    )
+    least = float(fit[moving].min())
+    return (diagnose("import.derivative", _listed(names, n), least, kind=kind, of=of),)
 
 
 def _listed(names: Sequence[str], count: int) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, from_json
 from testbed.errors import plural
 from testbed.recordings.importing.source_clock import ClockReport
 
@@ -25,7 +26,7 @@ class SignalReport:
         held: Part of the samples in which no channel changed.
         dropped: Samples left out as held.
         low_pass: Whether it was low-passed, the source being faster than the grid.
-        notes: What else a person should know.
+        diagnostics: What else a person should know.
         use: What the signal was held against, and what it is for; empty where that is plain.
     """
 
@@ -33,7 +34,7 @@ class SignalReport:
     held: float
     dropped: int
     low_pass: bool
-    notes: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
     use: str = ""
 
 
@@ -57,17 +58,18 @@ class ImportReport:
         """As JSON takes it."""
         found = asdict(self)
         for signal in found["signals"].values():
-            signal["notes"] = list(signal["notes"])
+            signal["diagnostics"] = list(signal["diagnostics"])
         return found
 
     @staticmethod
     def from_dict(said: Mapping[str, Any]) -> ImportReport:
         """Of `as_dict`, as a recording keeps it under the fact "import"."""
         clocks = {name: ClockReport(**each) for name, each in said["clocks"].items()}
-        signals = {
-            name: SignalReport(**{**each, "notes": tuple(each["notes"])})
-            for name, each in said["signals"].items()
-        }
+        signals = {}
+        for name, each in said["signals"].items():
+            own = {key: value for key, value in each.items() if key != "notes"}  # texts, once
+            own["diagnostics"] = from_json(each.get("diagnostics", each.get("notes", ())))
+            signals[name] = SignalReport(**own)
         return ImportReport(said["rate"], said["samples"], clocks, signals)
 
     def lines(self) -> list[str]:
@@ -79,34 +81,24 @@ class ImportReport:
             *(_signal(name, signal) for name, signal in self.signals.items()),
         ]
 
-    def warnings(self) -> list[str]:
-        """What to doubt, each with its cure."""
-        return [*self._of_clocks(), *self._of_signals()]
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to doubt."""
+        return (*self._of_clocks(), *self._of_signals())
 
-    def _of_clocks(self) -> Iterator[str]:
+    def _of_clocks(self) -> Iterator[Diagnostic]:
         for name, clock in self.clocks.items():
             if clock.jitter > JITTER:
-                yield (
-                    f"the stamps of source '{name}' jitter by {clock.jitter:.0%} of the sampling "
-                    f"time; if the device samples at a constant rate, say `steady = true` in "
-                    f"[sources.{name}]"
-                )
+                yield diagnose("import.jitter", name, clock.jitter)
             if clock.gaps:
-                yield (
-                    f"source '{name}' has {plural(clock.gaps, 'gap')}, the longest "
-                    f"{clock.longest_gap:.3g} "
-                    "s, bridged by splines"
-                )
+                gaps = plural(clock.gaps, "gap")
+                yield diagnose("import.gaps", name, clock.longest_gap, gaps=gaps)
 
-    def _of_signals(self) -> Iterator[str]:
+    def _of_signals(self) -> Iterator[Diagnostic]:
         for name, signal in self.signals.items():
             if signal.held > HELD and not signal.dropped:
-                yield (
-                    f"in {signal.held:.0%} of its samples nothing of the {name} changes; if the "
-                    "device is slower than its logger, say `drop_held = true` in "
-                    f"[sources.{signal.source}]"
-                )
-            yield from signal.notes
+                yield diagnose("import.held", name, signal.held, source=signal.source)
+            yield from signal.diagnostics
 
 
 def _clock(name: str, clock: ClockReport) -> str:

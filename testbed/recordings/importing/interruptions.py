@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import plural
 from testbed.recordings.importing.mapping import SourceTable
 from testbed.recordings.importing.source_clock import longest_bridged
@@ -20,8 +21,8 @@ Window = tuple[float, float]
 
 def cut(
     window: Window, sources: Mapping[str, SourceTable], times: Mapping[str, Array]
-) -> tuple[list[Window], list[str]]:
-    """Pieces of a window in which no source is silent for too long, and where it was cut in words.
+) -> tuple[list[Window], list[Diagnostic]]:
+    """Pieces of a window in which no source is silent for too long, and where it was cut.
 
     The whole window without a word where there is no gap, or no piece is long enough.
 
@@ -31,23 +32,20 @@ def cut(
         times: Of each one's samples, (M,) [s].
     """
     gaps = [(*gap, name) for name, time in times.items() for gap in _gaps(sources[name], time)]
-    windows, lines, begin = [], [], window[0]
+    windows, said, begin = [], [], window[0]
     for last, first, name in sorted(gaps):
         if first <= window[0] or last >= window[1]:
             continue
         windows.append((begin, last))
         begin = max(begin, first)
-        lines.append(
-            f"nothing of source '{name}' for {first - last:.3g} s after {last - window[0]:.6g} s: "
-            "cut there"
-        )
+        said.append(diagnose("import.cut", name, first - last, begin=last - window[0]))
     windows.append((begin, window[1]))
     long = [each for each in windows if each[1] - each[0] >= SHORTEST]
-    if not lines or not long:
+    if not said or not long:
         return [window], []
-    short = len(windows) - len(long)
-    said = f"{plural(short, 'piece')} shorter than {SHORTEST:g} s left out"
-    return long, [*lines, *([said] if short else [])]
+    if short := len(windows) - len(long):
+        said.append(diagnose("import.short", plural(short, "piece"), SHORTEST))
+    return long, said
 
 
 def without_gaps(source: SourceTable, time: Array, part: slice, window: Window) -> slice:

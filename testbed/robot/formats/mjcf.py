@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ModelError
 from testbed.robot.formats.mjcf_compile import (
     MASSLESS,
@@ -51,8 +52,8 @@ def read_mjcf(
         joint = name.removeprefix(VELOCITY_LIMIT)
         if joint != name and not _has(model, mujoco.mjtObj.mjOBJ_JOINT, joint):
             raise ModelError(f"{path}: <numeric name='{name}'> names no joint")
-    notes = (*found.repair.notes, *found.notes)
-    return _tree_of(model, found.stated, notes)
+    said = (*found.repair.diagnostics, *found.diagnostics)
+    return _tree_of(model, found.stated, said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +64,13 @@ class RepairedSpec:
         spec: The model.
         stated: Inertias as stated, by body.
         repair: What was repaired.
-        notes: A line for each thing that was accepted with a warning.
+        diagnostics: What was accepted although it is wrong.
     """
 
     spec: mujoco.MjSpec
     stated: dict[str, StatedInertia]
     repair: Repair
-    notes: tuple[str, ...]
+    diagnostics: tuple[Diagnostic, ...]
 
 
 def repaired_spec(
@@ -80,14 +81,14 @@ def repaired_spec(
     lock: Lock | None = None,
 ) -> RepairedSpec:
     """An MJCF file with bodies that can be, for every reader; otherwise as `read_mjcf`."""
-    spec, notes = open_spec(path, weld_root=weld_root, lock=lock)
+    spec, said = open_spec(path, weld_root=weld_root, lock=lock)
     suspects, stated = stated_inertias(spec)
     links = _links(compile_spec(spec, path), stated, path) if suspects or repair else ()
     # no chain ends without matter: MuJoCo takes no such file
     found = repaired(links, suspects, (), repair, path.name)
     for name, inertia in found.links.items():
         stated[name] = set_inertia(spec.body(name), inertia)
-    return RepairedSpec(spec, stated, found, notes)
+    return RepairedSpec(spec, stated, found, said)
 
 
 def read_links(
@@ -131,7 +132,7 @@ def _check_places(model: mujoco.MjModel, path: Path) -> None:
 
 
 def _tree_of(
-    model: mujoco.MjModel, stated: dict[str, StatedInertia], warnings: tuple[str, ...]
+    model: mujoco.MjModel, stated: dict[str, StatedInertia], diagnostics: tuple[Diagnostic, ...]
 ) -> Tree:
     joints: list[Joint] = []
     places = _places(model, joints)
@@ -149,7 +150,7 @@ def _tree_of(
         inertias=tuple(inertias),
         pedestal=pedestal,
         gravity=np.zeros(3) if _disabled(model, "GRAVITY") else model.opt.gravity,
-        warnings=warnings,
+        diagnostics=diagnostics,
     )
 
 

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.robot.inertia import Inertia, inertia_flaw
 from testbed.robot.parsing import capture_stderr
@@ -43,19 +44,19 @@ def compile_spec(spec: mujoco.MjSpec, path: Path) -> mujoco.MjModel:
     raise ModelError(f"{path}: {first}")
 
 
-def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
-    """Take out meshes that MuJoCo cannot read, and the geoms made of them; a line for each.
+def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ...]:
+    """Take out meshes that MuJoCo cannot read, and the geoms made of them; names them.
 
     Raises:
         ModelError: The inertia of a body comes from such a mesh.
     """
-    lines = []
+    said = []
     with no_mujoco_warnings():
         for mesh in list(spec.meshes):
             name, fault = mesh.name, _mesh_fault(spec, mesh.name)
             if fault is None:
                 continue
-            lines.append(f"mesh '{mesh.file or name}' is left out: {fault}")
+            said.append(diagnose("model.mesh", mesh.file or name, reason=fault))
             for geom in [geom for geom in spec.geoms if geom.meshname == name]:
                 body = geom.parent
                 if not body.explicitinertial and body.name != "world":
@@ -65,7 +66,7 @@ def drop_unreadable_meshes(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
                     )
                 spec.delete(geom)
             spec.delete(mesh)
-    return tuple(lines)
+    return tuple(said)
 
 
 def _mesh_fault(spec: mujoco.MjSpec, name: str) -> str | None:

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import FreeRootError, LoopError, MimicError, ModelError, quoted
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings, one_line, resolve
 from testbed.robot.formats.mjcf_xml import check_files
@@ -33,13 +34,13 @@ posture."""
 
 def open_spec(
     path: Path, *, weld_root: bool = False, lock: Lock | None = None
-) -> tuple[mujoco.MjSpec, tuple[str, ...]]:
+) -> tuple[mujoco.MjSpec, tuple[Diagnostic, ...]]:
     """The editable MuJoCo model of an MJCF file: its mechanism, checked for what is supported.
 
     Held joints are taken out, their bodies posed. Arguments and errors are those of `load_tree`.
 
     Returns:
-        The model, and a line for each thing that was accepted with a warning.
+        The model, and what was accepted although it is wrong.
     """
     spec = parse(path)
     spec.compiler.fusestatic = False  # fused bodies would lose what their links weigh
@@ -56,8 +57,8 @@ def open_spec(
                 f"{path}: joint '{joint.name or joint.parent.name}' is of type '{kind}', which is "
                 "not supported (supported: hinge, slide)"
             )
-    notes = hold_joints(spec, lock or {}, path)
-    return spec, (*notes, *drop_passive_forces(spec, path))
+    said = hold_joints(spec, lock or {}, path)
+    return spec, (*said, *drop_passive_forces(spec, path))
 
 
 def follower_names(path: Path) -> tuple[str, ...]:
@@ -148,7 +149,7 @@ def _strip(spec: mujoco.MjSpec) -> None:
         body.mocap = False  # nobody moves it: it stands still
 
 
-def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
+def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
     """Take locked joints out of a model, those that go along with them, and all tendons.
 
     Args:
@@ -157,7 +158,7 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
         path: Its file, for messages.
 
     Returns:
-        A line for each follower that is held where its master does not take it, and for tendons.
+        Followers that are held where their masters do not take them, and tendons.
 
     Raises:
         ModelError: What couples joints is not supported; MimicError for a joint that follows
@@ -171,7 +172,7 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
     model, _ = resolve(spec, path)
     travels = _travels(model, couplings)
     try:
-        held, warnings = lock_positions(travels, lock, path.name)
+        held, said = lock_positions(travels, lock, path.name)
     except MimicError:
         _check_loops(loops, travels, lock, path)  # what may hold the master, too, comes first
         raise
@@ -182,7 +183,7 @@ def hold_joints(spec: mujoco.MjSpec, lock: Lock, path: Path) -> tuple[str, ...]:
     for body in spec.bodies:
         if any(joint.name in held for joint in body.joints):
             _hold(spec, body, model, held)
-    return (*warnings, *tendons)
+    return (*said, *tendons)
 
 
 def _check_loops(
@@ -330,11 +331,11 @@ def _product(first: Array, second: Array) -> Array:
     return result
 
 
-def drop_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
+def drop_tendons(spec: mujoco.MjSpec) -> tuple[Diagnostic, ...]:
     """Take all tendons out.
 
     Returns:
-        A line that names those that would act.
+        Those that would act.
     """
     acting = []
     for number, tendon in enumerate(list(spec.tendons), start=1):
@@ -346,7 +347,7 @@ def drop_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
     return _left_out({"the tendons": acting})
 
 
-def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
+def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[Diagnostic, ...]:
     """Take out springs, damping that is not linear, gravity compensation and fluid.
 
     Args:
@@ -354,7 +355,7 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
         path: Its file, for messages.
 
     Returns:
-        A line for each kind that would act, with the joints or bodies where it is.
+        Each kind that would act, with the joints or bodies where it is.
     """
     springs, curved, floating = list[str](), list[str](), list[str]()
     dampers = _dampers_of_springs(spec, path)
@@ -374,14 +375,14 @@ def drop_passive_forces(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
     option = spec.option
     fluid = option.density or option.viscosity
     option.density = option.viscosity = 0.0
-    lines = _left_out(
+    said = _left_out(
         {
             "springs of": springs,
             "damping that grows faster than the speed of": curved,
             "gravity compensation of": floating,
         }
     )
-    return (*lines, *(["left out: the fluid around the robot"] if fluid else []))
+    return said + (_left_out({"the fluid around": ["the robot"]}) if fluid else ())
 
 
 def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
@@ -393,5 +394,9 @@ def _dampers_of_springs(spec: mujoco.MjSpec, path: Path) -> dict[str, float]:
     return {n: float(np.ravel(model.dof_damping[model.joint(n).dofadr[0]])[0]) for n in names}
 
 
-def _left_out(found: dict[str, list[str]]) -> tuple[str, ...]:
-    return tuple(f"left out: {what} {quoted(names)}" for what, names in found.items() if names)
+def _left_out(found: dict[str, list[str]]) -> tuple[Diagnostic, ...]:
+    return tuple(
+        diagnose("model.left-out", quoted(names), what=what)
+        for what, names in found.items()
+        if names
+    )

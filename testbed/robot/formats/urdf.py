@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR, link_at, numbers_of, supported_xml
 from testbed.robot.inertia import NOTHING, Inertia, inertia_flaw
@@ -36,8 +37,8 @@ def read_urdf(
 
     Arguments and errors are those of `load_tree`.
     """
-    root, found, warnings = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
-    return _tree_of(_built(root, path), root.get("name", ""), (*found.notes, *warnings))
+    root, found, said = repaired_xml(path, weld_root=weld_root, repair=repair, lock=lock)
+    return _tree_of(_built(root, path), root.get("name", ""), (*found.diagnostics, *said))
 
 
 def repaired_xml(
@@ -46,14 +47,13 @@ def repaired_xml(
     weld_root: bool = False,
     repair: Bodies | None = None,
     lock: Lock | None = None,
-) -> tuple[ET.Element, Repair, tuple[str, ...]]:
+) -> tuple[ET.Element, Repair, tuple[Diagnostic, ...]]:
     """The file's links and joints with bodies that can be, for all readers; else as `read_urdf`.
 
     Returns:
-        The root element; what was repaired; and a line for each thing that was accepted with a
-        warning.
+        The root element; what was repaired; and what was accepted although it is wrong.
     """
-    root, warnings = supported_xml(path, weld_root=weld_root, lock=lock)
+    root, said = supported_xml(path, weld_root=weld_root, lock=lock)
     elements = {link.get("name", ""): link for link in root.findall("link")}
     with errors_of(path):
         suspects = {name: line for name, link in elements.items() if (line := _link_flaw(link))}
@@ -61,7 +61,7 @@ def repaired_xml(
     found = repaired(links, suspects, parents, repair, path.name)
     for name, inertia in found.links.items():
         _set_inertia(elements[name], inertia)
-    return root, found, warnings
+    return root, found, said
 
 
 def read_links(
@@ -160,7 +160,7 @@ def _set_inertia(link: ET.Element, inertia: Inertia) -> None:
         ET.SubElement(new, "inertia", moments)
 
 
-def _tree_of(model: pin.Model, name: str, warnings: tuple[str, ...]) -> Tree:
+def _tree_of(model: pin.Model, name: str, diagnostics: tuple[Diagnostic, ...]) -> Tree:
     bodies = {
         frame.parentJoint: frame.name
         for frame in reversed(model.frames.tolist())
@@ -174,7 +174,7 @@ def _tree_of(model: pin.Model, name: str, warnings: tuple[str, ...]) -> Tree:
         inertias=inertias,
         pedestal=_inertia_of(model.inertias[0]),
         gravity=model.gravity.linear,
-        warnings=warnings,
+        diagnostics=diagnostics,
     )
 
 

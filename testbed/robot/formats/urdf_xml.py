@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import FreeRootError, ModelError, quoted
 from testbed.robot.inertia import HEAVIEST
 from testbed.robot.locks import Coupling, Lock, Travel, lock_positions
@@ -97,13 +98,13 @@ def supported_xml(
     weld_root: bool = False,
     lock: Lock | None = None,
     keep_visuals: bool = False,
-) -> tuple[ET.Element, tuple[str, ...]]:
+) -> tuple[ET.Element, tuple[Diagnostic, ...]]:
     """The file's links and joints, checked for what is supported; held joints become fixed ones.
 
     Arguments and errors are those of `load_tree`; `keep_visuals` keeps what is to be seen.
 
     Returns:
-        The root element, and a line for each thing that was accepted with a warning.
+        The root element, and what was accepted although it is wrong.
     """
     root = _checked(path, weld_root, keep_visuals)
     return root, _hold(root.findall("joint"), lock or {}, path)
@@ -174,9 +175,9 @@ def _travels(joints: list[ET.Element]) -> dict[str, Travel]:
     return found
 
 
-def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
+def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[Diagnostic, ...]:
     """Make locked joints fixed ones, in the place where they are held."""
-    held, warnings = lock_positions(_travels(joints), lock, path.name)
+    held, said = lock_positions(_travels(joints), lock, path.name)
     for joint in joints:
         name = joint.get("name", "")
         if name in held:
@@ -190,7 +191,7 @@ def _hold(joints: list[ET.Element], lock: Lock, path: Path) -> tuple[str, ...]:
         elif joint.get("type") != "continuous" and joint.find("limit") is None:
             zeros = dict.fromkeys(("lower", "upper", "effort", "velocity"), "0")
             ET.SubElement(joint, "limit", zeros)  # parsers want one; zeros: not known
-    return warnings
+    return said
 
 
 def _move_origin(joint: ET.Element, position: float) -> None:

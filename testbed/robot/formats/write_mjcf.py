@@ -13,6 +13,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import ModelError, few
 from testbed.robot.formats.mjcf_compile import FULL
 from testbed.robot.formats.mjcf_spec import parse
@@ -30,7 +31,7 @@ def edit_mjcf(
     links: Mapping[str, Inertia],
     joints: Mapping[str, Mapping[str, float]],
     note: list[str],
-) -> tuple[bytes, tuple[str, ...]]:
+) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """The file's bytes with other inertials, friction and armatures.
 
     Args:
@@ -111,7 +112,7 @@ def _inertial(inertia: Inertia) -> dict[str, str | None]:
     return said | {"diaginertia": "0 0 0"}  # MuJoCo takes no full inertia that is zero
 
 
-def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[str]:
+def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> Iterator[Diagnostic]:
     """Settings of the file's compiler that make other bodies of those that are written."""
     compiler = spec.compiler
     masses = {name: own.mass for name, own in links.items()}
@@ -122,12 +123,6 @@ def _changed_by_compiler(spec: mujoco.MjSpec, links: Mapping[str, Inertia]) -> I
     ):
         light = [name for name, value in values.items() if value < least]
         if light:
-            yield (
-                f'compiler {setting}="{least:g}" makes MuJoCo raise what is written of '
-                f"{few(light)}: take it out of the file"
-            )
+            yield diagnose("model.compiler-bound", few(light), least, setting=setting)
     if compiler.balanceinertia:
-        yield (
-            'compiler balanceinertia="true" is of no use any more: all bodies that were written '
-            "can exist; it may be taken out of the file"
-        )
+        yield diagnose("model.balance")

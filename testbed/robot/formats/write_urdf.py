@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import ModelError
 from testbed.robot.formats.urdf_xml import TENSOR
 from testbed.robot.formats.xml_bytes import Element, XmlBytes, as_tag, comment
@@ -20,11 +21,11 @@ def edit_urdf(
     links: Mapping[str, Inertia],
     joints: Mapping[str, Mapping[str, float]],
     note: list[str],
-) -> tuple[bytes, tuple[str, ...]]:
+) -> tuple[bytes, tuple[Diagnostic, ...]]:
     """The file's bytes with other inertials and friction; arguments are those of `edit_mjcf`.
 
     Returns:
-        The bytes, and a line for what URDF has no place for.
+        The bytes, and what URDF has no place for.
 
     Raises:
         ModelError: The file cannot be edited; or a link has more than one inertial.
@@ -47,10 +48,7 @@ def edit_urdf(
     ]
     if not rotors:
         return document.edit(), ()
-    return document.edit(), (
-        f"URDF has no place for rotors' inertias ({', '.join(rotors)} kg m^2 or kg): what reads "
-        "the file needs them as armature; MJCF has it",
-    )
+    return document.edit(), (diagnose("model.rotors", ", ".join(rotors)),)
 
 
 def _set_inertial(document: XmlBytes, link: Element, inertia: Inertia, path: Path) -> None:

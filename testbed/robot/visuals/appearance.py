@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.robot.locks import Lock
 from testbed.robot.model_file import ModelFile, model_format
 from testbed.robot.tree import Tree
@@ -28,12 +29,12 @@ class Appearance:
     Attributes:
         tree: The robot.
         shapes: On its bodies and on the bedplate.
-        warnings: What the model file gives to be seen but cannot be shown, a line each.
+        diagnostics: What the model file gives to be seen but cannot be shown.
     """
 
     tree: Tree
     shapes: tuple[Shape, ...]
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     @cached_property
     def tips(self) -> dict[int, Array]:
@@ -107,7 +108,7 @@ def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     if model is not None:
         drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
     shapes = drawn.shapes or tuple(sticks(tree))
-    return Appearance(tree, _with_plate(tree, shapes), drawn.warnings)
+    return Appearance(tree, _with_plate(tree, shapes), drawn.diagnostics)
 
 
 def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:

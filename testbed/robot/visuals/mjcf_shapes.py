@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.robot.formats.mjcf_compile import (
     compile_spec,
     drop_unreadable_meshes,
@@ -38,14 +39,14 @@ def read_shapes(
     """What MuJoCo's own viewer shows, but for floors; arguments are those of `load_shapes`."""
     spec, _ = open_spec(path, weld_root=weld_root, lock=lock)
     stated_inertias(spec)  # impossible ones would keep it from being compiled
-    warnings: tuple[str, ...] = ()
+    said: tuple[Diagnostic, ...] = ()
     try:
         with no_mujoco_warnings():
             model = spec.compile()
     except ValueError:
-        warnings = drop_unreadable_meshes(spec, path)
+        said = drop_unreadable_meshes(spec, path)
         model = compile_spec(spec, path)
-    return DrawnShapes(tuple(_shapes(model, tree)), warnings)
+    return DrawnShapes(tuple(_shapes(model, tree)), said)
 
 
 def _shapes(model: mujoco.MjModel, tree: Tree) -> Iterator[Shape]:

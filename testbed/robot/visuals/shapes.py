@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from testbed.arrays import Array, freeze
+from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.robot.tree import Tree
 
 ROUND = 32
@@ -52,11 +53,11 @@ class DrawnShapes:
 
     Attributes:
         shapes: Those that the model file gives.
-        warnings: What the file gives but cannot be shown, a line each.
+        diagnostics: What the file gives but cannot be shown.
     """
 
     shapes: tuple[Shape, ...]
-    warnings: tuple[str, ...] = ()
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def poses_at_zero(tree: Tree) -> list[tuple[Array, Array]]:

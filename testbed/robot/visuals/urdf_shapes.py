@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import WIDTH, ModelError, few
 from testbed.robot.formats.urdf_xml import rewrite_numbers, supported_xml
 from testbed.robot.locks import Lock
@@ -36,17 +37,15 @@ def read_shapes(
     """
     root, _ = supported_xml(path, weld_root=weld_root, lock=lock, keep_visuals=True)
     lost: list[str] = []
-    missing = [line for link in root.findall("link") for line in _prepared(link, path, lost)]
+    missing = [each for link in root.findall("link") for each in _prepared(link, path, lost)]
     if lost:
-        missing.append(
-            f"not drawn, as it is neither beside the model file nor above it: {few(lost, WIDTH)}"
-        )
+        missing.append(diagnose("model.mesh-missing", few(lost, WIDTH)))
     coloured = root.find("link/visual/material") is not None
     root.set("version", "1.2")  # capsules are new in it
     try:
         model, seen = _built(root)
     except Exception:  # Pinocchio raises whatever a mesh makes it meet
-        missing += [line for link in root.findall("link") for line in _without_unreadable(link)]
+        missing += [each for link in root.findall("link") for each in _without_unreadable(link)]
         try:
             model, seen = _built(root)
         except Exception as error:
@@ -100,8 +99,8 @@ def _drawn(
             yield Shape(body, "mesh", size, *at, vertices, np.array(faces, dtype=float))
 
 
-def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[str]:
-    """Make numbers plain and mesh names absolute; a line for each visual that is no shape.
+def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[Diagnostic]:
+    """Make numbers plain and mesh names absolute; names visuals that are no shapes.
 
     Args:
         link: Of the model; visuals that cannot be drawn are removed.
@@ -115,7 +114,7 @@ def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[str]:
                 rewrite_numbers(holder, f"{path.name}: visual of {owner}")
         except ModelError as error:
             link.remove(visual)
-            yield f"{error}; it is not drawn"
+            yield diagnose("model.shape", f"a visual of {owner}", reason=error)
             continue
         mesh = visual.find("geometry/mesh")
         if mesh is not None:
@@ -128,8 +127,8 @@ def _prepared(link: ET.Element, path: Path, lost: list[str]) -> Iterator[str]:
                 mesh.set("filename", str(found[1]))
 
 
-def _without_unreadable(link: ET.Element) -> Iterator[str]:
-    """Drop visuals that Pinocchio cannot read, each tried alone; a line for each."""
+def _without_unreadable(link: ET.Element) -> Iterator[Diagnostic]:
+    """Drop visuals that Pinocchio cannot read, each tried alone; names them."""
     for visual in link.findall("visual"):
         alone = ET.Element("robot", name="one", version="1.2")
         ET.SubElement(alone, "link", name="one").append(deepcopy(visual))
@@ -140,4 +139,4 @@ def _without_unreadable(link: ET.Element) -> Iterator[str]:
             mesh = visual.find("geometry/mesh")
             what = "a shape" if mesh is None else f"mesh file '{mesh.get('filename')}'"
             said = " ".join(str(error).split())
-            yield f"{what} of link '{link.get('name')}' is not drawn: {said}"
+            yield diagnose("model.shape", f"{what} of link '{link.get('name')}'", reason=said)

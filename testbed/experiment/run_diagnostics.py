@@ -1,4 +1,4 @@
-"""What a careful reader of a run should know: findings, and other things in words."""
+"""What a careful reader of a run should know."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 from testbed.errors import plural
 from testbed.experiment.score import Errors
-from testbed.identification.cross_check import findings_of
+from testbed.identification.cross_check import diagnostics_of
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.finding import Finding
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 
 CLOSE = 0.9
-"""Correlation above which two parameters are told apart poorly."""
+"""Correlation above which two parameters are named."""
 
 MOST_PAIRS = 5
 """Pairs that are named."""
@@ -24,51 +24,42 @@ FAR = 5.0
 """Errors in sigmas that noise does not make."""
 
 CAUSES: Mapping[Method, tuple[str, ...]] = {
-    "internal": ("a wrong torque constant", "friction of another law", "an unmodelled rotor"),
-    "external": ("a plate that is turned, late or off in its scales", "encoders that are"),
+    "internal": ("torque-constant", "friction-law", "rotor"),
+    "external": ("plate-errors", "late-encoders"),
 }
-"""Of errors that sigma does not tell."""
+"""Of errors that sigma does not count."""
 
 EXACT = 1e-6
 """Relative error that is of no matter, however small sigma is."""
 
 
-def findings_of_run(
-    estimates: Mapping[Method, Estimate], errors: Mapping[Method, Errors]
-) -> tuple[Finding, ...]:
-    """What is wrong with a recording or its estimates.
-
-    Args:
-        estimates: By method.
-        errors: Of the estimates, where the truth is known.
-    """
-    judged = [each for m in errors for each in systematic_errors(estimates[m], errors[m])]
-    return (*findings_of(estimates.values()), *judged)
-
-
-def notes_of(
+def diagnostics_of_run(
     tree: Tree,
     recording: Recording,
     estimates: Mapping[Method, Estimate],
     failures: Mapping[Method, str],
-) -> tuple[str, ...]:
-    """What else to know of the model, the recording and the estimates, a line each, none twice.
+    errors: Mapping[Method, Errors],
+) -> tuple[Diagnostic, ...]:
+    """What to know of the model, the recording and the estimates.
 
     Args:
         tree: The robot.
         recording: What was measured.
         estimates: By method.
         failures: Why a method has no estimate.
+        errors: Of the estimates, where the truth is known.
     """
-    lines = [f"no {method} estimate: {reason}" for method, reason in failures.items()]
-    lines += [*tree.warnings, *recording.facts.get("warnings", ())]
+    missing = [diagnose("estimate.missing", m, reason=reason) for m, reason in failures.items()]
+    found = [*diagnostics_of(estimates.values())]
+    for method in errors:
+        found += systematic_errors(estimates[method], errors[method])
     for estimate in estimates.values():
-        lines += [*estimate.notes, *close_pairs(estimate)]
-    return tuple(dict.fromkeys(lines))
+        found += correlated(estimate)
+    return ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
 
 
-def close_pairs(estimate: Estimate) -> Iterator[str]:
-    """Parameters that the data tell apart poorly, worst first.
+def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Parameters of large correlation, the largest first.
 
     Args:
         estimate: Of one method.
@@ -84,14 +75,17 @@ def close_pairs(estimate: Estimate) -> Iterator[str]:
         for a, b in pairs[:MOST_PAIRS]
     ]
     more = len(pairs) - len(named)
-    yield (
-        f"the {estimate.method} estimate tells apart poorly: {', '.join(named)}"
-        f"{f' and {more} more pairs' if more else ''}"
+    yield diagnose(
+        "estimate.correlated",
+        f"the {estimate.method} estimate",
+        correlation[pairs[0][0], pairs[0][1]],
+        method=estimate.method,
+        pairs=", ".join(named) + (f" and {more} more pairs" if more else ""),
     )
 
 
-def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Finding]:
-    """Errors that no sigma explains.
+def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
+    """Errors that sigma does not explain.
 
     Args:
         estimate: Of one method.
@@ -107,13 +101,11 @@ def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Finding]:
     worst = int(far.argmax())
     others = int(off.sum()) - 1
     more = f" and of {plural(others, 'more parameter')}" if others else ""
-    yield Finding(
+    yield diagnose(
+        "estimate.bias",
         f"the {estimate.method} estimate of {estimate.names[worst]}{more}",
-        f"is off by more than {FAR:g} sigma (up to {far[worst]:.0f}): its errors are systematic, "
-        "and sigma does not tell them",
         float(far[worst]),
-        CAUSES[estimate.method],
-        "look at what the instrument was given (`testbed faults`)",
-        code="systematic-error",
         method=estimate.method,
+        causes=CAUSES[estimate.method],
+        limit=FAR,
     )

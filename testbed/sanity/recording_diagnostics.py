@@ -1,16 +1,16 @@
-"""What may be wrong with a recording, in words; each kind of finding has a code."""
+"""What may be wrong with a recording, before anything is estimated."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.errors import few, round_significant
-from testbed.identification.finding import Finding, components
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
+from testbed.errors import components, few, round_significant
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.recording import Recording
@@ -20,37 +20,6 @@ from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
 from testbed.sanity.plate import MIXED, WrenchFit
 from testbed.sanity.remedies import Remedy, in_mapping
-
-SPIKES, REST, STILL = "channel.spikes", "robot.rest", "position.still"
-RANGE, SIZE, MAPPING = "position.range", "torque.size", "mapping"
-SILENT, CROSSTALK, FOREIGN = "plate.silent", "plate.crosstalk", "plate.foreign"
-WEIGHT, ZERO = "plate.weight", "plate.zero"
-
-USUAL: Mapping[str, tuple[tuple[str, ...], str]] = {
-    SPIKES: (("spikes",), "cut them out by `start` and `stop` in the mapping, or repair the file"),
-    REST: (("a robot at rest", "columns that are not positions"), "record a motion of all joints"),
-    STILL: (
-        ("a dead encoder", "a column that is not its position", "a joint held by its brake"),
-        "look at the columns of [position]; of joints at rest nothing is identified",
-    ),
-    SILENT: (
-        ("columns that are not the plate's", "a plate that was not read"),
-        "look at the columns of [wrench]",
-    ),
-    CROSSTALK: (
-        ("crosstalk", "a calibration matrix that is not used"),
-        "calibrate the plate (testbed calibrate), or give [wrench] its matrix",
-    ),
-    FOREIGN: (
-        ("another robot", "columns that are not the plate's", "a plate that drifts, or is noisy"),
-        "look at the columns of [position] and [wrench], and at the model",
-    ),
-    WEIGHT: (
-        ("a plate that was zeroed under the robot", "the opposite sense of the wrench"),
-        "in the mapping: [wrench] tare, what the plate shows without the robot",
-    ),
-}
-"""By code: usual causes, and what to do."""
 
 RESTS, ROUNDING = 1e-3, 1e-9
 """Motion of joints below which they rest [rad or m]; part of a value that a filter's rounding
@@ -85,13 +54,6 @@ CLEARLY = 1.2
 """Times as much as the best leaves from which another explanation leaves more."""
 
 
-class Doubt(NamedTuple):
-    """A finding, and whether it is certain or only likely."""
-
-    certain: bool
-    finding: Finding
-
-
 @dataclass(frozen=True)
 class Alternatives:
     """What else explains a recording.
@@ -116,7 +78,7 @@ def share(part: float) -> str:
     return f"{100 * min(part, 1.0):.3g}%"
 
 
-def spikes(recording: Recording) -> Iterator[Doubt]:
+def spikes(recording: Recording) -> Iterator[Diagnostic]:
     """Channels with a few samples far outside of all others.
 
     Args:
@@ -137,11 +99,11 @@ def spikes(recording: Recording) -> Iterator[Doubt]:
                 name = f"the {signal} of '{recording.names[k]}'"
             first = ", ".join(f"{values[i, k]:.4g} at {recording.time[i]:.6g} s" for i in at[:3])
             more = f" and {len(at) - 3} more" if len(at) > 3 else ""
-            text = f"is {first}{more}, and between {low[k]:.4g} and {high[k]:.4g} else"
-            yield Doubt(True, _finding(SPIKES, name, text, len(at)))
+            ends = {"low": low[k], "high": high[k]}
+            yield diagnose("channel.spikes", name, len(at), spikes=first + more, **ends)
 
 
-def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Doubt]:
+def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Iterator[Diagnostic]:
     """Positions that no joint of this robot can have.
 
     Args:
@@ -162,17 +124,17 @@ def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Itera
     if lines:
         more = f" and {len(lines) - 2} more" if len(lines) > 2 else ""
         unit = "deg" if turning else "mm"
-        yield Doubt(True, Finding(
+        yield diagnose(
+            "position.range",
             "positions",
-            f"are such as no joint has: {', '.join(lines[:2])}{more}",
-            float(len(lines)),
-            (f"positions in {unit}", "positions on the motors' side of the gears"),
-            f'in the mapping: [position] unit = "{unit}", or side = "motor" and a table [gear]',
-            RANGE,
-        ))  # fmt: skip
+            len(lines),
+            causes=("degrees" if turning else "millimetres", "motor-positions"),
+            ranges=", ".join(lines[:2]) + more,
+            unit=unit,
+        )
 
 
-def at_rest(tree: Tree, instants: Instants) -> Iterator[Doubt]:
+def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
     """A robot that does not move, or else a plate that shows one value throughout.
 
     Args:
@@ -182,17 +144,12 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Doubt]:
     moved = np.ptp(instants.position, axis=0)[list(own_joints(tree))].max(initial=0.0)
     wrench = instants.wrench
     if moved < RESTS and len(own_joints(tree)):
-        text = (
-            f"rests: no joint moves by more than {moved:.2g} rad or m, so nothing of units, "
-            "signs, orders and frames can be told"
-        )
-        yield Doubt(False, _finding(REST, "the robot", text, moved))
+        yield diagnose("robot.rest", "the robot", moved)
     elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
-        text = f"shows the same throughout, {components(wrench[0])} N, N m, while joints move"
-        yield Doubt(True, _finding(SILENT, "the plate", text, 0.0))
+        yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))
 
 
-def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Finding]:
+def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
     """Joints that rest throughout by their positions, those first that their torques say move.
 
     Args:
@@ -204,14 +161,12 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Finding]:
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
     dead = [k for k in still if moves.size and moves[k]]
     if still:
-        more = ", and what was measured is not explained by a joint at rest" if dead else ""
         names = few([tree.names[k] for k in dead or still])
-        causes = () if dead else ("a joint at rest", *USUAL[STILL][0])
-        text = f"is the same throughout{more}"
-        yield _finding(STILL, f"the position of {names}", text, len(dead), causes)
+        causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
+        yield diagnose("position.still", names, len(dead), causes=causes, unexplained=bool(dead))
 
 
-def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
+def unexplained_plate(best: Explanation) -> Iterator[Diagnostic]:
     """A plate that no mapping explains.
 
     Args:
@@ -223,15 +178,16 @@ def unexplained_plate(best: Explanation) -> Iterator[Doubt]:
     shares, noise = plate.unexplained, plate.noise
     channel = int(np.argmax(shares - NOISY * noise))
     certain = not plate.explained(UNEXPLAINED) and not _noisy(evidence.wrench_fit(plate))
-    text = (
-        f"{share(shares[channel])} of {AXES[channel]} is unexplained by every turn, unit and order"
+    mixed = evidence.mixed(shares)
+    yield diagnose(
+        "plate.crosstalk" if mixed else "plate.foreign",
+        "the plate",
+        shares[channel],
+        level="error" if certain else "warning",
+        channel=AXES[channel],
+        share=share(shares[channel]),
+        mixed=share(evidence.least_in_time) if mixed else "",
     )
-    if evidence.mixed(shares):
-        text = f"mixes its channels: {text}, {share(evidence.least_in_time)} by a matrix of all six"
-        yield Doubt(certain, _finding(CROSSTALK, "the plate", text, shares[channel]))
-    else:
-        text = f"has measured another robot, or in other columns: {text}"
-        yield Doubt(certain, _finding(FOREIGN, "the plate", text, shares[channel]))
 
 
 def _noisy(fit: WrenchFit) -> bool:
@@ -242,7 +198,7 @@ def _noisy(fit: WrenchFit) -> bool:
     return bool((slow < UNEXPLAINED * fit.wrench.var(axis=0)).all())
 
 
-def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
+def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Diagnostic]:
     """A robot that pulls its plate up.
 
     Args:
@@ -254,29 +210,28 @@ def negative_weight(best: Explanation, tare: Array | None) -> Iterator[Doubt]:
     size = float(np.linalg.norm(prior.tree.gravity))
     carried = float(-force @ prior.tree.gravity / size**2) if size else 0.0
     if carried * size < PULLED * prior.weight:
-        text = (
-            f"is pulled up: the robot would weigh {carried:.3g} kg, the mean force is "
-            f"{components(force)} N"
-        )
-        yield Doubt(True, _finding(WEIGHT, "the plate", text, carried))
+        yield diagnose("plate.weight", "the plate", carried, force=components(force))
 
 
-def other_zero(remedy: Remedy) -> Finding:
+def other_zero(remedy: Remedy) -> Diagnostic:
     """A plate whose zero is another one, and nothing else wrong.
 
     Args:
         remedy: Of the kind `tare`.
     """
-    text = f"shows {components(np.array(remedy.values))} N, N m without the robot, by rough masses"
-    remedies = f"identify with --set identification.tare=unknown, or {in_mapping(remedy.lines)}"
-    return _finding(
-        ZERO, "the plate", text, np.abs(remedy.values).max(), (KINDS["tare"].words,), remedies
+    return diagnose(
+        "plate.zero",
+        "the plate",
+        np.abs(remedy.values).max(),
+        causes=(KINDS["tare"].words,),
+        wrench=components(remedy.values),
+        lines=in_mapping(remedy.lines),
     )
 
 
 def wrong_mapping(
-    tree: Tree, remedies: Sequence[Remedy], others: Alternatives, gain: float
-) -> Finding:
+    tree: Tree, remedies: Sequence[Remedy], others: Alternatives, gain: float, *, certain: bool
+) -> Diagnostic:
     """A mapping that hypotheses contradict, and what would make it right.
 
     Args:
@@ -284,6 +239,7 @@ def wrong_mapping(
         remedies: To be applied together.
         others: What else explains the recording.
         gain: How much likelier the data are with the remedies [nats].
+        certain: Whether the data leave no doubt.
     """
     names = list(dict.fromkeys(name for each in remedies for name in each.joints))
     joints = f"joint '{names[0]}'" if len(names) == 1 else f"joints {few(names)}"
@@ -293,37 +249,32 @@ def wrong_mapping(
     subjects = [f"the {'plate' if name == 'wrench' else name}" for name in ("wrench", "base")
                 if name in tables]  # fmt: skip
     worst = max(remedies, key=lambda each: each.before - each.after)
-    text = (
-        f"cannot be as recorded: {share(worst.before)} of {worst.channel} is unexplained, "
-        f"{share(worst.after)} with the remedy"
-        if worst.before > CLEARLY * worst.after
-        else "cannot be as recorded with masses near the model file's: with the remedy the log "
-        f"likelihood rises by {gain:.0f}"
-    )
-    if others.runner_up:
-        own = {each.kind for each in remedies}
-        next_best = ", ".join(KINDS[kind].words for kind in others.runner_up if kind not in own)
-        more = "as much, with masses less likely"
-        if others.times > CLEARLY:
-            more = f"{others.times:.2g} times as much"
-        text += f"; the next best explanation, {next_best or 'of other values'}, leaves {more}"
-    if others.equals:
-        text += f"; the data cannot tell this from {', or '.join(others.equals)}"
-    causes = " and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))
-    subject = " and ".join([*subjects, *([joints] if names else [])])
-    return _finding(
-        MAPPING,
-        subject,
-        text,
+    own = {each.kind for each in remedies}
+    next_best = ", ".join(KINDS[kind].words for kind in others.runner_up if kind not in own)
+    more = "as much, with masses less likely"
+    if others.times > CLEARLY:
+        more = f"{others.times:.2g} times as much"
+    clear = worst.before > CLEARLY * worst.after
+    return diagnose(
+        "mapping.wrong" if clear else "mapping.unlikely",
+        " and ".join([*subjects, *([joints] if names else [])]),
         worst.before,
-        (causes,),
-        in_mapping(line for each in remedies for line in each.lines),
+        level="error" if certain else "warning",
+        causes=[" and ".join(dict.fromkeys(KINDS[each.kind].words for each in remedies))],
+        before=share(worst.before),
+        after=share(worst.after),
+        channel=worst.channel,
+        gain=gain,
+        runner_up=others.runner_up and (next_best or "of other values"),
+        more=more,
+        equals=", or ".join(others.equals),
+        lines=in_mapping(line for each in remedies for line in each.lines),
     )
 
 
 def odd_sizes(
     tree: Tree, sizes: Array, mapping: Mapping[str, Any], *, certain: bool
-) -> Iterator[Doubt]:
+) -> Iterator[Diagnostic]:
     """Torques that are far from what masses of that order make.
 
     Args:
@@ -338,27 +289,32 @@ def odd_sizes(
     odd = [k for k, size in enumerate(sizes) if size <= least or size >= most]
     if not odd:
         return
-    listed = ", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6])
     if all(sizes[k] < 1 for k in odd):
-        word, causes = "small", ("torques on the motors' side of the gears",
-                                 "currents taken for torques")  # fmt: skip
+        size, causes = "small", ("motor-torques", "currents")
         needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
-        remedy = (
+        lines = (
             f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '
             f"with gain about {needed}"
         )
     else:
-        word, causes = "large", ("a unit such as N mm", "masses of another robot")
+        size, causes = "large", ("unit-n-mm", "other-masses")
         unit = str((mapping.get("torque") or {}).get("unit"))
         thousand = 0.5 < np.median(finite) / 1e3 < 2.0 and unit in SMALLER
-        remedy = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
-    text = f"is too {word}: it is so many times what the model's masses make: {listed}"
-    remedy = f"in the mapping: {remedy}"
-    yield Doubt(certain, _finding(SIZE, "the torque", text, sizes[odd[0]], causes, remedy))
+        lines = "[torque] unit" + (f' = "{SMALLER[unit]}"' if thousand else "")
+    yield diagnose(
+        "torque.size",
+        "the torque",
+        sizes[odd[0]],
+        level="error" if certain else "warning",
+        causes=causes,
+        size=size,
+        sizes=", ".join(f"{tree.names[k]} {sizes[k]:.2g}" for k in odd[:6]),
+        lines=lines,
+    )
 
 
-def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
-    """A line of what data leave open of positions; empty where that is nothing.
+def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> Iterator[Diagnostic]:
+    """What data leave open of positions.
 
     Args:
         tree: The robot.
@@ -369,13 +325,5 @@ def undecided(tree: Tree, hypotheses: Sequence[Hypothesis]) -> str:
         joints = {k for each in hypotheses if each.kind == kind for k in each.joints}
         if joints:
             parts.append(f"the {what} of {few([tree.names[k] for k in sorted(joints)])}")
-    return f"these data do not decide, of the positions, {'; '.join(parts)}" if parts else ""
-
-
-def _finding(
-    code: str, subject: str, text: str, number: float, causes: tuple[str, ...] = (),
-    remedy: str = "",
-) -> Finding:  # fmt: skip
-    """A finding of a code, with its usual causes and remedy unless others are named."""
-    usual = USUAL.get(code, ((), ""))
-    return Finding(subject, text, float(number), causes or usual[0], remedy or usual[1], code)
+    if parts:
+        yield diagnose("recording.undecided", "; ".join(parts))
