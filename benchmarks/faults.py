@@ -30,19 +30,17 @@ HARMFUL, SIGMAS = 0.02, 8.0
 """Relative error, and in sigmas, above which an estimate may not be silent."""
 
 CAUSES: Mapping[str, str] = {
-    "sign": "sign sign-of-torque sign-of-joint sign-of-channel sign-of-tare sign-of-wrench "
-    "encoder-sign",
+    "sign": "sign sign-of-tare sign-of-wrench encoder-sign",
     "tare": "sign-of-tare no-tare units-of-tare other-tare other-zero",
     "unit": "torques-in-n-mm moments-in-n-mm torques-in-lbf-ft wrench-in-lbf-ft wrench-in-lbf "
-    "torques-in-lbf wrench-in-kgf torques-in-kgf-m encoders-in-degrees degrees units-of-tare "
+    "torques-in-lbf wrench-in-kgf torques-in-kgf-m degrees units-of-tare "
     "other-tare raw-units gain gains moments encoder-sign other-unit",
     "gain": "gains encoder_gains torque-constant gain",
     "drift": "slope drift plate.drift plate.offset",
-    "channel": "saturated drive-limit not-connected filled-column",
-    "order": "exchanged exchanged-channels exchanged-channels-or-encoders exchanged-torques "
-    "exchanged-joints encoder-of-another-joint torque-of-another-joint",
-    "clock": "skew clock_rate sampling encoder_delays late-torques late-encoders lost-samples",
-    "pose": "pose turned moments height",
+    "channel": "saturated drive-limit not-connected other-column",
+    "order": "exchanged",
+    "clock": "skew clock_rate sampling encoder_delays late-torques lost-samples",
+    "pose": "pose moments height",
     "zero": "joint_zeros zero",
     "model": "unmodelled-load pose joint_zeros encoder_gains",
     "gravity": "gravity other-pedestal",

@@ -11,7 +11,7 @@ from testbed.experiment.carry_out import carry_out
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.growth import growth
 from testbed.experiment.run_folder import read_run, write_run
-from testbed.reporting.html import write_report
+from testbed.reporting.run_page import write_report
 from testbed.viewer.log import write_rrd
 from testbed.viewer.scene import scene_of
 

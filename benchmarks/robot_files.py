@@ -102,7 +102,7 @@ def _run(path: Path, seconds: float) -> dict[str, Any]:
                 found = {"came": "no robot" if none else f"{words[0]} refused", "why": why}
                 break
             if words[0] == "run":
-                found["max_z"] = json.loads(done.stdout)["metrics"].get("external_max_z")
+                found["max_z"] = json.loads(done.stdout)["score"]["metrics"].get("external_max_z")
     after = os.times()
     spent = after.children_user + after.children_system
     spent -= before.children_user + before.children_system

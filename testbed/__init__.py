@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from testbed.recordings.recording import Recording as Recording
     from testbed.recordings.recording import import_recording as import_recording
     from testbed.recordings.stored import StoredRecording as StoredRecording
-    from testbed.reporting.html import report as report
     from testbed.reporting.plot import plot as plot
+    from testbed.reporting.run_page import report as report
     from testbed.robot.inertia import Inertia as Inertia
     from testbed.robot.model_file import ModelFile as ModelFile
     from testbed.robot.model_file import load_tree as load_tree
@@ -111,7 +111,7 @@ _HOMES = {
     ),
     "testbed.excitation.random_motion": ("random_motion",),
     "testbed.installation": ("shipped",),
-    "testbed.reporting.html": ("report",),
+    "testbed.reporting.run_page": ("report",),
     "testbed.reporting.plot": ("plot",),
     "testbed.viewer.view": ("view",),
     "testbed.identification.payload": ("payload",),

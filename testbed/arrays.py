@@ -6,12 +6,14 @@ function here serves one sample, many samples, and arrays of symbols alike.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+from testbed.codec import ArraySchema
+
+Array: TypeAlias = Annotated[NDArray[np.float64], ArraySchema()]
 AnyArray: TypeAlias = NDArray[Any]  # numbers or symbols
 
 
@@ -30,6 +32,8 @@ def readonly(value: ArrayLike, shape: tuple[int | None, ...], name: str) -> Arra
     """
     kept = isinstance(value, np.ndarray) and not value.flags.writeable
     array = np.asarray(value, np.float64) if kept else np.array(value, np.float64, order="C")
+    if array.shape == (0,) and 0 in shape and None not in shape:
+        array = array.reshape([each or 0 for each in shape])  # a list of nothing has one axis
     fits = array.ndim == len(shape) and all(
         want is None or want == have for want, have in zip(shape, array.shape, strict=True)
     )

@@ -20,7 +20,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.run_folder import write_run
 from testbed.files import NEST
 from testbed.recordings.recording import Recording
-from testbed.reporting.html import write_report
+from testbed.reporting.run_page import write_report
 from tests.helpers.paths import GOLDEN, ROOT
 
 DURATIONS = (1.0, 1.2)

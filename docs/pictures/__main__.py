@@ -114,7 +114,7 @@ def campaign(folder: Path) -> None:
     """Errors of both methods over plate noise and friction, if the folder is new, from new runs."""
     from docs.pictures.drawing import CELL, LEFT, save, table, words
     from testbed.campaign.summary import read_campaign, summarise
-    from testbed.reporting.campaign_page import campaign_contents
+    from testbed.reporting.campaign import campaign_contents
 
     if not folder.exists():
         file = "experiments/campaigns/noise_friction.toml"

@@ -27,8 +27,8 @@ from docs.pictures.drawing import (
 from testbed.instruments.chain import measured_again
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
-from testbed.reporting.contents import GLYPHS
 from testbed.reporting.figures import Panel
+from testbed.reporting.run_page import GLYPHS
 
 MODEL, EXPERIMENT = "models/puma562.xml", "experiments/table6.toml"
 BOLD = "font-weight: 600"

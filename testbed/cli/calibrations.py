@@ -61,6 +61,7 @@ def calibrate(
 
     Example: testbed calibrate run.parquet --model robot.urdf --known mass=20 --known gain/Mx=1
     """
+    from testbed.codec import encode
     from testbed.errors import SettingsError
     from testbed.experiment.plate_file import write_plate
     from testbed.files import check_writable
@@ -68,7 +69,6 @@ def calibrate(
     from testbed.identification.calibration_by_payload import calibrate_by_payload
     from testbed.identification.known import parse_known
     from testbed.reporting import output, terminal
-    from testbed.reporting.plate_tables import plate_as_json
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
     check_writable(out, read=(recording, loaded, model))
@@ -88,7 +88,7 @@ def calibrate(
         )
     write_plate(plate, out)
     if as_json:
-        output.print_json(plate_as_json(plate))
+        output.print_json(encode(plate, exclude={"estimate": {"normal_equations"}}))
     else:
         terminal.print_plate(plate, tree.diagnostics, out)
 
@@ -118,7 +118,7 @@ def drives(
 
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
     """
-    from testbed.experiment.drive_results import drives_as_json
+    from testbed.codec import encode
     from testbed.identification.drive_findings import identify_drives
     from testbed.identification.identify import identify
     from testbed.reporting import output, terminal
@@ -148,7 +148,7 @@ def drives(
             progress=progress,
         )
     if as_json:
-        output.print_json(drives_as_json(found))
+        output.print_json(encode(found))
     else:
         terminal.print_drives(found, [*tree.diagnostics, *bodies.diagnostics, *found.diagnostics])
 
@@ -181,11 +181,13 @@ def payload(
 
     Example: testbed payload empty.parquet loaded.parquet --model robot.urdf
     """
+    from testbed.codec import encode
     from testbed.identification.identify import identify
     from testbed.identification.payload import payload as payload_of
     from testbed.identification.problem import in_its_gravity
     from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
-    from testbed.reporting import output, payload_table, terminal
+    from testbed.reporting import estimates as shown
+    from testbed.reporting import output, terminal
 
     reading = Reading(settings, False, weld_root, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
@@ -195,8 +197,8 @@ def payload(
         with output.Progress("weighing"):
             alone, carrying = (poses_at_rest(tree, source) for source in sources)
             weighed = weigh_payload(tree, alone, carrying, joint)
-        words = payload_table.weighed_as_json(weighed, weigh(tree, alone))
-        lines = payload_table.weighed_lines(weighed, weigh(tree, alone))
+        words = {"payload": encode(weighed), "robot": encode(weigh(tree, alone))}
+        lines = shown.weighed_lines(weighed, weigh(tree, alone))
         output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
     estimates = []
@@ -210,7 +212,7 @@ def payload(
             )  # fmt: skip
     found = payload_of(tree, estimates[0], estimates[1], joint)
     if as_json:
-        output.print_json(payload_table.payload_as_json(found))
+        output.print_json(encode(found))
     else:
         known = [each for estimate in estimates for each in estimate.diagnostics]
         terminal.print_payload(found, [*tree.diagnostics, *known, *found.diagnostics])

@@ -73,7 +73,7 @@ def campaign(
     from testbed.campaign.results import CAMPAIGN, LOCK
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.campaign_lines import Throughput, print_conducted, print_plan
+    from testbed.reporting.campaign import Throughput, print_conducted, print_plan
 
     asked = Campaign.load(file, settings or ())
     folder = out or Path("runs") / f"{asked.tables.name}-campaign"
@@ -94,8 +94,7 @@ def _summary(folder: Path, against: Path | None, rrd: Path | None) -> None:
     from testbed.campaign.summary import changes, read_campaign, summarise, write_summary
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.campaign_lines import print_changes, print_summary
-    from testbed.reporting.campaign_page import write_campaign_page
+    from testbed.reporting.campaign import print_changes, print_summary, write_campaign_page
 
     check_writable(rrd, read=(folder, against))
     with output.Progress("summarising"):

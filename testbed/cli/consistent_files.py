@@ -134,7 +134,7 @@ class Writing:
         Raises:
             ModelError: The file cannot be written.
         """
-        from testbed.experiment.consistent_results import provenance
+        from testbed.experiment.versions import provenance
         from testbed.identification.consistency import robot_of
         from testbed.robot.write_model import write_model
 

@@ -71,12 +71,11 @@ def excite(
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
     from testbed.experiment.excite import excite as excited
-    from testbed.experiment.motion_results import excitation_as_json
     from testbed.experiment.trajectory_file import check_ending, write_trajectory
     from testbed.experiment.write_motion import write_motion
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.motion_tables import print_excitation
+    from testbed.reporting.motion import print_excitation
 
     if trajectory is not None:
         check_ending(trajectory)
@@ -93,11 +92,11 @@ def excite(
             write_trajectory(trajectory, found, rate)
         write_motion(out, found)
         if page is not None:
-            from testbed.reporting.motion_page import write_motion_page
+            from testbed.reporting.motion import write_motion_page
 
             write_motion_page(page, found)
     if as_json:
-        output.print_json(excitation_as_json(found) | {"file": str(out)})
+        output.print_json(found.document() | {"file": str(out)})
     else:
         note(sentences([*found.tree.diagnostics, *found.rules.diagnostics, *found.diagnostics]))
         print_excitation(output.console(), found, out, everything=everything)
@@ -181,16 +180,16 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
 
 def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:
     """Prove a motion of a file; exit code 1 if it exceeds a limit."""
-    from testbed.experiment.motion_results import proof_as_json
+    from testbed.codec import encode
     from testbed.experiment.motions import checked_motion
     from testbed.reporting import output
-    from testbed.reporting.motion_tables import print_proof
+    from testbed.reporting.motion import print_proof
 
     with output.Progress("proving"):
         found = checked_motion(file, settings)
     proof = found.proof
     if as_json:
-        output.print_json(proof_as_json(proof))
+        output.print_json(encode(proof))
     else:
         note(sentences([*found.rules.tree.diagnostics, *found.rules.diagnostics]))
         print_proof(output.console(), proof, everything=everything)

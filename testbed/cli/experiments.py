@@ -53,18 +53,11 @@ def run(
 
     Example: testbed run experiments/table6.toml --set motion.duration=20
     """
-    from testbed.errors import RecordingError, TestbedError
-    from testbed.experiment.carry_out import checked_elsewhere
-    from testbed.experiment.evaluate import evaluate
+    from testbed.errors import RecordingError
+    from testbed.experiment.carry_out import carry_out
     from testbed.experiment.experiment import Experiment
-    from testbed.experiment.results import result
-    from testbed.experiment.run_folder import (
-        check_folder,
-        default_folder,
-        write_recorded,
-        write_result,
-    )
-    from testbed.experiment.simulate import simulate as simulated
+    from testbed.experiment.results import result_of
+    from testbed.experiment.run_folder import check_folder, default_folder
     from testbed.files import check_writable
     from testbed.reporting import output, terminal
 
@@ -73,19 +66,9 @@ def run(
     check_writable(folder, folder=True)
     check_folder(folder, experiment, force=force)
     watch = _watcher(experiment) if live else _unwatched
-    with output.Progress("simulating") as progress:
-        recording = simulated(experiment, progress, watch)
-    write_recorded(experiment, recording, folder)
-    try:
-        with output.Progress("identifying") as progress:
-            done = evaluate(experiment, recording, progress)
-    except TestbedError as error:
-        raise RecordingError(f"{error}; the recording is kept in '{folder}'") from None
-    with output.Progress("validating on an unseen motion") as progress:
-        done = checked_elsewhere(done, progress)
-    write_result(done, folder)
+    done = carry_out(experiment, watch=watch, folder=folder, stage=output.Progress)
     if as_json:
-        output.print_json(result(done) | {"folder": str(folder)})
+        output.print_json(result_of(done).document() | {"folder": str(folder)})
     elif done.estimates:
         terminal.print_run(done, folder, everything=everything)
     if not done.estimates:
@@ -107,7 +90,7 @@ def compare(
     from testbed.experiment.comparison import Comparison, comparison_as_json
     from testbed.experiment.comparison import compare as compared
     from testbed.reporting import output
-    from testbed.reporting.comparison_table import print_comparison
+    from testbed.reporting.comparison import print_comparison
 
     comparison = Comparison.load(file, settings or ())
     with output.Progress("comparing") as progress:

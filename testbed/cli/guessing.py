@@ -55,7 +55,7 @@ def write_mapping(
         draft = found.draft
         output.print_lines((), found.diagnostics)
         if page is not None:
-            from testbed.reporting.mapping_page import write_mapping_page
+            from testbed.reporting.mapping import write_mapping_page
 
             write_mapping_page(page, found)
     if out is None:
@@ -75,8 +75,8 @@ def write_mapping(
 def _show(draft: Draft) -> None:
     """What was solved; on a terminal a person says yes to it."""
     from testbed.reporting import output
-    from testbed.reporting.mapping_page import solved_table
+    from testbed.reporting.mapping import solved_table
 
-    output.console().print(solved_table(draft))
+    output.print_tables(output.console(), [solved_table(draft)])
     if sys.stdin.isatty() and sys.stdout.isatty():
         typer.confirm("Write it so?", default=True, abort=True)

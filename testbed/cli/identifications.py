@@ -116,13 +116,10 @@ def identify(
         bodies = writing.bodies(reading, model, source, estimates, estimate_of)
         said += [*bodies.diagnostics, *writing.written(bodies, reading, model, recordings)]
     if as_json:
-        from testbed.experiment.consistent_results import consistent_as_json
-        from testbed.experiment.results import identified_as_json
+        from testbed.experiment.results import identified as result_of
 
-        content = identified_as_json(estimates, reading.model_file(model), reading.tables())
-        if bodies is not None:
-            content["consistent"] = consistent_as_json(bodies)
-        output.print_json(content)
+        result = result_of(estimates, reading.model_file(model), reading.tables(), said, bodies)
+        output.print_json(result.document())
     else:
         terminal.print_estimates(estimates, said, bodies, everything=everything)
         if write is not None:
@@ -156,9 +153,9 @@ def validate(
 
     Example: testbed validate other.parquet runs/table6-286a25ef
     """
+    from testbed.codec import encode
     from testbed.errors import RecordingError
     from testbed.experiment.read_result import read_result
-    from testbed.experiment.results import validation_as_json
     from testbed.identification.estimate import SIGNAL_OF
     from testbed.identification.validate import validate as validated
     from testbed.reporting import output, terminal
@@ -183,6 +180,6 @@ def validate(
                 progress=progress,
             )
     if as_json:
-        output.print_json({method: validation_as_json(each) for method, each in found.items()})
+        output.print_json({method: encode(each) for method, each in found.items()})
     else:
         terminal.print_validations(list(found.values()), said)

@@ -25,7 +25,7 @@ from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
     from testbed.parameters.identifiability import Visibility
-    from testbed.reporting.minimal_tables import Findings
+    from testbed.reporting.minimal_sets import Findings
     from testbed.robot.tree import Tree
 
 
@@ -95,7 +95,7 @@ def minimal(
     from testbed.dynamics.witnesses import verify, verify_drives
     from testbed.parameters.minimal_set import minimal_set
     from testbed.reporting import output
-    from testbed.reporting.minimal_tables import Findings, print_latex, print_sets
+    from testbed.reporting.minimal_sets import Findings, print_latex, print_sets
 
     tree = Reading(None, False, weld_root, lock, lock_mimic).tree(model)
     known = _known(zeros, zero)
@@ -123,7 +123,7 @@ def minimal(
 def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
     """For programs; large matrices only if asked for, and otherwise with a word about it."""
     from testbed.reporting import output
-    from testbed.reporting.minimal_document import BYTES, MANY, as_document, matrix_numbers
+    from testbed.reporting.minimal_sets import BYTES, MANY, as_document, matrix_numbers
 
     numbers = matrix_numbers(found)
     if matrices is None and numbers > MANY:

@@ -172,7 +172,7 @@ def report(
     """
     from testbed.files import check_writable
     from testbed.reporting import output
-    from testbed.reporting.html import write_report
+    from testbed.reporting.run_page import write_report
 
     path = out or _beside(run, ".html")
     check_writable(path, path.with_suffix(".json"), read=(run, model, plate, validate))
@@ -185,10 +185,11 @@ def report(
         if validate is not None:
             done = _judged_on(done, validate, reading, unchecked=unchecked)
         elif done.unseen is None:
-            from testbed.experiment.carry_out import checked_elsewhere
+            from testbed.experiment.payload_score import with_payload_metrics
+            from testbed.experiment.unseen import on_unseen_motion
 
             progress.say(0, 0, "simulating an unseen motion")
-            done = checked_elsewhere(done, progress)
+            done = on_unseen_motion(with_payload_metrics(done, progress), progress)
         progress.say(0, 0, "drawing")
         beside = write_report(done, path)
     output.console().print(f"{path} ({path.stat().st_size / 1e6:.1f} MB), {beside}", soft_wrap=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.codec import with_properties
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Information
 from testbed.excitation.sampled_rows import SampledRows
@@ -53,6 +54,8 @@ class Prediction:
     sigma: Array
     relative: Array
     condition: float
+
+    __get_pydantic_core_schema__ = with_properties("rms")
 
     @property
     def rms(self) -> float:

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.motion import Motion
 from testbed.excitation.approach import levers
@@ -48,6 +49,12 @@ STILL = 1e-9
 """Bodies that do not approach each other are taken to do so with this speed [m/s]."""
 TOUCH = 1e-9
 """What a distance lacks that could not be shown to be kept [m]."""
+
+CLOSE = 0.01
+"""A limit with less than this share of it left is one that binds."""
+
+CLOSE_BY = 0.01
+"""Likewise for distances beyond the clearance [m]."""
 
 
 class Path(Protocol):
@@ -112,10 +119,17 @@ class Proof:
     instants: int
     postures: int
 
+    __get_pydantic_core_schema__ = with_properties("holds", "binding")
+
     @property
     def holds(self) -> bool:
         """Whether the motion respects all limits at every moment."""
         return all(margin.holds for margin in self.margins)
+
+    @property
+    def binding(self) -> tuple[str, ...]:
+        """Limits that the motion comes up to."""
+        return tuple(m.label for m in self.margins if m.left < (CLOSE_BY if m.unit else CLOSE))
 
     @property
     def worst(self) -> Margin:

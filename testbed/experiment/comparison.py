@@ -13,12 +13,12 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from testbed.codec import encode
 from testbed.diagnostics.diagnostic import messages, ordered
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import Expectations, Table
-from testbed.experiment.results import nuisances_as_json
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.experiment.varied_tables import VariedTables
@@ -244,6 +244,6 @@ def _judged(run: Run) -> dict[str, Any]:
         "metrics": dict(run.metrics),
         "verdicts": run.verdicts,
         "failures": dict(run.failures),
-        "nuisances": {method: nuisances_as_json(e) for method, e in estimates.items()},
-        "diagnostics": {m: [d.as_dict() for d in e.diagnostics] for m, e in estimates.items()},
+        "nuisances": {m: [encode(n) for n in e.nuisances] for m, e in estimates.items()},
+        "diagnostics": {m: [encode(d) for d in e.diagnostics] for m, e in estimates.items()},
     }

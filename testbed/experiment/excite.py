@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import one_blas_thread
+from testbed.codec import encode
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design
@@ -53,6 +55,23 @@ class Excitation(Diagnosed):
     predicted: Prediction
     random: Fourier | None
     random_predicted: Prediction | None
+
+    def document(self) -> dict[str, Any]:
+        """For programs: what was designed, what it promises, what a random motion would."""
+        motion, random = self.design.motion, self.random_predicted
+        return {
+            "fundamental": motion.fundamental,
+            "harmonics": motion.harmonics,
+            "criterion": self.experiment.excitation.criterion,
+            "value": self.design.value,
+            "complete": self.design.complete,
+            "searches": [encode(search) for search in self.design.searches],
+            "predicted": encode(self.predicted),
+            "random": None if random is None else encode(random),
+            "gain": self.gain,
+            "diagnostics": [encode(each) for each in self.diagnostics],
+            "proof": encode(self.design.proof),
+        }
 
     @property
     def gain(self) -> float | None:

@@ -1,4 +1,4 @@
-"""Estimates read back from what `identify --json` printed or from a run folder.
+"""Estimates read back from what `identify --json` printed or from a run folder, formats 1 and 2.
 
 Nothing in such a file is trusted: only the parts that a validation needs are taken, each
 checked, and a path in it is opened as a model file if that has the SHA-256 that stands there.
@@ -6,7 +6,6 @@ checked, and a path in it is opened as a model file if that has the SHA-256 that
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,13 +14,15 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from testbed.errors import ExperimentError
+from testbed.arrays import Array
+from testbed.codec import from_json
+from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
 from testbed.experiment.experiment_tables import Table
 from testbed.experiment.run_folder import EXPERIMENT, RESULT
 from testbed.files import fingerprint, read_text
-from testbed.identification.estimate import METHODS, Method
+from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.settings import Settings
 from testbed.identification.stated import Stated
 from testbed.robot.model_file import ModelFile
@@ -64,11 +65,13 @@ class _Nuisance(_Part):
 
 
 class _Estimate(_Part):
+    """What both formats have of an estimate."""
+
     names: tuple[str, ...]
-    values: tuple[Finite, ...]
-    covariance: tuple[tuple[Finite, ...], ...]
-    gravity: tuple[Finite, Finite, Finite]
-    residual: tuple[Finite, ...]
+    values: Array
+    covariance: Array
+    gravity: Array
+    residual: Array
     nuisances: tuple[_Nuisance, ...]
     unidentifiable: tuple[str, ...] = ()
 
@@ -94,16 +97,22 @@ def read_result(path: Path, model: Path | None = None, settings: Sequence[str] =
             f"there is no result '{path}': name what `identify --json` printed, or a run folder"
         )
     content = _json(path)
-    found = tuple(
-        _stated(content[method], method, f"{path}: {method}")
-        for method in METHODS
-        if method in content
-    )
-    if not found:
+    every = content.get("estimates", content)  # format 1 has them beside all else
+    if not isinstance(every, dict) or not any(method in every for method in METHODS):
         raise ExperimentError(f"{path}: no result: it has no {' or '.join(METHODS)} estimate")
-    if "model" in content:
-        return KeptResult(*_of_recording(content, path, model, settings), found)
-    return KeptResult(*_of_run(content, path, model, settings), found)
+    found = tuple(
+        _stated(every[method], method, f"{path}: {method}") for method in METHODS if method in every
+    )
+    of = _of_run if content.get("settings") is None else _of_recording
+    tree, identification = of(content, path, model, settings)
+    for each in found:
+        count = len(channels_of(tree, each.method))
+        if len(each.residual) != count:
+            raise ExperimentError(
+                f"{path}: {each.method}: residual has {len(each.residual)} numbers, the robot has "
+                f"{plural(count, 'channel')}"
+            )
+    return KeptResult(tree, identification, found)
 
 
 def _json(path: Path) -> dict[str, Any]:
@@ -113,9 +122,7 @@ def _json(path: Path) -> dict[str, Any]:
         ExperimentError: It is not JSON, or no object.
     """
     try:
-        content = json.loads(read_text(path, LARGEST_RESULT))
-    except RecursionError:
-        raise ExperimentError(f"{path}: no result: nested too deeply") from None
+        content = from_json(read_text(path, LARGEST_RESULT).encode())
     except ValueError as error:
         raise ExperimentError(f"{path}: no result: it is not JSON: {error}") from None
     if not isinstance(content, dict):
@@ -130,31 +137,34 @@ def _stated(content: Any, method: Method, source: str) -> Stated:
         ExperimentError: A part is missing, or is not what it should be.
     """
     kept = checked(_Estimate, content, source)
-    p = len(kept.names)
-    if len(kept.values) != p:
-        raise ExperimentError(f"{source}: {p} names, but {len(kept.values)} values")
-    if len(kept.covariance) != p or any(len(row) != p for row in kept.covariance):
-        raise ExperimentError(f"{source}: covariance is not {p} rows of {p} numbers")
-    if any(each < 0 for each in kept.residual):
-        raise ExperimentError(f"{source}: a residual's rms cannot be negative")
-    return Stated(
-        method=method,
-        names=kept.names,
-        values=np.array(kept.values),
-        covariance=np.array(kept.covariance).reshape(p, p),
-        gravity=np.array(kept.gravity),
-        residual=np.array(kept.residual),
-        nuisances={each.name: each.value for each in kept.nuisances},
-        zero_unknown=bool(kept.unidentifiable),
-    )
+    try:
+        found = Stated(
+            method=method,
+            names=kept.names,
+            values=kept.values,
+            covariance=kept.covariance,
+            gravity=kept.gravity,
+            residual=kept.residual,
+            nuisances={each.name: each.value for each in kept.nuisances},
+            zero_unknown=bool(kept.unidentifiable),
+        )
+    except ValueError as error:
+        raise ExperimentError(f"{source}: {error}") from None
+    numbers = (found.values, found.covariance, found.gravity, found.residual)
+    if not all(np.isfinite(each).all() for each in numbers) or (found.residual < 0).any():
+        raise ExperimentError(
+            f"{source}: its values, covariance, gravity and residual are finite numbers, the "
+            "residual's none below zero"
+        )
+    return found
 
 
 def _of_recording(
     content: dict[str, Any], path: Path, model: Path | None, words: Sequence[str]
 ) -> tuple[Tree, Settings]:
     """Robot and settings of a recording's estimates."""
-    kept = checked(_Model, content["model"], f"{path}: model")
-    said = content.get("settings")
+    kept = checked(_Model, content.get("model", {}), f"{path}: model")
+    said = content["settings"]
     if not isinstance(said, dict):
         raise ExperimentError(f"{path}: no result: it has no settings")
     override(said, words)
@@ -176,7 +186,9 @@ def _of_run(
             f"folder, with {EXPERIMENT}"
         )
     experiment = Experiment.load(beside, words)
-    place = _checked_model(model or Path(experiment.model), content.get("model_sha256"), path)
+    used = content.get("model")
+    sha256 = used.get("sha256") if isinstance(used, dict) else content.get("model_sha256")
+    place = _checked_model(model or Path(experiment.model), sha256, path)
     experiment = experiment.model_copy(update={"model": str(place)})
     return robot_of(experiment), experiment.identification
 

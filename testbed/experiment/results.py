@@ -1,151 +1,172 @@
-"""A run as JSON takes it."""
+"""What came of a recording, as `--json`, result.json and estimates.json.gz have it: format 2.
+
+One value for runs and for `identify`. Programs get it without the sums of products, and null where
+there is no number; a run folder has, compressed, all of it to the last digit, so that who looks at
+it computes nothing again.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict
-from typing import Any
+import gzip
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
 
-import numpy as np
-
-from testbed.arrays import Array
-from testbed.experiment.consistent_results import consistent_as_json
-from testbed.experiment.drive_results import drives_as_json
+from testbed.codec import Makers, decode, encode, from_json, json_text
+from testbed.diagnostics.diagnostic import Diagnostic
+from testbed.dynamics.drive_set import drive_set
 from testbed.experiment.experiment import RecordingTables
+from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import Run
-from testbed.experiment.score import Errors
+from testbed.experiment.score import Score
 from testbed.experiment.versions import versions
-from testbed.files import fingerprint
-from testbed.identification.estimate import Estimate
-from testbed.identification.held_out import TermChoice
+from testbed.files import fingerprint, replacing
+from testbed.identification.consistency import Consistent
+from testbed.identification.cross_check import diagnostics_of
+from testbed.identification.drive_findings import DriveFindings
+from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
+from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
+from testbed.identification.nuisances.nuisance import Nuisance
+from testbed.identification.problem import set_of
 from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation
+from testbed.parameters.joint_terms import DriveSet
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.robot.friction import JointLaw, joint_law
 from testbed.robot.model_file import ModelFile
 
+FIELDS = (
+    "estimates", "failures", "score", "diagnostics", "validation", "drives", "consistent",
+)  # fmt: skip
+"""Of a run."""
 
-def result(run: Run) -> dict[str, Any]:
-    """A run without its recording, as JSON takes it."""
-    experiment = run.experiment
-    expect = {} if experiment is None else experiment.expect
-    errors = {} if run.score is None else run.score.errors
-    accuracy = {} if run.score is None else run.score.accuracy
-    return {
-        "name": run.name,
-        "claim": "" if experiment is None else experiment.claim,
-        **{
-            method: estimate_as_json(estimate) | _errors(errors.get(method))
-            for method, estimate in run.estimates.items()
-        },
-        "failures": dict(run.failures),
-        "metrics": dict(run.metrics),
-        "accuracy": {method: asdict(found) for method, found in accuracy.items()},
-        "expect": {k: b.model_dump(exclude_none=True) for k, b in expect.items()},
-        "verdicts": run.verdicts,
-        "as_expected": run.as_expected,
-        "diagnostics": [each.as_dict() for each in run.diagnostics],
-        "drives": None if run.drives is None else drives_as_json(run.drives),
-        "consistent": None if run.consistent is None else consistent_as_json(run.consistent),
-        "validation": {m: validation_as_json(found) for m, found in run.validation.items()},
-        "model_sha256": run.recording.facts.get("model_sha256"),
-        "versions": versions(),
-    }
+LARGEST = 500_000_000
+"""Bytes of a run folder's estimates; a humanoid's have a tenth."""
+
+FOR_OURSELVES = {"estimates": {"__all__": {"normal_equations"}}}
+"""Sums of products, which are most of an estimate."""
 
 
-def estimate_as_json(estimate: Estimate) -> dict[str, Any]:
-    """An estimate as JSON takes it."""
-    return {
-        "method": estimate.method,
-        "names": list(estimate.names),
-        "units": list(estimate.units),
-        "values": estimate.values.tolist(),
-        "sigma": _finite(estimate.sigma),
-        "unidentifiable": list(estimate.unidentifiable),
-        "covariance": estimate.covariance.tolist(),
-        "gravity": estimate.gravity.tolist(),
-        "count": len(estimate.base.names),
-        "channels": list(estimate.channels),
-        "residual": estimate.residual.tolist(),
-        "relative_residual": estimate.relative_residual.tolist(),
-        "samples": list(estimate.samples),
-        "condition": estimate.condition,
-        "noise": _noise(estimate),
-        "nuisances": nuisances_as_json(estimate),
-        "trace_tests": [
-            {
-                "kind": t.nuisance.kind,
-                "chance": t.chance,
-                "names": list(t.names),
-                "units": list(t.units),
-                "size": list(t.size),
-                "parameter": t.parameter,
-                "shift": t.shift,
-            }
-            for t in estimate.trace_tests
-        ],
-        "choice": choice_as_json(estimate.choice),
-        "doubtful": estimate.doubtful,
-        "diagnostics": [each.as_dict() for each in estimate.diagnostics],
-    }
+@dataclass(frozen=True)
+class UsedModel:
+    """A model file, and how it was read.
+
+    Attributes:
+        path: Of the file.
+        sha256: Of its content.
+        weld_root: Whether a floating root was welded to the bedplate.
+        lock: Joints that were held, and where [rad or m]; None where they rest.
+    """
+
+    path: str
+    sha256: str
+    weld_root: bool
+    lock: Mapping[str, float | None]
 
 
-def nuisances_as_json(estimate: Estimate) -> list[dict[str, Any]]:
-    """Numbers of the instrument as JSON takes them."""
-    return [
-        {"name": n.name, "unit": n.unit, "value": n.value, "sigma": n.sigma}
-        for n in estimate.nuisances
-    ]
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Result:
+    """What came of a recording.
+
+    Attributes:
+        format: Of this document.
+        source: What made it: versions, and SHA-256 of the files in a run folder.
+        name: Of a run.
+        claim: Of its experiment.
+        expect: What was claimed, by metric.
+        verdicts: Whether each claim holds.
+        as_expected: Whether all do.
+        estimates: By method.
+        failures: Why a method has no estimate.
+        score: Of the estimates, where the truth is known.
+        diagnostics: What a careful reader should know.
+        validation: By method, on another motion.
+        drives: What the plate says of them.
+        consistent: Bodies that can exist.
+        model: The robot's file; that of a run is in its folder.
+        settings: Tables of robot and identification; those of a run are in its folder.
+    """
+
+    format: Literal[2] = 2
+    source: Mapping[str, str] = field(default_factory=versions)
+    name: str = ""
+    claim: str = ""
+    expect: Mapping[str, Bound] = field(default_factory=dict)
+    verdicts: Mapping[str, bool] = field(default_factory=dict)
+    as_expected: bool = True
+    estimates: Mapping[Method, Estimate]
+    failures: Mapping[Method, str] = field(default_factory=dict)
+    score: Score | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
+    validation: Mapping[Method, Validation] = field(default_factory=dict)
+    drives: DriveFindings | None = None
+    consistent: Consistent | None = None
+    model: UsedModel | None = None
+    settings: dict[str, Any] | None = None
+
+    def document(self) -> dict[str, Any]:
+        """For programs, as JSON takes it."""
+        found: dict[str, Any] = encode(self, exclude=FOR_OURSELVES)
+        return found
 
 
-def _noise(estimate: Estimate) -> dict[str, Any] | None:
-    """What the residuals are like; null where they are taken as white."""
-    noise = estimate.noise
-    if noise is None:
-        return None
-    return {
-        "order": noise.order,
-        "memory": list(noise.memory),
-        "factor": noise.factor,
-        "bias": noise.bias.tolist(),
-        "bias_sigma": noise.bias_sigma.tolist(),
-        "bias_chance": noise.bias_chance,
-        "bias_weight": noise.bias_weight,
-        "hidden": list(noise.hidden),
-        "drowned": list(noise.drowned),
-        "least_counts": list(noise.least_counts),
-        "by_counts": noise.by_counts,
-        "repetition": None if noise.repetition is None else asdict(noise.repetition),
-    }
+def result_of(run: Run, source: Mapping[str, str] | None = None) -> Result:
+    """What came of a run.
+
+    Args:
+        run: The run.
+        source: What it came of; default the versions.
+    """
+    asked, used = run.experiment, None
+    if run.model is not None:
+        sha256 = str(run.recording.facts.get("model_sha256", ""))
+        used = UsedModel(run.model.path.name, sha256, run.model.weld_root, run.model.lock)
+    return Result(
+        source=versions() if source is None else source,
+        name=run.name,
+        claim="" if asked is None else asked.claim,
+        expect={} if asked is None else asked.expect,
+        verdicts=run.verdicts,
+        as_expected=run.as_expected,
+        model=used,
+        **{name: getattr(run, name) for name in FIELDS},
+    )
 
 
-def identified_as_json(
-    estimates: Iterable[Estimate], model: ModelFile, tables: RecordingTables
-) -> dict[str, Any]:
-    """Estimates of a recording by method, and what is needed to make their robot again.
+def identified(
+    estimates: Iterable[Estimate],
+    model: ModelFile,
+    tables: RecordingTables,
+    diagnostics: Iterable[Diagnostic] = (),
+    consistent: Consistent | None = None,
+) -> Result:
+    """Estimates of a recording, and what is needed to make their robot again.
 
     Args:
         estimates: By one method or by both.
         model: The model file, and how it was read.
         tables: What else was said of robot and identification.
+        diagnostics: Of the recording.
+        consistent: Bodies, where they were asked for.
     """
-    estimates = list(estimates)
-    settings = _settled(tables, estimates).model_dump(mode="json", exclude_none=True)
+    found = {estimate.method: estimate for estimate in estimates}
+    settings = _settled(tables, found.values()).model_dump(mode="json", exclude_none=True)
     for key in ("lock", "lock_mimic"):  # the model's lock is all that was held
         settings["robot"].pop(key)
-    return {
-        **{estimate.method: estimate_as_json(estimate) for estimate in estimates},
-        "model": {
-            "path": str(model.path),
-            "sha256": fingerprint(model.path),
-            "weld_root": model.weld_root,
-            "lock": dict(model.lock),
-        },
-        "settings": settings,
-    }
+    used = UsedModel(str(model.path), fingerprint(model.path), model.weld_root, model.lock)
+    return Result(
+        estimates=found,
+        diagnostics=(*diagnostics, *diagnostics_of(found.values())),
+        consistent=consistent,
+        model=used,
+        settings=settings,
+    )
 
 
-def _settled(tables: RecordingTables, estimates: list[Estimate]) -> RecordingTables:
+def _settled(tables: RecordingTables, estimates: Iterable[Estimate]) -> RecordingTables:
     """The same with the terms and the shafts that the estimates have."""
-    robot = tables.robot
+    robot, estimates = tables.robot, list(estimates)
     for drives in (estimate.drives for estimate in estimates):
         if drives is not None and drives.tree.shafts:
             names = drives.tree.names
@@ -155,50 +176,50 @@ def _settled(tables: RecordingTables, estimates: list[Estimate]) -> RecordingTab
     return tables.model_copy(update={"robot": robot, "identification": identification})
 
 
-def choice_as_json(choice: TermChoice | None) -> dict[str, Any] | None:
-    """How held-out data chose terms, as JSON takes it; null where they did not."""
-    if choice is None:
+def write_estimates(result: Result, path: Path) -> None:
+    """Write all that came of a run.
+
+    Args:
+        result: With the source by which it is known again.
+        path: Where to; what stands there is replaced.
+    """
+    with replacing(path) as fresh:
+        fresh.write_bytes(gzip.compress(json_text(encode(result), exact=True), mtime=0))
+
+
+def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | None:
+    """A run with what came of it.
+
+    Args:
+        run: The same without estimates.
+        path: The file.
+        source: What the run comes of.
+
+    Returns:
+        None where there is no such file, or what it holds came of something else.
+    """
+    try:
+        with gzip.open(path) as file:
+            content = from_json(file.read(LARGEST))
+        if content["source"] != source:
+            return None
+        found: Result = decode(Result, content, _makers(run))
+        for each in found.estimates.values():
+            if each.names != (each.drives or each.minimal).names:
+                return None
+    except Exception:  # a file that was damaged may be wrong in any way
         return None
-    found = choice.growth
+    settings = as_settled(run.settings, found.estimates.values())
+    return replace(run, settings=settings, **{name: getattr(found, name) for name in FIELDS})
+
+
+def _makers(run: Run) -> Makers:
+    """What makes values of their names: the robot's sets, laws, unknowns of the instrument."""
+    tree, settings = run.tree, run.settings
+    sets = {MODEL_OF[method]: set_of(tree, method, settings) for method in METHODS}
     return {
-        "terms": list(choice.words),
-        "parts": choice.parts,
-        "steps": [asdict(step) for step in found.steps],
-        "next_best": None if found.next_best is None else asdict(found.next_best),
-        "held_out": {
-            which: {"rms": each.rms, "residual": each.residual.tolist()}
-            for which, each in (("before", choice.before), ("after", choice.after))
-        },
+        MinimalSet: sets.__getitem__,
+        DriveSet: lambda words: drive_set(tree, sets["dynamic"], words),
+        JointLaw: joint_law,
+        Nuisance: {each.kind: each for each in (*NUISANCES, *TESTED)}.__getitem__,
     }
-
-
-def validation_as_json(found: Validation) -> dict[str, Any]:
-    """A validation as JSON takes it: null where there is no number."""
-    numbers = {
-        "signal": found.signal,
-        "residual": found.residual,
-        "relative_residual": found.relative_residual,
-        "mean": found.mean,
-        "noise": found.noise,
-        "spread": found.spread,
-        "ratio": found.ratio,
-    }
-    return {
-        "channels": list(found.channels),
-        "units": list(found.units),
-        "rows": list(found.rows),
-        **{name: _finite(values) for name, values in numbers.items()},
-        "diagnostics": [each.as_dict() for each in found.diagnostics],
-    }
-
-
-def _errors(errors: Errors | None) -> dict[str, Any]:
-    """Errors as JSON takes them: null where there is no number."""
-    if errors is None:
-        return {}
-    numbers = {"truth": errors.truth, "relative_error": errors.relative, "z": errors.z}
-    return {name: _finite(values) for name, values in numbers.items()}
-
-
-def _finite(values: Array) -> list[float | None]:
-    return [x if np.isfinite(x) else None for x in values.tolist()]

@@ -25,7 +25,7 @@ FAR = 5.0
 
 CAUSES: Mapping[Method, tuple[str, ...]] = {
     "internal": ("torque-constant", "friction-law", "rotor"),
-    "external": ("plate-errors", "late-encoders"),
+    "external": ("plate-errors", "encoder_delays"),
 }
 """Of errors that sigma does not count."""
 

@@ -12,16 +12,15 @@ result.json       estimates, truth, metrics, verdicts, versions; written after t
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
+from testbed.codec import json_text
 from testbed.errors import ExperimentError
-from testbed.experiment.estimates_file import read_estimates, write_estimates
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.results import result
+from testbed.experiment.results import read_estimates, result_of, write_estimates
 from testbed.experiment.run import Run
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
@@ -113,10 +112,10 @@ def write_result(run: Run, folder: Path) -> None:
     """
     if run.unseen is not None:
         run.unseen.blind().save(folder / UNSEEN)
-    write_estimates(run, folder / ESTIMATES, _source(folder))
+    result = result_of(run, _source(folder))
+    write_estimates(result, folder / ESTIMATES)
     with replacing(folder / RESULT) as fresh:
-        text = json.dumps(result(run), indent=1, sort_keys=True)
-        fresh.write_text(text + "\n", encoding="utf-8")
+        fresh.write_bytes(json_text(result.document()) + b"\n")
 
 
 def _identity(experiment: Experiment) -> str:

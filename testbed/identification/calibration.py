@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
+from testbed.codec import with_properties
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
 from testbed.identification.noise.scaled import square_root
@@ -49,6 +50,8 @@ class Calibration:
     numbers: tuple[NuisanceEstimate, ...]
     estimate: Estimate | None = None
     correlation: Array | None = None
+
+    __get_pydantic_core_schema__ = with_properties("matrix", "matrix_sigma")
 
     @property
     def doubt(self) -> PlateDoubt:

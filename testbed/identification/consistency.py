@@ -8,30 +8,28 @@ Source    [WKS18] for the condition, [LWP20] for the distance
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
-from testbed.errors import RecordingError, SettingsError
+from testbed.codec import with_properties
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
+from testbed.errors import RecordingError, SettingsError, few
 from testbed.identification.conditions import conditions
-from testbed.identification.consistent_diagnostics import (
-    counted_twice,
-    diagnostics_of,
-    left_out,
-)
 from testbed.identification.consistent_program import Scaled, scaled, solve
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.evidence import Evidence, agreeing, evidence, precise, terms_of
+from testbed.identification.rigid_bodies import possibility
 from testbed.identification.stated import Stated, stated
 from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.barycentric import with_standard
 from testbed.parameters.prior import Prior
 from testbed.parameters.pseudo_inertia import matrices
-from testbed.robot.friction import LAWS, JointTerm
+from testbed.robot.friction import LAWS, ROTOR, JointTerm
 from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
 
@@ -40,6 +38,12 @@ CLOSE = 1e-6
 
 FAINT = 1e-12
 """Weight of terms that no file states, so that their variance before the data has a number."""
+
+SURE = 3.0
+"""Sigmas beyond which data and physics contradict each other."""
+
+SETTLED = 0.1
+"""Sigmas that a program may leave open."""
 
 THIN = 1e-2
 """Parts of the prior's body below which a body is at the edge of what can be."""
@@ -71,6 +75,8 @@ class Bent:
     covariance: Array
     widened: float
     distance: float
+
+    __get_pydantic_core_schema__ = with_properties("sigma", "sigmas")
 
     def __post_init__(self) -> None:
         p = len(self.names)
@@ -217,12 +223,7 @@ def _consistent(
         unsettled=left,
         prior_error=error,
         tried=tried,
-        diagnostics=(
-            *prior.diagnostics,
-            *left_out(estimates, used),
-            *counted_twice(prior, used),
-            *diagnostics_of(used, bent, left),
-        ),
+        diagnostics=tuple(_diagnostics(prior, estimates, used, bent, left)),
     )
 
 
@@ -317,3 +318,68 @@ def _at_limits(problem: Scaled, z: Array) -> tuple[str, ...]:
     bounds = problem.conditions.bounds
     slack = bounds.rows @ z - bounds.values
     return tuple(n for n, left in zip(bounds.names, slack, strict=True) if left < CLOSE)
+
+
+def _diagnostics(
+    prior: Prior,
+    estimates: Sequence[Estimate],
+    used: Sequence[Estimate],
+    bent: Sequence[Bent],
+    unsettled: float,
+) -> Iterator[Diagnostic]:
+    """What a careful reader should know of estimates, those used, and the program's end."""
+    yield from prior.diagnostics
+    for each in estimates:
+        if not any(each is other for other in used):
+            subject, unknowns = f"the {each.method} estimate", len(each.names)
+            rows = sum(each.samples)
+            yield diagnose("bodies.left-out", subject, rows=rows, unknowns=unknowns)
+    for each in used:
+        if each.drives is None or not prior.rotors.any():
+            continue
+        if not any(term.law == ROTOR for term in each.drives.asked):
+            yield diagnose("bodies.rotors", method=each.method)
+    if not unsettled < SETTLED:
+        yield diagnose("bodies.not-converged", "the consistent bodies", unsettled)
+    for estimate, moved in zip(used, bent, strict=True):
+        if moved.widened > SURE:
+            subject = f"the {estimate.method} estimate"
+            yield diagnose("bodies.conflict", subject, moved.widened, method=estimate.method)
+        yield from _moved_far(estimate, moved)
+        yield from _negative(estimate)
+    terms = [term for each in used for term in each.joint_terms]
+    if lost := [t.name for t in terms if t.law not in LAWS or t.law.parameter is None]:
+        yield diagnose("bodies.no-place", few(lost))
+
+
+def _moved_far(estimate: Estimate, moved: Bent) -> Iterator[Diagnostic]:
+    """An estimate that no bodies come near, or none of those that were asked for."""
+    limit = float(np.sqrt(special.chdtri(len(moved.names), 2 * special.ndtr(-SURE))))
+    if moved.distance <= limit:
+        return
+    found = possibility(estimate, SURE, 0.0)
+    far, noise = (found.distance, found.limit) if found.impossible else (moved.distance, limit)
+    worst = np.argsort(-np.abs(moved.sigmas))[:3]
+    yield diagnose(
+        "bodies.impossible" if found.impossible else "bodies.far",
+        f"the {estimate.method} estimate",
+        far,
+        method=estimate.method,
+        limit=noise,
+        changes=", ".join(f"{moved.names[k]} by {moved.sigmas[k]:+.3g} sigma" for k in worst),
+    )
+
+
+def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Friction and rotors that are surely below zero."""
+    for term in estimate.joint_terms:
+        known = term.law.resists or term.law == ROTOR
+        if known and term.value < -SURE * term.sigma:
+            yield diagnose(
+                "bodies.negative",
+                term.name,
+                term.value,
+                sigma=term.sigma,
+                method=estimate.method,
+                unit=term.unit,
+            )

@@ -48,7 +48,7 @@ UNITS = {
     0.2248: "torques-in-lbf",
     9.8067: "wrench-in-kgf",
     0.10197: "torques-in-kgf-m",
-    180 / np.pi: "encoders-in-degrees",
+    180 / np.pi: "degrees",
 }
 """What a factor may mean: codes of causes."""
 
@@ -89,7 +89,7 @@ def cross_check(external: Estimate, internal: Estimate) -> Iterator[Diagnostic]:
         value, sigma = factor
         if not LEAST < value < MOST:
             units = [cause for unit, cause in UNITS.items() if abs(abs(value) / unit - 1) < ALIKE]
-            causes = ["sign-of-torque"] * (value < 0) + [*units, "motor-side", "exchanged"]
+            causes = ["sign"] * (value < 0) + [*units, "motor-side", "exchanged"]
             yield diagnose("torque.scale", subject, value, sigma=sigma, causes=causes)
         elif not external.doubtful and abs(value - 1) > max(OFF, SURE * sigma):
             yield diagnose(

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array, readonly
+from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import SettingsError
 from testbed.identification.estimate import Estimate
@@ -62,6 +63,8 @@ class PayloadEstimate(Diagnosed):
     rank: int
     chance: float
     diagnostics: tuple[Diagnostic, ...] = ()
+
+    __get_pydantic_core_schema__ = with_properties("centre")
 
     def __post_init__(self) -> None:
         for name in ("values", "sigma"):

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
+from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import RecordingError, SettingsError, plural
 from testbed.identification.estimate import (
@@ -64,6 +65,8 @@ class Validation(Diagnosed):
     noise: Array
     spread: Array
     zero_unknown: bool = False
+
+    __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio")
 
     def __post_init__(self) -> None:
         for name in ("signal", "residual", "mean", "noise", "spread"):

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array, readonly
+from testbed.codec import named
 from testbed.parameters.elimination import INDEPENDENT
 from testbed.parameters.exact_recursion import NEW, told
 from testbed.parameters.formulas import Lengths
@@ -51,6 +52,10 @@ class DriveSet:
     terms: tuple[JointTerm, ...]
     columns: Array
     tree: Tree
+
+    __get_pydantic_core_schema__ = named(
+        lambda found: [term.name(found.tree) for term in found.asked]
+    )
 
     @property
     def count(self) -> int:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from testbed.arrays import Array, readonly
+from testbed.codec import named
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import barycentric, on_standard, parameter_names
 from testbed.parameters.elimination import Elimination, eliminate
@@ -47,6 +48,8 @@ class MinimalSet:
     _bodies: tuple[Body, ...]
     _candidates: tuple[Entry, ...]
     _elimination: Elimination
+
+    __get_pydantic_core_schema__ = named(lambda found: found.model)
 
     def __repr__(self) -> str:
         return f"<MinimalSet of the {self.model} model, {self.count}: {', '.join(self.names)}>"

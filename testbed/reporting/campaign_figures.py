@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
 from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.identification.estimate import METHODS
-from testbed.reporting.figures import Panel
-from testbed.reporting.named_panels import named_panels
+from testbed.reporting.figures import Panel, named_panels
+from testbed.reporting.section import Section, Table
 
 LEGEND = {"external": "by the plate", "internal": "by joint torques"}
 
@@ -22,7 +21,7 @@ BINS = np.linspace(-4.0, 4.0, 33)
 """Of scores, in sigmas; what is beyond counts in the outermost ones."""
 
 
-def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] | None:
+def marginal_figure(summary: Summary, metrics: Sequence[str]) -> Section | None:
     """Metrics over each factor, the mean over all others.
 
     Args:
@@ -52,16 +51,15 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> dict[str, Any] 
             panels.append(Panel(title, drawn, factor, log, tuple(curves)))
     if not panels:
         return None
-    return {
-        "id": "marginals",
-        "title": "Errors over each factor",
-        "says": "The mean over the runs of a level that have a result, whatever the other factors.",
-        "legend": _legend(panels),
-        "panels": panels,
-        "caption": "Rms over the parameters that joint torques can tell.",
-        "heads": ["factor", "level", "metric", "mean [%]"],
-        "rows": rows,
-    }
+    return Section(
+        id="marginals",
+        title="Errors over each factor",
+        says="The mean over the runs of a level that have a result, whatever the other factors.",
+        legend=_legend(panels),
+        panels=panels,
+        caption="Rms over the parameters that joint torques can tell.",
+        table=Table(["factor", "level", "metric", "mean [%]"], rows),
+    )
 
 
 def _legend(panels: Sequence[Panel]) -> dict[str, str]:
@@ -74,7 +72,7 @@ def _mean(figures: Sequence[Figure]) -> float:
     return sum(each.mean * each.runs for each in figures) / runs if runs else float("nan")
 
 
-def coverage_figure(every: Sequence[ParameterErrors]) -> dict[str, Any] | None:
+def coverage_figure(every: Sequence[ParameterErrors]) -> Section | None:
     """Share of intervals of 95 % that hold the truth, parameter by parameter.
 
     Args:
@@ -102,20 +100,21 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> dict[str, Any] | None:
         return None
     title = "share that hold the truth"
     panels = named_panels(title, names, shares, "coverage [%]", bars=bars, line=95.0)
-    return {
-        "id": "coverage",
-        "title": "Do intervals of 95 % hold the truth?",
-        "says": "Points are the share of intervals that hold the truth; bars, the coverage that so "
-        "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line.",
-        "legend": {"measured": "95 %"} | _legend(panels),
-        "panels": panels,
-        "caption": "Bounds of Clopper and Pearson.",
-        "heads": ["parameter", "method", "runs", "coverage [%]"],
-        "rows": rows,
-    }
+    return Section(
+        id="coverage",
+        title="Do intervals of 95 % hold the truth?",
+        says=(
+            "Points are the share of intervals that hold the truth; bars, the coverage that so "
+            "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line."
+        ),
+        legend={"measured": "95 %"} | _legend(panels),
+        panels=panels,
+        caption="Bounds of Clopper and Pearson.",
+        table=Table(["parameter", "method", "runs", "coverage [%]"], rows),
+    )
 
 
-def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
+def score_figure(z: Mapping[str, Mapping[str, Array]]) -> Section | None:
     """Errors over sigmas of all parameters beside the normal law; None of fewer than ENOUGH runs.
 
     Args:
@@ -142,23 +141,22 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> dict[str, Any] | None:
         panels.append(Panel(title, curves, "error / sigma", from_zero=True))
     if not panels:
         return None
-    return {
-        "id": "scores",
-        "title": "Errors in sigmas",
-        "says": "If sigma is honest, errors over sigmas follow the normal law.",
-        "legend": {"measured": "normal law"} | _legend(panels),
-        "panels": panels,
-        "caption": "All parameters and runs; the table has them one by one.",
-        "heads": ["parameter", "method", "mean of z", "rms of z"],
-        "rows": rows,
-    }
+    return Section(
+        id="scores",
+        title="Errors in sigmas",
+        says="If sigma is honest, errors over sigmas follow the normal law.",
+        legend={"measured": "normal law"} | _legend(panels),
+        panels=panels,
+        caption="All parameters and runs; the table has them one by one.",
+        table=Table(["parameter", "method", "mean of z", "rms of z"], rows),
+    )
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def sigma_figure(parts: Sequence[ParameterErrors]) -> dict[str, Any] | None:
+def sigma_figure(parts: Sequence[ParameterErrors]) -> Section | None:
     """The spread that came out over the sigma that was predicted, a point a parameter and cell.
 
     Args:
@@ -176,16 +174,18 @@ def sigma_figure(parts: Sequence[ParameterErrors]) -> dict[str, Any] | None:
             curves[method] = np.array([e.sigma for e in own]), np.array([e.spread for e in own])
     points = tuple(kind for kind in curves if kind != "measured")
     panel = Panel("obtained sigma", curves, "predicted sigma", log=True, points=points)
-    return {
-        "id": "sigma",
-        "title": "Predicted and obtained sigma",
-        "says": "Below the line, estimates are better than they say; above it, worse.",
-        "legend": {"measured": "as predicted"} | _legend([panel]),
-        "panels": [panel],
-        "caption": "Each in the unit of its parameter.",
-        "heads": ["method", "parameters and cells", "median of obtained over predicted"],
-        "rows": [
-            [m, str(len(curves[m][0])), f"{np.median(curves[m][1] / curves[m][0]):.2f}"]
-            for m in points
-        ],
-    }
+    return Section(
+        id="sigma",
+        title="Predicted and obtained sigma",
+        says="Below the line, estimates are better than they say; above it, worse.",
+        legend={"measured": "as predicted"} | _legend([panel]),
+        panels=[panel],
+        caption="Each in the unit of its parameter.",
+        table=Table(
+            ["method", "parameters and cells", "median of obtained over predicted"],
+            [
+                [m, str(len(curves[m][0])), f"{np.median(curves[m][1] / curves[m][0]):.2f}"]
+                for m in points
+            ],
+        ),
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from testbed.experiment.score import Errors
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.estimate_text import ROUNDING
 from testbed.identification.influence import by_influence
-from testbed.reporting.figures import Panel
-from testbed.reporting.named_panels import named_panels
+from testbed.reporting.figures import Panel, named_panels
+from testbed.reporting.section import Section, Table
 
 MOST = 60
 """Parameters drawn; of more, those that add most to the predicted signals."""
@@ -132,7 +131,7 @@ def dot_panels(dots: ErrorDots) -> list[Panel]:
     return named_panels("", dots.names, values, dots.label, bars=bars, pale=True, log=True)
 
 
-def dots_section(run: Run) -> dict[str, Any] | None:
+def dots_section(run: Run) -> Section | None:
     """The figure for a page, with what it says and the same as a table; None without estimates.
 
     Args:
@@ -145,22 +144,26 @@ def dots_section(run: Run) -> dict[str, Any] | None:
     order = "What adds most to the predicted forces comes first"
     part = f"{order}; these are the first {MOST}." if len(dots.names) == MOST else f"{order}."
     heads = [f"{'error' if judged else 'sigma'}, {method} [%]" for method in dots.errors]
-    return {
-        "id": "errors",
-        "title": "How far off each parameter is" if judged else "How well each parameter is known",
-        "says": "Errors against the truth; the bars end at one standard deviation, as the estimate "
-        "itself states it. A dot far beyond its bar is an error that sigma does not tell."
-        if judged
-        else "One standard deviation, as the estimate itself states it, as part of the value.",
-        "legend": {method: LEGEND[method] for method in dots.errors},
-        "panels": dot_panels(dots),
-        "caption": f"Logarithmic; further to the left is better. {part}",
-        "heads": ["parameter", *heads],
-        "rows": [
-            [name, *(_number(values[k]) for values in dots.errors.values())]
-            for k, name in enumerate(dots.names)
-        ],
-    }
+    return Section(
+        id="errors",
+        title="How far off each parameter is" if judged else "How well each parameter is known",
+        says=(
+            "Errors against the truth; the bars end at one standard deviation, as the estimate "
+            "itself states it. A dot far beyond its bar is an error that sigma does not tell."
+            if judged
+            else "One standard deviation, as the estimate itself states it, as part of the value."
+        ),
+        legend={method: LEGEND[method] for method in dots.errors},
+        panels=dot_panels(dots),
+        caption=f"Logarithmic; further to the left is better. {part}",
+        table=Table(
+            ["parameter", *heads],
+            [
+                [name, *(_number(values[k]) for values in dots.errors.values())]
+                for k, name in enumerate(dots.names)
+            ],
+        ),
+    )
 
 
 LEGEND: dict[Method, str] = {

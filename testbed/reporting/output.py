@@ -1,26 +1,34 @@
-"""What commands write to the terminal: progress, lines, JSON, warnings. Quick to import."""
+"""What commands write to the terminal: progress, lines, tables, JSON, warnings. Quick to import."""
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from threading import Event, Thread
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bar
+from rich.table import Table as RichTable
 
+from testbed.codec import json_text
 from testbed.diagnostics.diagnostic import Diagnostic, ordered, sentences
 from testbed.errors import plural, printable
 from testbed.stages import stage, stages
 
+if TYPE_CHECKING:
+    from testbed.reporting.section import Table
+
 BETWEEN = 10.0
 """Seconds between two lines where no bar can be shown."""
+
+NAME = 12
+"""Columns that are left to a row's name, at least, when it gives way."""
 
 
 class Progress:
@@ -119,7 +127,7 @@ def printed_stages() -> Iterator[None]:
 
 def print_json(value: dict[str, Any]) -> None:
     """Print for programs."""
-    sys.stdout.write(json.dumps(value, indent=1, sort_keys=True) + "\n")
+    sys.stdout.write(json_text(value).decode() + "\n")
 
 
 def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None:
@@ -153,3 +161,53 @@ def print_diagnostics(
         out.print(f"{kind}: {printable(line)}", style=style, soft_wrap=True)
     if most is not None and len(lines) > most:
         out.print(f"(--all prints {plural(len(lines) - most, 'more warning')})", soft_wrap=True)
+
+
+def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
+    """Print the first of some layouts whose tables all fit; no number is ever cut off.
+
+    Where none does, tables are split into their parts, and then names are folded, too.
+
+    Args:
+        out: Where to.
+        layouts: From wide to narrow.
+    """
+    split = [part for table in layouts[-1] for part in table.split]
+    free = out.options.update(max_width=10_000)
+    for tables in (*layouts, split):
+        made = [_drawn(table) for table in tables]
+        if all(out.measure(each, options=free).maximum <= out.width for each in made):
+            break
+    else:
+        made = [_drawn(table, out.width) for table in split]
+    for each in made:
+        out.print(each)
+
+
+def _drawn(table: Table, width: int | None = None) -> RichTable:
+    """A table; the rows' names are folded so that it has a width, if any."""
+    columns = list(zip(*([printable(cell) for cell in row] for row in table.rows), strict=True))
+    taken = [
+        max(map(len, (*head.split("\n"), *cells)))
+        for head, cells in zip(table.heads[1:], columns[1:], strict=False)
+    ]
+    room = None if width is None else max(NAME, width - sum(taken) - 2 * len(taken) - 4)
+    drawn = RichTable(
+        title=printable(table.title) or None,
+        title_justify="left",
+        header_style="bold",
+        box=SIMPLE_HEAD,
+    )
+    for k, head in enumerate(table.heads):
+        words = k == 0 or head in table.left
+        drawn.add_column(
+            head,
+            justify="left" if words else "right",
+            style="dim" if head == "unit" else "",
+            overflow="fold",
+            no_wrap=not words or (k == 0 and room is None),
+            max_width=room if k == 0 else None,
+        )
+    for row in table.rows:
+        drawn.add_row(*map(printable, row))
+    return drawn

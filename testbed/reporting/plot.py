@@ -13,8 +13,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from testbed.experiment.run import Run
 from testbed.identification.estimate import Estimate
 from testbed.reporting.error_dots import LEGEND, ErrorDots, dots_of_run, error_dots, shown
-from testbed.reporting.named_panels import APART
-from testbed.reporting.scales import power_of_ten
+from testbed.reporting.figures import APART, power_of_ten
 
 COLOURS = {"external": "#0072b2", "internal": "#c75000", "faint": "#6a7380"}
 

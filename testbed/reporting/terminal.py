@@ -13,14 +13,18 @@ from testbed.errors import printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
 from testbed.identification.cross_check import diagnostics_of
 from testbed.identification.estimate_text import OPEN_ZERO
-from testbed.reporting.choice_table import choice_lines
-from testbed.reporting.consistent_table import consistent_lines, consistent_tables
-from testbed.reporting.drive_table import drive_lines, drive_tables
-from testbed.reporting.output import console, print_diagnostics
-from testbed.reporting.payload_table import payload_lines, payload_table
-from testbed.reporting.plate_tables import plate_lines, plate_tables
-from testbed.reporting.tables import quality_lines, result_tables
-from testbed.reporting.validation_tables import validation_tables
+from testbed.reporting.bodies import consistent_lines, consistent_tables
+from testbed.reporting.drives import drive_lines, drive_table
+from testbed.reporting.estimates import (
+    choice_lines,
+    parameter_tables,
+    payload_lines,
+    payload_table,
+    quality_lines,
+    validation_table,
+)
+from testbed.reporting.instrument import plate_lines, plate_table
+from testbed.reporting.output import console, print_diagnostics, print_tables
 
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
@@ -60,8 +64,7 @@ def print_estimates(
     for line in [*quality_lines(estimates), *lines] if everything else lines:
         out.print(line, soft_wrap=True)
     if bodies is not None:
-        for table in consistent_tables(bodies):
-            out.print(table)
+        print_tables(out, consistent_tables(bodies))
         for line in consistent_lines(bodies):
             out.print(printable(line), soft_wrap=True)
 
@@ -78,8 +81,7 @@ def _print_parameters(
     if not estimates:
         return
     most = None if everything else ROWS
-    for table in result_tables(out, estimates, truths, title, most):
-        out.print(table)
+    print_tables(out, *parameter_tables(estimates, truths, title, most))
     for name in (name for e in estimates for name in e.unidentifiable):
         out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
     count = len({name for e in estimates for name in e.names}) - ROWS
@@ -96,8 +98,7 @@ def print_validations(validations: Sequence[Validation], diagnostics: Sequence[D
     """
     out = console()
     for found in validations:
-        for table in validation_tables(out, found):
-            out.print(table)
+        print_tables(out, [validation_table(found)])
     print_diagnostics(out, [*diagnostics, *(d for v in validations for d in v.diagnostics)])
 
 
@@ -110,13 +111,12 @@ def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Pat
         path: Where it is kept.
     """
     out = console()
-    for table in plate_tables(out, plate):
-        out.print(table)
+    print_tables(out, [plate_table(plate)])
     for line in plate_lines(plate):
         out.print(line, soft_wrap=True)
     estimates = [] if plate.estimate is None else [plate.estimate]
-    for table in result_tables(out, estimates, {}) if estimates else ():
-        out.print(table)
+    if estimates:
+        print_tables(out, *parameter_tables(estimates, {}))
     print_diagnostics(out, [*diagnostics, *(d for e in estimates for d in e.diagnostics)])
     out.print(f"plate: {path}", soft_wrap=True)
 
@@ -134,8 +134,7 @@ def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> No
 
 
 def _print_drives(out: Console, drives: DriveFindings) -> None:
-    for table in drive_tables(out, drives.estimates):
-        out.print(table)
+    print_tables(out, [drive_table(drives.estimates)])
     for line in drive_lines(drives):
         out.print(line, soft_wrap=True)
 
@@ -148,7 +147,7 @@ def print_payload(found: PayloadEstimate, diagnostics: Sequence[Diagnostic]) -> 
         diagnostics: About robot, recordings and payload.
     """
     out = console()
-    out.print(payload_table(found))
+    print_tables(out, [payload_table(found)])
     for line in payload_lines(found):
         out.print(line, soft_wrap=True)
     print_diagnostics(out, diagnostics)

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.codec import named
 from testbed.errors import UnknownName
 from testbed.robot.transmission import places, shares
 from testbed.robot.tree import Joint, Tree
@@ -49,6 +50,8 @@ class JointLaw:
     parameter: str | None = None
     resists: bool = False
     jumps: bool = False
+
+    __get_pydantic_core_schema__ = named(lambda law: law.kind)
 
     def unit(self, joint: Joint) -> str:
         """Unit of the coefficient at a joint."""

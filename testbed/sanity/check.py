@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +18,17 @@ from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_r
 from testbed.errors import RecordingError
 from testbed.parameters.barycentric import standard
 from testbed.recordings.geometry import geometry
-from testbed.recordings.importing.import_report import ImportReport
-from testbed.recordings.importing.mapping import read_mapping
+from testbed.recordings.importing.mapping import Mapping
 from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.assessment import MOST_SAMPLES, assess
+from testbed.sanity.remedies import Line, in_mapping, with_lines
 from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import TimeOffset, align_mapping, remedy_of, time_offsets
+from testbed.sanity.time_offset import TimeOffset, alignment, time_offsets
+from testbed.toml_text import checked
 
 RESTS = 5e-3
 """By how much a base that is welded may seem to move [m]."""
@@ -47,18 +49,11 @@ class CheckReport(Diagnosed):
 
     Attributes:
         offsets: How late torques and wrench are.
-        doubts: What may be wrong, and what the data leave open.
-        delays: Signals that are late, with lines for the mapping.
+        diagnostics: What may be wrong, what the data leave open, and signals that are late.
     """
 
     offsets: tuple[TimeOffset, ...] = ()
-    doubts: tuple[Diagnostic, ...] = ()
-    delays: tuple[Diagnostic, ...] = ()
-
-    @property
-    def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All that may be wrong."""
-        return (*self.doubts, *self.delays)
+    diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def check_recording(
@@ -86,14 +81,16 @@ def check_recording(
     else:
         verdict = source.facts.get(FACT) or {}
         if verdict.get("of") == digest(tree, source):
-            return CheckReport(doubts=of_recording(verdict))
+            return CheckReport(diagnostics=of_recording(verdict))
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
     offsets = time_offsets(tree, source)
-    mapping = source.facts.get("mapping", {})
-    delays = tuple(each.diagnostic(remedy_of(each, mapping)) for each in offsets if each.matters)
-    return CheckReport(tuple(offsets), tuple(doubts), delays)
+    doubts += [
+        each.diagnostic(f"{in_mapping(lines)}, or import with --model and --align")
+        for each, lines in _alignments(offsets, source)
+    ]
+    return CheckReport(tuple(offsets), tuple(doubts))
 
 
 def _base_motion(source: Source) -> Iterator[Diagnostic]:
@@ -131,9 +128,12 @@ def import_and_check(
     longest = max(recordings, key=lambda each: each.samples)
     report = check_recording(tree, longest, align=align, unchecked=unchecked, progress=progress)
     if align:
-        imported = ImportReport.from_dict(longest.facts["import"])
-        recordings, cuts = pieces(path, align_mapping(read_mapping(path), imported, report.offsets))
-        report = replace(report, delays=())
+        lines = chain.from_iterable(lines for _, lines in _alignments(report.offsets, longest))
+        mapping = with_lines(longest.facts["mapping"], lines)
+        recordings, cuts = pieces(path, checked(Mapping, mapping, str(path)))
+        late = "recording.delay"  # was just taken back
+        kept = tuple(each for each in report.diagnostics if each.code != late)
+        report = replace(report, diagnostics=kept)
     if not unchecked:
         most = max(each.samples for each in recordings)
         recordings = tuple(
@@ -141,6 +141,16 @@ def import_and_check(
             for each in recordings
         )
     return recordings, cuts, report
+
+
+def _alignments(
+    offsets: Sequence[TimeOffset], source: Source
+) -> Iterator[tuple[TimeOffset, list[Line]]]:
+    """Offsets that are no noise, and lines of the mapping that take them back."""
+    mapping = source.facts.get("mapping", {})
+    for each in offsets:
+        if each.matters:
+            yield each, [*alignment(each, mapping, source.facts)]
 
 
 def _with_verdict(recording: Recording, tree: Tree, report: CheckReport) -> Recording:

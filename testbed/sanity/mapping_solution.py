@@ -19,7 +19,6 @@ from testbed.errors import round_significant
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.draft import Draft, in_toml
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
-from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
 from testbed.recordings.importing.pieces import pieces
@@ -34,7 +33,7 @@ from testbed.sanity.plate import WrenchFit, frame_of
 from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.sanity.recording_diagnostics import CLEARLY, share
 from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import align_mapping, time_offsets
+from testbed.sanity.time_offset import alignment, time_offsets
 from testbed.toml_text import checked
 
 ASSUMED = "ASSUMED"
@@ -128,7 +127,7 @@ def solve_mapping(
     if assessment.best is None:
         return MappingSolution(draft, assessment.likely)
     draft = _by_the_data(draft, assessment, assessment.best, open_keys)
-    in_time = _with_clocks(draft, source, out, tree)
+    in_time = _with_clocks(draft, source, tree)
     if in_time is not draft:
         draft, assessment = in_time, assess(tree, _recording(in_time, out, tree), progress)
     if assessment.best is not None:
@@ -275,27 +274,22 @@ def _by_the_data(
     return draft
 
 
-def _with_clocks(draft: Draft, source: Source, out: Path, tree: Tree) -> Draft:
+def _with_clocks(draft: Draft, source: Source, tree: Tree) -> Draft:
     """Delays and drifts that are clear."""
-    offsets = [each for each in time_offsets(tree, source) if each.matters]
-    if not offsets:
-        return draft
-    mapping = _mapping(draft, out)
-    new = align_mapping(mapping, ImportReport.from_dict(source.facts["import"]), offsets)
-    for each in offsets:
-        table = getattr(new, each.signal)
-        skew = new.sources[table.source].skew
-        if skew:
-            note = f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
-            draft = draft.saying(f"sources.{table.source}", "skew", skew, note)
-        late = table.delay - getattr(mapping, each.signal).delay
-        draft = _delayed(draft, each.signal, late, each.sigma)
+    content = draft.content
+    for each in (each for each in time_offsets(tree, source) if each.matters):
+        for table, key, value in alignment(each, content, source.facts):
+            if key == "delay":
+                draft = _delayed(draft, table, value, each.sigma)
+            else:
+                note = f"solved: {1e6 * each.skew:.1f} +- {1e6 * each.skew_sigma:.1f} ppm"
+                draft = draft.saying(table, key, value, note)
     return draft
 
 
-def _delayed(draft: Draft, signal: str, late: float, sigma: float) -> Draft:
-    """A signal that is later by so much [s]; of a clock of its own as its offset."""
-    source, delay = draft.tables[signal]["source"], draft.tables[signal].get("delay", 0.0) + late
+def _delayed(draft: Draft, signal: str, delay: float, sigma: float) -> Draft:
+    """A signal that is so late [s]; of a clock of its own as its offset."""
+    source = draft.tables[signal]["source"]
     table, key, value = signal, "delay", round(delay, 7)
     if source != draft.tables["position"]["source"]:
         table, key = f"sources.{source}", "offset"
@@ -338,7 +332,7 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     own_clock = table["source"] != draft.tables["position"]["source"]
     late, late_sigma = float(moves[LATE]), float(sigma[LATE])
     if own_clock or "delay" in table or abs(late) > CLEAR * late_sigma:
-        draft = _delayed(draft, "wrench", late, late_sigma)
+        draft = _delayed(draft, "wrench", table.get("delay", 0.0) + late, late_sigma)
     return _with_zero(draft, best)
 
 

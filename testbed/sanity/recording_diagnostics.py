@@ -15,7 +15,7 @@ from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-from testbed.sanity.explanation import BRAKED, Explanation
+from testbed.sanity.explanation import Explanation
 from testbed.sanity.hypotheses import KINDS, Hypothesis, own_joints
 from testbed.sanity.instants import Instants
 from testbed.sanity.plate import MIXED, WrenchFit
@@ -128,7 +128,7 @@ def out_of_range(tree: Tree, position: Array, outside: float = OUTSIDE) -> Itera
             "position.range",
             "positions",
             len(lines),
-            causes=("degrees" if turning else "millimetres", "motor-positions"),
+            causes=("degrees" if turning else "millimetres", "motor-side"),
             ranges=", ".join(lines[:2]) + more,
             unit=unit,
         )
@@ -156,10 +156,9 @@ def still_joints(tree: Tree, as_read: Explanation) -> Iterator[Diagnostic]:
         tree: The robot.
         as_read: The recording as it is.
     """
-    moves = as_read.torques.unexplained > BRAKED + 3 * as_read.fit.torque_noise
-    position = as_read.fit.instants.position
+    position, odd = as_read.fit.instants.position, as_read.odd_torques()
     still = [k for k in own_joints(tree) if np.ptp(position[:, k]) < RESTS]
-    dead = [k for k in still if moves.size and moves[k]]
+    dead = [k for k in still if k in odd]
     if still:
         names = few([tree.names[k] for k in dead or still])
         causes = [*["joint-at-rest"] * (not dead), "dead-encoder", "other-column", "braked"]
@@ -290,7 +289,7 @@ def odd_sizes(
     if not odd:
         return
     if all(sizes[k] < 1 for k in odd):
-        size, causes = "small", ("motor-torques", "currents")
+        size, causes = "small", ("motor-side", "currents")
         needed = in_toml([round_significant(float(np.nan_to_num(1 / x)), 5) for x in sizes])
         lines = (
             f'[torque] side = "motor" with a table [gear] (ratio about {needed}), or unit = "A" '

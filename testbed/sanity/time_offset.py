@@ -7,7 +7,7 @@ is clear is taken back by the mapping's own words.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,17 +17,14 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
-from testbed.errors import round_significant
 from testbed.identification.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.importing.import_report import ImportReport
-from testbed.recordings.importing.mapping import AnyTable
-from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
 from testbed.sanity.instants import ENOUGH, LATE, decimate, delay, directions
-from testbed.sanity.remedies import in_mapping
+from testbed.sanity.remedies import Line
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the
@@ -140,53 +137,28 @@ def time_offsets(tree: Tree, source: Source) -> list[TimeOffset]:
     return [each for each in offsets if each is not None]
 
 
-def align_mapping(
-    mapping: MappingFile, report: ImportReport, offsets: Iterable[TimeOffset]
-) -> MappingFile:
-    """The mapping with `delay`, and `skew` of sources with clocks of their own, as the data say.
+def alignment(
+    offset: TimeOffset, mapping: Mapping[str, Any], facts: Mapping[str, Any]
+) -> Iterator[Line]:
+    """Lines by which a mapping takes an offset back.
+
+    `delay`, of all plates, and `skew` of a source that has not the positions' clock.
 
     Args:
-        mapping: By which the recording was made.
-        report: How its sources' clocks were read.
-        offsets: Delays of its signals; those that may be noise are left alone.
-    """
-    changed: dict[str, Any] = {}
-    sources = dict(mapping.sources)
-    for each in (each for each in offsets if each.matters):
-        tables: dict[str, AnyTable] = {each.signal: getattr(mapping, each.signal)}
-        if each.signal == "wrench" and mapping.plates:
-            tables = dict(mapping.plates)
-        for name, table in tables.items():
-            own = table.source != mapping.position.source
-            skew = each.skew if each.drifts and own else 0.0
-            lead = report.clocks[table.source].lead
-            begins = (-lead - table.delay - each.delay + skew * each.middle) / (1 + skew)
-            tables[name] = table.model_copy(update={"delay": -lead - begins})
-            if skew:
-                source = mapping.sources[table.source]
-                faster = (1 + source.skew) / (1 + skew) - 1
-                sources[table.source] = source.model_copy(update={"skew": faster})
-        changed |= {"plates": tables} if tables.keys() == mapping.plates.keys() else tables
-    return mapping.model_copy(update={**changed, "sources": sources})
-
-
-def remedy_of(offset: TimeOffset, mapping: Mapping[str, Any]) -> str:
-    """What to write where a signal is late, as lines of the mapping.
-
-    Args:
-        offset: How late it is.
+        offset: How late a signal is.
         mapping: What the mapping file says, as a recording keeps it.
+        facts: Of the recording that it made.
     """
-    if offset.drifts:
-        return "import with --model and --align takes both back"
+    clocks = ImportReport.from_dict(facts["import"]).clocks if "import" in facts else {}
     plates = mapping.get("plates", {}) if offset.signal == "wrench" else {}
     tables = {f"plates.{name}": table for name, table in plates.items()}
-    tables = tables or {offset.signal: mapping.get(offset.signal, {})}
-    lines = (
-        (name, "delay", round_significant(float(table.get("delay", 0.0)) + offset.delay, 6))
-        for name, table in tables.items()
-    )
-    return f"{in_mapping(lines)}, or import with --model and --align"
+    for name, table in (tables or {offset.signal: mapping.get(offset.signal, {})}).items():
+        source, delay = table.get("source"), float(table.get("delay", 0.0)) + offset.delay
+        if offset.drifts and source != mapping["position"]["source"]:
+            lead, own = clocks[source].lead, mapping["sources"][source].get("skew", 0.0)
+            delay = (lead + delay - offset.skew * offset.middle) / (1 + offset.skew) - lead
+            yield f"sources.{source}", "skew", round((1 + own) / (1 + offset.skew) - 1, 10)
+        yield name, "delay", round(delay, 8)
 
 
 def _offset(

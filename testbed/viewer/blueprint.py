@@ -13,9 +13,9 @@ from testbed.experiment.growth import growing_errors
 from testbed.experiment.predictions import Signal
 from testbed.identification.estimate import Method
 from testbed.recordings.columns import AXES, PLATE_UNITS
+from testbed.reporting.drives import BAND
 from testbed.robot.tree import Tree
 from testbed.viewer.constant_bars import TALL
-from testbed.viewer.drive_notes import BAND
 from testbed.viewer.heat_map import CELL, TITLES
 from testbed.viewer.overview import learned, scale_of
 from testbed.viewer.robot_drawing import CLOCK

@@ -9,6 +9,7 @@ import rerun as rr
 
 from testbed.campaign.summary import Summary
 from testbed.files import replacing
+from testbed.reporting.section import Table
 
 BINS = np.linspace(-4.0, 4.0, 33)
 """Of errors in sigmas; what is beyond counts in the outermost ones."""
@@ -54,10 +55,10 @@ def _log_sigma(stream: rr.RecordingStream, summary: Summary) -> None:
 
 def _notes(summary: Summary) -> str:
     """Means of all figures, cell by cell, as a table."""
-    heads = [*summary.factors, "figure", "runs", "mean"]
-    lines = [f"# {summary.about.get('name', 'campaign')}", str(summary.about.get("claim", "")), ""]
-    lines += [" | ".join(heads), " | ".join("---" for _ in heads)]
-    for each in summary.figures:
-        levels = [str(level) for level in summary.cells[each.cell]]
-        lines.append(" | ".join([*levels, each.metric, str(each.runs), f"{each.mean:.3g}"]))
-    return "\n".join(lines)
+    rows = [
+        [*map(str, summary.cells[f.cell]), f.metric, str(f.runs), f"{f.mean:.3g}"]
+        for f in summary.figures
+    ]
+    table = Table([*summary.factors, "figure", "runs", "mean"], rows)
+    about = summary.about
+    return f"# {about.get('name', 'campaign')}\n{about.get('claim', '')}\n\n{table.markdown}"

@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 
 from testbed.identification.torque_constants import DriveEstimate
+from testbed.reporting.drives import BAND
 from testbed.viewer.colours import COLOURS
-from testbed.viewer.drive_notes import BAND
 
 CAP = 0.08
 """Half width of a bar's ends, in distances from joint to joint."""

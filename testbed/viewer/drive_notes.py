@@ -9,10 +9,9 @@ import rerun as rr
 
 from testbed.experiment.run import Run
 from testbed.identification.friction_curves import FrictionCurve
+from testbed.reporting.drives import BAND, TITLE, drive_table
+from testbed.reporting.section import Table
 from testbed.viewer.colours import COLOURS
-
-BAND = 2.0
-"""Sigmas to either side of a curve."""
 
 
 def log_curve(
@@ -54,14 +53,7 @@ def notes_of_drives(run: Run) -> list[str]:
     """
     if run.drives is None:
         return []
-    lines = ["| joint | torque constant | terms |", "| --- | --- | --- |"]
-    for each in run.drives.estimates:
-        terms = ", ".join(
-            f"{t.law.kind} {t.value:.4g} ± {t.sigma:.2g} {t.unit}" for t in each.terms
-        )
-        name = each.joint.replace("|", "/")
-        lines.append(f"| {name} | {each.constant:.5g} ± {each.sigma:.2g} | {terms} |")
-    return ["## Drives, held against the plate", "\n".join(lines)]
+    return [f"## {TITLE}", drive_table(run.drives.estimates).markdown]
 
 
 def notes_of_plate(run: Run) -> list[str]:
@@ -73,8 +65,6 @@ def notes_of_plate(run: Run) -> list[str]:
     external = run.estimates.get("external")
     if external is None or not external.nuisances:
         return []
-    lines = ["| number | value | unit |", "| --- | --- | --- |"]
-    lines += [
-        f"| {n.name} | {n.value:.4g} ± {n.sigma:.2g} | {n.unit} |" for n in external.nuisances
-    ]
-    return ["## The plate, estimated with the parameters", "\n".join(lines)]
+    rows = [[n.name, f"{n.value:.4g} +- {n.sigma:.2g}", n.unit] for n in external.nuisances]
+    table = Table(["number", "value", "unit"], rows)
+    return ["## The plate, estimated with the parameters", table.markdown]

@@ -34,7 +34,7 @@ def test_a_real_recording_is_imported_identified_and_looked_at(tmp_path: Path) -
     done = command_line("import", "first.toml", "--out", "r.parquet", *MODEL, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     said = command_line("identify", "r.parquet", *MODEL, "--set", TERMS, "--json", cwd=tmp_path)
-    left = np.array(json.loads(said.stdout)["internal"]["residual"])
+    left = np.array(json.loads(said.stdout)["estimates"]["internal"]["residual"])
     assert np.sqrt(np.mean(left[:4] ** 2)) < 0.75  # N m, of literature's fits of these data
     words = ("report", "first.toml", *MODEL, "--validate", "second.toml", "--out", "page.html")
     more = ("--terms", "auto", "--consistent", "--set", "identification.cutoff=10")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.codec import json_text
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
@@ -26,7 +27,7 @@ from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTabl
 from testbed.experiment.growth import growing_errors, growth
 from testbed.experiment.motions import another_motion, motion_of
 from testbed.experiment.predictions import predict
-from testbed.experiment.results import result as as_json
+from testbed.experiment.results import result_of
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.run_diagnostics import correlated, systematic_errors
 from testbed.experiment.score import relative_errors
@@ -57,7 +58,7 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
     """And truths that are the robot's, by the sets' matrices alone."""
     run = judged_run(name)
     assert run.score is not None
-    stored, metrics = json.loads(json.dumps(as_json(run))), {}
+    stored, metrics = json.loads(json_text(result_of(run).document())), {}
     dynamic, reaction = (tb.minimal_set(run.tree, m) for m in ("dynamic", "reaction"))
     for method, model in (("external", reaction), ("internal", dynamic)):
         truth = model.values(tb.barycentric(run.tree)).tolist()
@@ -68,21 +69,22 @@ def test_every_stored_error_and_metric_again_from_the_stored_values(name: str) -
                 usual = rms(torque) / rms(np.sign(speed) if kind == "coulomb" else speed)
                 truth.append(getattr(joint, kind))
                 scale.append(max(truth[-1], usual / 10))
-        found = {key: np.array(value) for key, value in stored[method].items()}
-        z, share = ((found["values"] - truth) / each for each in (found["sigma"], scale))
-        np.testing.assert_allclose(found["truth"], truth, rtol=1e-12)
-        np.testing.assert_allclose(found["z"], z, rtol=1e-12)
-        np.testing.assert_allclose(found["relative_error"].astype(float), share, rtol=1e-12)
+        found, errors = stored["estimates"][method], stored["score"]["errors"][method]
+        gap, sigma = np.array(found["values"]) - truth, np.array(found["sigma"])
+        z, share = gap / sigma, gap / scale
+        np.testing.assert_allclose(errors["truth"], truth, rtol=1e-12)
+        np.testing.assert_allclose(errors["z"], z, rtol=1e-12)
+        np.testing.assert_allclose(np.array(errors["relative"], dtype=float), share, rtol=1e-12)
         metrics[f"{method}_max_relative_error"] = np.nanmax(np.abs(share[:count]))
         metrics[f"{method}_max_z"] = np.abs(z[:count]).max()
     metrics["friction_max_relative_error"] = np.nanmax(np.abs(share[count:]))
     metrics["internal_rms_relative_error"] = rms(share[:count])
     s = np.linalg.lstsq(reaction.matrix.T, dynamic.matrix.T, rcond=None)[0].T
-    error = s @ np.array(stored["external"]["values"]) - truth[:count]
+    error = s @ np.array(stored["estimates"]["external"]["values"]) - truth[:count]
     metrics["external_rms_relative_error"] = rms(error / scale[:count])
     metrics["internal_to_external"] = rms(share[:count]) / rms(error / scale[:count])
-    assert stored["metrics"] == pytest.approx(metrics, rel=1e-6)
-    assert set(stored["metrics"]) == set(ALWAYS_JUDGED)
+    assert stored["score"]["metrics"] == pytest.approx(metrics, rel=1e-6)
+    assert set(stored["score"]["metrics"]) == set(ALWAYS_JUDGED)
     told = [share for each in run.score.accuracy.values() for share in vars(each).values()]
     assert all(f"{100 * share:.2g} %" in headline(run) for share in told if share is not None)
 

@@ -17,19 +17,19 @@ import numpy as np
 import pytest
 
 import testbed as tb
+from testbed.codec import json_text
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.limit_terms import PlateTerm
 from testbed.excitation.proof import prove
-from testbed.experiment import results
 from testbed.experiment.earlier_estimate import prior_covariance
-from testbed.experiment.estimates_file import read_estimates, write_estimates
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.experiment import RecordingTables
 from testbed.experiment.motion_file import read_motion
 from testbed.experiment.motions import motion_of, rules_of
 from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, read_result
-from testbed.experiment.results import identified_as_json
+from testbed.experiment.results import identified as identified_result
+from testbed.experiment.results import read_estimates, result_of, write_estimates
 from testbed.experiment.run import Run
 from testbed.experiment.run_folder import check_folder, read_run, write_recorded, write_run
 from testbed.experiment.trajectory_file import write_trajectory
@@ -40,6 +40,7 @@ from testbed.identification.validate import validate
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_shapes
 from tests.helpers.measured import measured
+from tests.helpers.paths import GOLDEN
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import MODELS
 from tests.scenarios.scenarios import result
@@ -103,7 +104,7 @@ def said(run: Run) -> str:
     """All that a program reads of a run, and what is not in its file: other products."""
     sums = {m: [each.normal_equations.residual(each.values).tolist(), each.matters, each.names]
             for m, each in run.estimates.items()}  # fmt: skip
-    return json.dumps([results.result(run), sums, run.settings.terms], default=str)
+    return json.dumps([json_text(result_of(run).document()).decode(), sums, run.settings.terms])
 
 
 @pytest.mark.slow
@@ -117,7 +118,7 @@ def test_all_that_came_of_a_run_comes_back(name: str, tmp_path: Path) -> None:
     )  # fmt: skip
     paths = tmp_path / "one", tmp_path / "other"
     for path in paths:
-        write_estimates(run, path, {"of": name})
+        write_estimates(result_of(run, {"of": name}), path)
     assert len({path.read_bytes() for path in paths}) == 1
     back = read_estimates(bare, paths[0], {"of": name})
     assert back is not None
@@ -193,28 +194,32 @@ def identified() -> tuple[dict[str, Any], tuple[Estimate, ...]]:
     tree, tables = HELD.tree(), RecordingTables.of(SAID)
     recording = measured(tree, 1, duration=12)
     found = [tb.identify(tree, recording, m, settings=tables.identification) for m in METHODS]
-    return json.loads(json.dumps(identified_as_json(found, HELD, tables))), tuple(found)
+    return json.loads(json_text(identified_result(found, HELD, tables).document())), tuple(found)
 
 
 PARTS = ("names", "values", "covariance", "residual", "gravity")
-NEEDED = [("model", "sha256"), ("settings",), *((m, k) for m in METHODS for k in PARTS)]
+NEEDED = [("model", "sha256"), ("settings",)]
+NEEDED += [("estimates", m, k) for m in METHODS for k in PARTS]
 WRONG: list[Any] = [None, "x" * 10_000, "a\0b", -3, 10**400, float("nan"), [[1]], {"no": [1]}]
 ODD: list[tuple[tuple[str, ...], Any]] = [
     *product(NEEDED, [KeyError, *WRONG]),
     *product([("model", "path")], ["/", "a\0b"]),
     (("model", "lock"), {"nobody": 0.0}),
-    (("external", "values"), [1.0]),
-    (("external", "residual"), [-1.0]),
+    (("estimates", "external", "values"), [1.0]),
+    (("estimates", "external", "residual"), [-1.0] * 6),
+    (("estimates", "external", "residual"), [1.0] * 7),
+    (("estimates", "internal", "residual"), [1.0] * 2),
 ]
 
 
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     """Or nonsense is validated, or a stranger's file ends the program with a stack."""
     content, path, texts = identified()[0], tmp_path / "result.json", list[bytes]()
-    ragged = [[1.0], *content["external"]["covariance"][1:]]
-    for where, wrong in [*ODD, (("external", "covariance"), ragged)]:
-        spoiled = deepcopy(content)
-        here = spoiled[where[0]] if where[1:] else spoiled
+    ragged = [[1.0], *content["estimates"]["external"]["covariance"][1:]]
+    for where, wrong in [*ODD, (("estimates", "external", "covariance"), ragged)]:
+        here = spoiled = deepcopy(content)
+        for key in where[:-1]:
+            here = here[key]
         here[where[-1]] = wrong
         if wrong is KeyError:
             del here[where[-1]]
@@ -258,6 +263,16 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     geared = tb.identify(model.tree(), coupled, "internal")
     path.write_text(json.dumps(identified_as_json([geared], model, plain)))
     assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
+
+
+def test_a_result_of_format_1_is_still_read() -> None:
+    """As it was printed by the version before, of the same robot, to the same figures."""
+    model = GOLDEN / "robots/pendulum.urdf"
+    kept = read_result(GOLDEN / "result_format_1.json", model)
+    other = measured(kept.tree, 2, duration=9)
+    for said in kept.estimates:
+        found = validate(kept.tree, other, said, settings=kept.settings)
+        assert 0.5 < float(np.nanmax(found.ratio)) < 1.5, said.method
 
 
 # motions

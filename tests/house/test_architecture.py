@@ -19,13 +19,14 @@ from tests.helpers.paths import ROOT
 HOUSE = ROOT / "testbed"
 MODULES = sorted(HOUSE.rglob("*.py"))
 
-BASE = "errors arrays files blas diagnostics"
+BASE = "errors codec arrays files blas diagnostics"
 ROBOT = f"{BASE} robot parameters dynamics"
 DATA = f"{ROBOT} excitation recordings identification experiment campaign"
 PLAN = {
     name: set(needs.split())
     for name, needs in {
-        **dict.fromkeys([*BASE.split(), "installation", "stages"], ""),
+        **dict.fromkeys([*BASE.split(), "codec", "installation", "stages"], ""),
+        "arrays": "codec",
         "blas": "arrays",
         "kind_table": "errors arrays",
         "toml_text": "errors",
@@ -44,7 +45,7 @@ PLAN = {
         "instruments simulation identification",
         "campaign": f"{BASE} toml_text robot recordings identification experiment",
         "reporting": f"{DATA} sanity stages",
-        "viewer": DATA,
+        "viewer": f"{DATA} stages reporting",
     }.items()
 }
 """What a room may import, besides itself. docs/architecture.md draws the same plan."""
@@ -65,7 +66,8 @@ GUESTS = {
     "dask": "campaign/cluster.py",
     "h5py": "recordings/importing/readers/hdf5.py",
     "rosbags": "recordings/importing/readers/ros_bag.py",
-    "pydantic": "experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
+    "pydantic": "codec.py experiment/ campaign/ recordings/importing/mapping.py toml_text.py",
+    "pydantic_core": "codec.py",
     "tomli_w": "experiment/ campaign/results.py",
     "typer": "cli/",
     "rich": "reporting/",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +13,8 @@ from scipy.optimize import minimize
 
 import testbed as tb
 from testbed.arrays import Array
+from testbed.codec import encode, json_text
 from testbed.errors import SettingsError, TestbedError
-from testbed.experiment.results import estimate_as_json
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.influence import by_influence, influence
 from testbed.identification.known import parse_known
@@ -83,7 +84,7 @@ def test_what_a_plates_zero_hides_has_no_sigma() -> None:
     told = noise.bias_sigma > 0
     assert told.sum() >= 5
     np.testing.assert_array_less(np.abs(noise.bias - zero)[told], 5 * noise.bias_sigma[told])
-    content = estimate_as_json(found)
+    content = json.loads(json_text(encode(found)))
     assert content["unidentifiable"] == ["mbar1"]
     assert [k for k, s in enumerate(content["sigma"]) if s is None] == [found.names.index("mbar1")]
     known = tb.Settings(known={"mass": (mass_of(tree), 0.01)})

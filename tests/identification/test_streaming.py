@@ -321,7 +321,7 @@ def test_one_command_takes_several_recordings_tared_each_in_its_way(tmp_path: Pa
     words = ("identify", "a.parquet", "b.parquet", "--model", str(MODELS["puma"]), "--json")
     done = command_line(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)["external"]
+    found = json.loads(done.stdout)["estimates"]["external"]
     np.testing.assert_allclose(found["values"], direct.values, rtol=1e-6)
 
 

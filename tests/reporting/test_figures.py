@@ -21,13 +21,10 @@ from scipy.signal import welch
 
 import testbed as tb
 from testbed.reporting.error_dots import MOST, ErrorDots, dot_panels, dots_of_run
-from testbed.reporting.figures import Panel
-from testbed.reporting.heat_table import DARKEST, heat_table
-from testbed.reporting.named_panels import named_panels
-from testbed.reporting.portrait import HEIGHT, LETTER, portrait
-from testbed.reporting.raster import paint, png
-from testbed.reporting.scales import power_of_ten, tick_label
-from testbed.reporting.spectrum import SEGMENT, rms_within, spectrum
+from testbed.reporting.figures import Panel, named_panels, power_of_ten, tick_label
+from testbed.reporting.portrait import HEIGHT, LETTER, paint, png, portrait
+from testbed.reporting.section import DARKEST, HeatTable
+from testbed.reporting.signals import SEGMENT, rms_within, spectrum
 from testbed.robot.visuals.appearance import Appearance, load_appearance
 from tests.helpers.pages import HOSTILE, run_named
 from tests.helpers.shapes import ball
@@ -128,7 +125,7 @@ def test_dots_are_errors_and_bars_are_sigmas() -> None:
 def test_cells_are_as_dark_as_the_logarithm_of_what_they_hold() -> None:
     """Empty where there is nothing; axe sees to it that the darkest can be read."""
     values = [0.01, 0.1, 1.0, 10.0, 100.0, 1e6, 1e-9, float("nan")]
-    ((_, cells),) = heat_table("", ["a"], list("bcdefghi"), [values], 0.01, 100.0)["rows"]
+    ((_, cells),) = HeatTable.of_powers("", ["a"], list("bcdefghi"), [values], 0.01, 100.0).rows
     wanted = [0, DARKEST / 4, DARKEST / 2, 3 * DARKEST / 4, DARKEST, DARKEST, 0, 0]
     assert [cell["share"] for cell in cells] == [round(part) for part in wanted]
     assert [cells[k]["text"] for k in (0, 2, 7)] == ["1", "100", ""]

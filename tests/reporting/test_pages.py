@@ -17,12 +17,12 @@ from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
 from testbed.experiment.unseen import validated
 from testbed.identification.estimate import METHODS
+from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.influence import by_influence
-from testbed.reporting.contents import LONGEST, contents, parameter_rows
-from testbed.reporting.html import write_report
-from testbed.reporting.instrument_tables import CLEAR, instrument_tables
-from testbed.reporting.matrix_map import matrix_maps
-from testbed.reporting.sections import sections
+from testbed.reporting.figures import Panel
+from testbed.reporting.instrument import CLEAR, instrument_tables, matrix_maps
+from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
+from testbed.reporting.signals import sections
 from tests.helpers.approved import hold, tags
 from tests.helpers.ideal import ideal
 from tests.helpers.pages import OTHERS, RUNS, page, plated, run_named, seen
@@ -58,6 +58,11 @@ def plain(text: str) -> str:
     for written, sign in (("+-", "±"), ("^2", "²"), (" %", "\u00a0%")):
         text = text.replace(written, sign)
     return text
+
+
+def rows_of(figure: dict[str, Any]) -> list[list[str]]:
+    """Of the table of a figure in such JSON."""
+    return [figure["table"]["heads"], *figure["table"]["rows"]]
 
 
 def text_of(path: Path) -> str:
@@ -110,7 +115,7 @@ def test_page_and_numbers_are_those_of_the_run(name: str) -> None:
     run, numbers, found = run_named(name), numbers_of(name), seen(name)
     words = [[[plain(cell).strip() for cell in row] for row in table] for table in found.tables]
     for figure in [*numbers["figures"], *([numbers["errors"]] if numbers["errors"] else [])]:
-        table = [[plain(cell) for cell in row] for row in [figure["heads"], *figure["rows"]]]
+        table = [[plain(cell) for cell in row] for row in rows_of(figure)]
         assert table in words, figure["id"]
         assert bool(figure["panels"]) == bool(run.estimates)
     rows = {row["name"]: row for row in numbers["parameters"]}
@@ -141,10 +146,11 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
     run = run_named("ur5")
     smooth = predict(run).smoothed(10.0)
     figure = sections(predict(run))[0]
-    panels, rows = iter(figure["panels"]), iter(figure["rows"])
+    panels, rows = iter(figure.panels), iter(figure.table.rows)
     for signal in smooth.signals:
         for c, channel in enumerate(signal.channels):
-            panel, row = next(panels), dict(zip(figure["heads"], next(rows), strict=True))
+            panel, row = next(panels), dict(zip(figure.table.heads, next(rows), strict=True))
+            assert isinstance(panel, Panel)
             assert panel.title == f"{channel} [{signal.units[c]}]"
             spread = signal.measured[:, c].std()
             assert float(row["spread (rms)"]) == pytest.approx(spread, rel=0.01)
@@ -154,7 +160,9 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
                 assert float(row[f"residual rms, {method}"]) == pytest.approx(size, rel=0.01)
                 share = float(row[f"of spread, {method}"].rstrip("% "))
                 assert share == pytest.approx(100 * size / spread, rel=0.06)
-            for method, (time, drawn) in panel.below[f"residual [{signal.units[c]}]"].items():
+            below = panel.below[f"residual [{signal.units[c]}]"]
+            for method in signal.predicted.keys() & below.keys():
+                time, drawn = below[method]
                 at = np.searchsorted(smooth.motion.t, time)
                 np.testing.assert_array_equal(drawn, signal.residual(method)[at, c])
     assert [*panels, *rows] == []
@@ -165,7 +173,7 @@ def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(tmp_path: P
     other = noisy(ideal(tree, seed=8), 4)
     run = validated(run_of(tree), other)
     numbers = json.loads(write_report(run, tmp_path / "r.html").read_text())
-    table = numbers["figures"][0]
+    table = numbers["figures"][0]["table"]
     for method, found in run.validation.items():
         column = table["heads"].index(f"over what is allowed, {method}")
         told = {row[0]: row[column] for row in table["rows"] if row[column]}
@@ -176,7 +184,7 @@ def test_the_plates_matrix_is_shown_before_and_after() -> None:
     """2 % of a large force are much of a small moment: errors count by what a channel reaches."""
     run = plated()
     (before, after), reach = matrix_maps(run), np.abs(run.recording.measured("wrench")).max(axis=0)
-    cells, left = dict(before["rows"]), dict(after["rows"])
+    cells, left = dict(before.rows), dict(after.rows)
     assert float(cells["Mx"][2]["text"]) == pytest.approx(2 * reach[2] / reach[3], rel=0.06)
     assert float(cells["Fy"][1]["text"]) == pytest.approx(1.0, rel=0.06)
     assert float(left["Fy"][1]["text"]) == pytest.approx(0.1, rel=0.06)
@@ -189,11 +197,12 @@ def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
     assert run.drives is not None
     assert bodies is not None
     tables = {
-        f["id"]: f["rows"] for name in ("plate", "bodies") for f in numbers_of(name)["figures"]
+        f["id"]: f["table"]["rows"]
+        for name in ("plate", "bodies")
+        for f in numbers_of(name)["figures"]
     }
-    assert [row[:2] for row in tables["drives"]] == [
-        [drive.joint, f"{drive.constant:.6g}"] for drive in run.drives.estimates
-    ]
+    for row, drive in zip(tables["drives"], run.drives.estimates, strict=True):
+        assert row[:2] == [drive.joint, number_with_sigma(drive.constant, drive.sigma, short=True)]
     for link, row, *own in zip(
         bodies.links, tables["bodies"], bodies.prior, bodies.standard, strict=True
     ):
@@ -208,13 +217,14 @@ def test_drives_and_bodies_of_the_page_are_the_runs() -> None:
 def test_faults_are_sorted_by_chance_and_only_clear_ones_have_a_size() -> None:
     """A size of what is mere chance would be believed."""
     for name in ("ur5", "gantry", "plate"):
-        (external, *_), rows = run_named(name).estimates.values(), []
+        external, *_ = run_named(name).estimates.values()
+        rows: list[Any] = []
         for table in instrument_tables(run_named(name)):
-            if table["heads"][:2] == ["fault", "chance"]:
-                chances = [float(row[1].removeprefix("below ")) for row in table["rows"]]
+            if table.heads[:2] == ["fault", "chance"]:
+                chances = [float(row[1].removeprefix("below ")) for row in table.rows]
                 assert chances == sorted(chances)
-                assert table["traced"] == (max(chances) <= CLEAR) == (len(table["heads"]) == 4)
-                rows += table["rows"]
+                assert table.traced == (max(chances) <= CLEAR) == (len(table.heads) == 4)
+                rows += table.rows
         wanted = {phrase(test.nuisance.kind): test.chance for test in external.trace_tests}
         assert set(wanted) == {row[0] for row in rows}
         for fault, chance, *_ in rows:

@@ -29,20 +29,21 @@ from testbed.parameters.identifiability import identifiability
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.symbols import summands
 from testbed.reporting import output
+from testbed.reporting.campaign import SHOWN, Throughput, print_changes, print_summary
 from testbed.reporting.campaign_figures import marginal_figure, score_figure
-from testbed.reporting.campaign_lines import Throughput, print_changes, print_summary
-from testbed.reporting.campaign_page import SHOWN
-from testbed.reporting.minimal_document import as_document, matrix_numbers
-from testbed.reporting.minimal_tables import (
+from testbed.reporting.estimates import validation_table
+from testbed.reporting.figures import Panel
+from testbed.reporting.minimal_sets import (
     Findings,
+    as_document,
     broken_name,
     broken_sum,
+    matrix_numbers,
     print_latex,
     print_sets,
 )  # fmt: skip
-from testbed.reporting.motion_tables import print_excitation, print_proof
+from testbed.reporting.motion import print_excitation, print_proof
 from testbed.reporting.terminal import print_estimates, print_run
-from testbed.reporting.validation_tables import validation_tables
 from tests.helpers.pages import campaign, excitation, run_named
 from tests.helpers.paths import GOLDEN
 from tests.helpers.strategies import few, trees
@@ -103,7 +104,7 @@ def test_no_number_of_a_validation_is_cut(width: int, names: tuple[str, ...]) ->
     sizes = np.array([-1.23456e-101, np.nan])
     values: dict[str, Any] = dict.fromkeys(("signal", "residual", "noise", "spread"), -sizes)
     found = Validation("internal", names, ("N m", "N m"), (12345678, 0), mean=sizes, **values)
-    text = printed(width, lambda out: [out.print(t) for t in validation_tables(out, found)])
+    text = printed(width, output.print_tables, [validation_table(found)])
     assert max(map(len, text.splitlines())) <= width
     assert not re.search("…|nan", text)
     assert [text.count(x) for x in ("-1.23e-101", "1.23e-101", "12345678")] == [1, 4, 1]
@@ -118,7 +119,7 @@ def test_a_motions_promises_and_limits_are_told_the_worst_first(width: int) -> N
     lines = [set(line.split()) for line in text.splitlines()]
     names, relative = found.predicted.names, found.predicted.relative
     for name, sigma, share in zip(names, found.predicted.sigma, relative, strict=True):
-        assert any({name, f"{sigma:.2g}", f"{share:.2%}"} <= line for line in lines)
+        assert any({name, f"{sigma:.2g}", f"{share:.3%}"} <= line for line in lines)
     assert "…" not in text
     short = printed(width, print_excitation, found, Path("m"))
     first = [line.split()[0] for line in short.splitlines() if line.strip()]
@@ -179,8 +180,8 @@ def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
     summary = campaign()
     marginals = marginal_figure(summary, SHOWN)
     assert marginals is not None
-    assert len(marginals["rows"]) == 4
-    for factor, level, metric, mean in marginals["rows"]:
+    assert len(marginals.table.rows) == 4
+    for factor, level, metric, mean in marginals.table.rows:
         k, name = summary.factors.index(factor), metric.replace(" ", "_")
         own = [f for f in summary.figures if f.metric == name]
         own = [f for f in own if summary.cells[f.cell][k] == float(level)]
@@ -188,10 +189,11 @@ def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
         assert float(mean) == pytest.approx(100 * wanted, rel=6e-3)
     scores = score_figure(summary.z)
     assert scores is not None
-    for panel in scores["panels"]:
+    for panel in scores.panels:
+        assert isinstance(panel, Panel)
         (edges, density) = panel.curves["external"]
         assert np.trapezoid(density, edges) == pytest.approx(1.0)
-    for name, method, *said in scores["rows"]:
+    for name, method, *said in scores.table.rows:
         z = summary.z[method][name]
         assert [float(x) for x in said] == pytest.approx(
             [z.mean(), np.hypot(z.mean(), z.std())], abs=6e-3
@@ -199,8 +201,8 @@ def test_a_campaign_is_told_over_its_factors_and_scored() -> None:
     assert score_figure({"external": {"a": np.zeros(19)}}) is None
     text = printed(100, print_summary, summary, [Path("file")])
     assert len(re.findall(r"^\s*\d+ ", text, re.MULTILINE)) >= len(summary.cells)
-    lines = printed(100, print_changes, list(changes(summary, summary))).splitlines()[1:]
-    assert all(" 1 " in f"{line} " for line in lines if line.strip())
+    lines = printed(100, print_changes, list(changes(summary, summary))).splitlines()[2:]
+    assert all(" 1 " in f"{line} " for line in lines if line.strip(" ─"))
 
 
 def test_progress_is_told_with_failures_and_the_inner_block(

@@ -5,19 +5,18 @@ If one fails, the line that a person copies makes the mapping wrong in another w
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import WrenchTable, read_mapping
+from testbed.recordings.importing.mapping import WrenchTable
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
 from testbed.robot.rotations import to_rpy
@@ -31,7 +30,7 @@ from testbed.sanity.hypotheses import (
 from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
 from testbed.sanity.recording_diagnostics import odd_sizes, out_of_range
 from testbed.sanity.remedies import remedies_for, with_lines
-from testbed.sanity.time_offset import TimeOffset, align_mapping
+from testbed.sanity.time_offset import TimeOffset, alignment
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
 from tests.helpers.strategies import few, rngs, trees
@@ -185,27 +184,20 @@ def test_delays_that_were_found_are_added_to_those_that_the_mapping_knew(tmp_pat
     text = npz(tmp_path, some_log())
     before, wrench = text.split("[wrench]\n")
     two = f"{before}[plates.left]\ndelay = 0.004\n{wrench}\n[plates.right]\n{wrench}"
-    report: Any = SimpleNamespace(clocks={"log": SimpleNamespace(lead=0.25)})
 
-    def offset(signal: str, delay: float, skew: float = 0.0) -> TimeOffset:
-        return TimeOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
+    def aligned(text: str, signal: str, delay: float, skew: float = 0.0) -> Any:
+        offset = TimeOffset(signal, delay, 1e-5, skew, 1e-7, 10.0, 0.5, 0.01)
+        return with_lines(tomllib.loads(text), alignment(offset, tomllib.loads(text), {}))
 
-    (tmp_path / "map.toml").write_text(text)
-    one = read_mapping(tmp_path / "map.toml")
-    found = align_mapping(one, report, [offset("wrench", 0.003, 1e-4)])
-    assert found.wrench is not None
-    assert (found.torque, found.sources["log"].skew) == (one.torque, 0.0)
-    assert found.wrench.delay == pytest.approx(0.003, abs=1e-15)
-    (tmp_path / "map.toml").write_text(two)
-    several = read_mapping(tmp_path / "map.toml")
-    found = align_mapping(several, report, [offset("wrench", 0.003)])
-    delays = {name: table.delay for name, table in found.plates.items()}
-    assert delays == pytest.approx({"left": 0.007, "right": 0.003}, abs=1e-15)
-    found = align_mapping(several, report, [offset("torque", 0.003)])
-    assert found.torque is not None
-    assert found.torque.delay == pytest.approx(0.003, abs=1e-15)
-    assert found.plates == several.plates
-    assert align_mapping(several, report, [offset("torque", 1e-6), offset("wrench", 0)]) == several
+    found = aligned(text, "wrench", 0.003, 1e-4)
+    assert found["wrench"]["delay"] == 0.003
+    assert "skew" not in found["sources"]["log"]
+    assert found["torque"] == tomllib.loads(text)["torque"]
+    delays = {n: t["delay"] for n, t in aligned(two, "wrench", 0.003)["plates"].items()}
+    assert delays == {"left": 0.007, "right": 0.003}
+    found = aligned(two, "torque", 0.003)
+    assert found["torque"]["delay"] == 0.003
+    assert found["plates"] == tomllib.loads(two)["plates"]
 
 
 def test_a_cure_of_a_plate_names_a_channel_of_the_plate() -> None:

@@ -22,7 +22,7 @@ from docs.pictures.explained import errors_of
 from testbed.cli.reading import Reading
 from testbed.experiment.comparison import Comparison, compare
 from testbed.experiment.summary import obtained, percent
-from testbed.reporting.drive_sections import curve_lines
+from testbed.reporting.drives import curve_lines
 from testbed.reporting.figures import Panel
 from testbed.reporting.portrait import portrait
 from testbed.robot.visuals.appearance import load_appearance

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from testbed.arrays import Array
+from testbed.codec import named
 from testbed.identification.nuisances.foretold import Foretold
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
@@ -86,3 +87,5 @@ class Nuisance:
     whole: bool = False
     added: bool = False
     unmixed: Unmix | None = None
+
+    __get_pydantic_core_schema__ = named(lambda nuisance: nuisance.kind)

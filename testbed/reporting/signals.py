@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
-from testbed.reporting.bodies_section import bodies_section
-from testbed.reporting.drive_sections import BAND, curve_lines, drive_section
+from testbed.reporting.bodies import bodies_section
+from testbed.reporting.drives import BAND, curve_lines, drive_section
 from testbed.reporting.figures import Panel, thinned
-from testbed.reporting.spectrum import rms_within, spectrum
+from testbed.reporting.section import Section, Table
 
+SEGMENT = 2048
+"""Most samples of a segment; halves overlap, Hann's window, means taken off."""
 SHOWN = 10.0
 """Seconds of a motion that are drawn."""
 CUTOFF = 10.0
@@ -27,7 +29,7 @@ SHOWN_CHANNELS, SHOWN_OTHERS = 6, 3
 """Plots of the signals, and of other figures, that are not folded away."""
 
 
-def sections(found: Predictions) -> list[dict[str, Any]]:
+def sections(found: Predictions) -> list[Section]:
     """The figures that there are: measured against predicted, residuals' spectra, friction, bodies.
 
     Args:
@@ -67,7 +69,7 @@ def seconds_shown(time: Array) -> float:
     return min(SHOWN, float(time[-1] - time[0]))
 
 
-def _measured(found: Predictions, smooth: Predictions) -> dict[str, Any]:
+def _measured(found: Predictions, smooth: Predictions) -> Section:
     time = smooth.motion.t
     shown = time <= time[0] + SHOWN
     panels, rows = [], []
@@ -88,10 +90,10 @@ def _measured(found: Predictions, smooth: Predictions) -> dict[str, Any]:
     seen = "the motion that was identified"
     motion = "a motion that no estimate has seen" if found.unseen else seen
     methods = list(found.run.estimates)
-    return {
-        "id": "prediction",
-        "title": f"Measured and predicted, on {motion}",
-        "says": "What was measured, grey, and what the estimates predict; below it, "
+    return Section(
+id="prediction",
+title=f"Measured and predicted, on {motion}",
+says=("What was measured, grey, and what the estimates predict; below it, "
         "what is left over. The external estimate knows no friction, so its joint torques are "
         "those of a robot without; the internal one takes from the external what joint torques "
         "cannot tell."
@@ -99,19 +101,18 @@ def _measured(found: Predictions, smooth: Predictions) -> dict[str, Any]:
             " What is allowed is the noise that the estimate found and what its sigma adds."
             if _validated(found)
             else ""
-        ),
-        "legend": {label: label for label in ("measured", *methods)},
-        "panels": panels,
-        "shown": SHOWN_CHANNELS,
-        "caption": f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
-        "heads": [
+        )),
+legend={label: label for label in ("measured", *methods)},
+panels=panels,
+shown=SHOWN_CHANNELS,
+caption=f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
+table=Table([
             "channel", "unit", "spread (rms)",
             *(f"residual rms, {method}" for method in methods),
             *(f"of spread, {method}" for method in methods),
             *(f"over what is allowed, {method}" for method in _validated(found)),
-        ],
-        "rows": rows,
-    }  # fmt: skip
+        ], rows),
+)  # fmt: skip
 
 
 def _residual_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
@@ -144,7 +145,7 @@ def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
     return cells
 
 
-def _spectra(found: Predictions) -> dict[str, Any]:
+def _spectra(found: Predictions) -> Section:
     rate = found.recording.rate
     panels, rows, told = [], [], []
     for signal, c in _channels(found):
@@ -159,21 +160,20 @@ def _spectra(found: Predictions) -> dict[str, Any]:
         }
         rows += [[name, unit, m, f"{slow:.3g}", f"{fast:.3g}"] for m, (slow, fast) in sizes.items()]
         told.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
-    return {
-        "id": "spectra",
-        "title": "What is left over, by frequency",
-        "says": "Amplitude density of the residuals. White noise of the instrument is flat, noise "
+    return Section(
+id="spectra",
+title="What is left over, by frequency",
+says=("Amplitude density of the residuals. White noise of the instrument is flat, noise "
         "of the encoders rises until the filter on positions ends it; what stands at the motion's "
-        "frequencies is a part of the robot, or of its friction, that the model lacks.",
-        "legend": {method: method for method in found.run.estimates},
-        "panels": telling_first(panels, told),
-        "shown": SHOWN_OTHERS,
-        "caption": f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",
-        "heads": [
+        "frequencies is a part of the robot, or of its friction, that the model lacks."),
+legend={method: method for method in found.run.estimates},
+panels=telling_first(panels, told),
+shown=SHOWN_OTHERS,
+caption=f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",
+table=Table([
             "channel", "unit", "estimate", f"rms below {SLOW:g} Hz", f"rms above {SLOW:g} Hz",
-        ],
-        "rows": rows,
-    }  # fmt: skip
+        ], rows),
+)  # fmt: skip
 
 
 def telling_first(panels: Sequence[Panel], told: Sequence[float]) -> list[Panel]:
@@ -194,7 +194,7 @@ def _ordered(panels: Sequence[Panel]) -> str:
     return f"first the channels with most below {SLOW:g} Hz beside the rest."
 
 
-def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
+def _friction(found: Predictions, smooth: Predictions) -> Section:
     rest, run = found.unexplained_torque, found.run
     assert rest is not None  # the caller has looked
     panels = []
@@ -214,22 +214,23 @@ def _friction(found: Predictions, smooth: Predictions) -> dict[str, Any]:
         title, x = f"{joint.name} [{units[1]}]", f"velocity [{units[0]}]"
         panels.append(Panel(title, curves, x, points=("unexplained",), bands=bands))
     modelled = any("internal" in panel.curves for panel in panels)
-    return {
-        "id": "friction",
-        "title": "Friction",
-        "says": "Unexplained torque: measured motor torque less what the robot needs by the "
-        "bedplate's estimate, over velocity. It is what friction takes, and what the drives report "
-        "wrongly."
-        + (" The line is the friction that the internal estimate found." if modelled else ""),
-        "legend": {"unexplained": "unexplained torque"}
+    return Section(
+        id="friction",
+        title="Friction",
+        says=(
+            "Unexplained torque: measured motor torque less what the robot needs by the "
+            "bedplate's estimate, over velocity. It is what friction takes, and what the drives "
+            "report wrongly."
+            + (" The line is the friction that the internal estimate found." if modelled else "")
+        ),
+        legend={"unexplained": "unexplained torque"}
         | ({"internal": "friction, internal"} if modelled else {})
         | ({} if run.drives is None else {"external": "friction curve by the plate"}),
-        "panels": telling_first(panels, clear_shares(rest, smooth)),
-        "shown": SHOWN_OTHERS,
-        "caption": _friction_caption(len(panels), modelled=modelled, curves=run.drives is not None),
-        "heads": ["joint", "term", "unit", "found", "true"],
-        "rows": _term_rows(run),
-    }
+        panels=telling_first(panels, clear_shares(rest, smooth)),
+        shown=SHOWN_OTHERS,
+        caption=_friction_caption(len(panels), modelled=modelled, curves=run.drives is not None),
+        table=Table(["joint", "term", "unit", "found", "true"], _term_rows(run)),
+    )
 
 
 def clear_shares(rest: Array, smooth: Predictions) -> list[float]:
@@ -272,3 +273,36 @@ def _term_rows(run: Run) -> list[list[str]]:
                 true = "" if truth is None else f"{truth:.4g}"
                 rows.append([joint, term.kind, term.unit, found, true])
     return rows
+
+
+def spectrum(signal: Array, rate: float) -> tuple[Array, Array]:
+    """Amplitude density of a signal over frequency [Hz], [unit/sqrt(Hz)]: Welch's means.
+
+    The square's integral over frequency is the signal's variance.
+
+    Args:
+        signal: (M,).
+        rate: Samples a second [Hz].
+    """
+    size = min(SEGMENT, len(signal))
+    parts = sliding_window_view(signal, size)[:: size - size // 2]
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
+    lines = np.fft.rfft(window * (parts - parts.mean(axis=1, keepdims=True)))
+    power = 2 * (np.abs(lines) ** 2).mean(axis=0) / (rate * (window @ window))
+    if size % 2 == 0:
+        power[-1] /= 2  # half the sampling rate stands for itself alone
+    return np.asarray(np.fft.rfftfreq(size, 1 / rate)[1:]), np.asarray(np.sqrt(power[1:]))
+
+
+def rms_within(frequency: Array, density: Array, low: float, high: float) -> float:
+    """Rms of the part of a signal between two frequencies [unit].
+
+    Args:
+        frequency: Evenly spaced [Hz].
+        density: Amplitude density there [unit/sqrt(Hz)].
+        low: Included [Hz].
+        high: Not included [Hz].
+    """
+    part = (frequency >= low) & (frequency < high)
+    step = float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
+    return float(np.sqrt(np.sum(density[part] ** 2) * step))

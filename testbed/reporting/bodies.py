@@ -1,10 +1,8 @@
-"""Bodies that can exist, drawn as ellipsoids on the robot: model file, truth, estimate."""
+"""Bodies that can exist: link by link, in sentences, and as ellipsoids on the robot."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from html import escape
-from typing import Any
 
 import numpy as np
 
@@ -12,11 +10,15 @@ from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency import Consistent, robot_of
-from testbed.parameters.barycentric import with_standard
-from testbed.reporting.consistent_table import consistent_lines
+from testbed.identification.estimate_text import number_with_sigma
+from testbed.parameters.barycentric import STANDARD, with_standard
 from testbed.reporting.portrait import view
+from testbed.reporting.section import Drawing, Section, Table
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import Shape, equivalent_ellipsoids
+
+LISTED = 6
+"""Most conditions in one line."""
 
 SIZE = 480
 """Pixels of a drawing's longer side."""
@@ -34,20 +36,75 @@ VIEWS = {
 """Where drawings are taken from."""
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """A drawing, and what it shows.
+def consistent_tables(found: Consistent) -> list[Table]:
+    """Standard parameters, link by link, and the joints' own terms.
 
-    Attributes:
-        title: In words.
-        svg: As an element of a page.
+    Args:
+        found: The bodies, friction and rotors.
     """
+    rows = [
+        [
+            link if c == 0 else "",
+            name,
+            f"{found.prior[k, c]:.4g}",
+            number_with_sigma(float(found.standard[k, c]), float(found.sigma[k, c]), short=True),
+            f"{found.told[k, c]:.0%}",
+        ]
+        for k, link in enumerate(found.links)
+        for c, name in enumerate(STANDARD)
+    ]
+    title = (
+        "bodies that can exist, about and along their frames [kg, kg m, kg m^2]; told: part of the "
+        "prior's variance that the data took away"
+    )
+    tables = [Table(["link", "", "model file", "estimate", "told"], rows, title, left=[""])]
+    terms = zip(found.terms, found.coefficients, found.coefficient_sigma, strict=True)
+    own = [
+        [
+            f"{term.law.kind}/{found.places[term.joint]}",
+            number_with_sigma(float(value), float(sigma), short=True),
+        ]
+        for term, value, sigma in terms
+    ]
+    return [*tables, *([Table(["joint's own", "estimate"], own)] if own else [])]
 
-    title: str
-    svg: str
+
+def consistent_lines(found: Consistent) -> list[str]:
+    """What the certificates say, a sentence each.
+
+    Args:
+        found: The bodies, friction and rotors.
+    """
+    massive = found.eigenvalues[:, -1] > 0
+    lines = []
+    if massive.any():
+        least = found.eigenvalues[:, 0] / np.where(massive, found.eigenvalues[:, -1], 1.0)
+        worst = int(np.argmin(np.where(massive, least, np.inf)))
+        lines.append(
+            f"Every body can exist: least eigenvalue of a pseudo-inertia over its greatest "
+            f"{least[worst]:.2g}, of '{found.links[worst]}'."
+        )
+    for each in found.bent:
+        most = int(np.argmax(np.abs(each.sigmas)))
+        lines.append(
+            f"The {each.method} estimate gave way by {each.distance:.2g} sigma in all (noise makes "
+            f"about {np.sqrt(len(each.names)):.2g}), most in {each.names[most]} "
+            f"({each.sigmas[most]:+.2g})."
+        )
+    if found.binding:
+        more = f" and {len(found.binding) - LISTED} more" if len(found.binding) > LISTED else ""
+        lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
+    if found.tried:
+        tried = ", ".join(f"{error:g}: {left:.4g}" for error, left in found.tried.items())
+        lines.append(f"Held-out data, rms in sigmas of noise by prior error: {tried}.")
+    lines.append(
+        f"The model file's bodies were taken to be wrong by {found.prior_error:g} of themselves; "
+        "told is the part of that variance which the data took away."
+    )
+    return lines
 
 
-def bodies_section(run: Run, found: Consistent) -> dict[str, Any]:
+def bodies_section(run: Run, found: Consistent) -> Section:
     """Ellipsoids, and mass, centre and what the data told of every link.
 
     Args:
@@ -59,22 +116,28 @@ def bodies_section(run: Run, found: Consistent) -> dict[str, Any]:
         robots["truth"] = run.tree
     robots["external"] = robot_of(found, run.tree)
     names = {"measured": "model file", "truth": "truth", "external": "estimate"}
-    return {
-        "id": "bodies",
-        "title": "Bodies that can exist",
-        "says": "Each link as the ellipsoid of even density that has its mass, centre and "
-        "inertia. " + " ".join(consistent_lines(found)),
-        "legend": {kind: names[kind] for kind in robots},
-        "panels": [
+    return Section(
+        id="bodies",
+        title="Bodies that can exist",
+        says=(
+            "Each link as the ellipsoid of even density that has its mass, centre and "
+            "inertia. " + " ".join(consistent_lines(found))
+        ),
+        legend={kind: names[kind] for kind in robots},
+        panels=[
             Drawing(title, _drawn(robots, run.recording.position[:1], np.array(eye), title))
             for title, eye in VIEWS.items()
         ],
-        "caption": "The robot as the recording begins, on sticks between its joints. Told is the "
-        "part of the prior's variance that the data took away, the mean over a link's ten "
-        "parameters.",
-        "heads": ["link", "mass, model file [kg]", "mass [kg]", "centre [m]", "told"],
-        "rows": [_row(found, k) for k in range(len(found.links))],
-    }
+        caption=(
+            "The robot as the recording begins, on sticks between its joints. Told is the "
+            "part of the prior's variance that the data took away, the mean over a link's ten "
+            "parameters."
+        ),
+        table=Table(
+            ["link", "mass, model file [kg]", "mass [kg]", "centre [m]", "told"],
+            [_row(found, k) for k in range(len(found.links))],
+        ),
+    )
 
 
 def _row(found: Consistent, k: int) -> list[str]:

@@ -1,13 +1,13 @@
-"""A campaign on the terminal: what it will do, how far it is, what failed."""
+"""A campaign for people: what it will do, how far it is, what it says; terminal and page."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from testbed.campaign.campaign import Campaign
 from testbed.campaign.conduct import Standing, bytes_of, seconds_of
@@ -15,7 +15,15 @@ from testbed.campaign.results import RESULTS, CampaignFolder
 from testbed.campaign.summary import Change, ParameterErrors, Summary, pooled
 from testbed.errors import plural, printable, round_significant
 from testbed.identification.estimate import METHODS
-from testbed.reporting.output import Progress
+from testbed.reporting.campaign_figures import (
+    coverage_figure,
+    marginal_figure,
+    score_figure,
+    sigma_figure,
+)
+from testbed.reporting.html import write_page
+from testbed.reporting.output import Progress, print_tables
+from testbed.reporting.section import HeatTable, Table
 
 LISTED = 20
 """Cells or failures that are listed one by one."""
@@ -28,6 +36,20 @@ SHOWN_METRICS = (
     ("consistent error [%]", "consistent_rms_relative_error", 100.0),
 )
 """Heads of columns, what stands in them, means over a cell, and times which they are shown."""
+
+SHOWN = ("external_rms_relative_error", "internal_rms_relative_error")
+"""Metrics that are compared on one scale."""
+
+CAPTIONS = {
+    **dict(zip(SHOWN, ("By the plate", "By joint torques"), strict=True)),
+    "consistent_rms_relative_error": "Bodies that can exist",
+}
+"""Metrics that have a table over two factors, all on one scale."""
+
+HEADS = (
+    "parameter", "runs", "truth", "bias", "spread", "rms error", "sigma",
+    "coverage [%]", "bounds [%]", "relative rms",
+)  # fmt: skip
 
 
 def sentences(summary: Summary, every: Sequence[ParameterErrors]) -> Iterator[str]:
@@ -128,20 +150,18 @@ def print_summary(out: Console, summary: Summary, files: Sequence[Path]) -> None
     """
     for line in sentences(summary, pooled(summary.parameters)):
         out.print(printable(line), soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
     there = {each.metric for each in summary.figures}
     metrics = [each for each in SHOWN_METRICS if each[1] in there]
-    for head in ("cell", "levels", *(name for name, *_ in metrics)):
-        table.add_column(head, justify="left" if head == "levels" else "right", overflow="fold")
     means = {(each.cell, each.metric): each.mean for each in summary.figures}
+    rows = []
     for number, levels in list(summary.cells.items())[:LISTED]:
         values = [scale * means.get((number, metric), math.nan) for _, metric, scale in metrics]
-        said = ", ".join(map(str, levels)) or "-"
-        shown = (
-            "-" if math.isnan(value) else f"{round_significant(value, 3):g}" for value in values
-        )
-        table.add_row(str(number), printable(said), *shown)
-    out.print(table)
+        shown = ["-" if math.isnan(x) else f"{round_significant(x, 3):g}" for x in values]
+        rows.append([f"{number} {', '.join(map(str, levels)) or '-'}", *shown])
+    heads = [name for name, *_ in metrics]
+    print_tables(
+        out, [Table(["cell", *heads], rows, parts=[[k] for k in range(1, 1 + len(heads))])]
+    )
     if len(summary.cells) > LISTED:
         out.print(f"... {len(summary.cells) - LISTED} cells more")
     for file in files:
@@ -155,15 +175,13 @@ def print_changes(out: Console, changes: Sequence[Change]) -> None:
         out: Where to.
         changes: What differs.
     """
-    table = Table(box=None, pad_edge=False)
-    for head in ("levels", "metric", "before", "after", "ratio", "sigmas"):
-        table.add_column(head, justify="left" if head in ("levels", "metric") else "right")
+    rows = []
     for each in changes:
         sigmas = "-" if math.isnan(each.sigmas) else f"{each.sigmas:+.1f}"
-        levels = printable(", ".join(map(str, each.levels)) or "-")
         numbers = (f"{x:.3g}" for x in (each.before, each.after, each.ratio))
-        table.add_row(levels, each.metric, *numbers, sigmas)
-    out.print(table)
+        rows.append([", ".join(map(str, each.levels)) or "-", each.metric, *numbers, sigmas])
+    heads = ["levels", "metric", "before", "after", "ratio", "sigmas"]
+    print_tables(out, [Table(heads, rows, left=["metric"])])
     if not changes:
         out.print("the two campaigns have no cell of the same levels")
 
@@ -174,3 +192,85 @@ def duration(seconds: float) -> str:
         if seconds >= 1.5 * size:
             return f"{seconds / size:.3g} {unit}"
     return f"{seconds:.2g} seconds"
+
+
+def write_campaign_page(path: Path, summary: Summary) -> None:
+    """Write the page of a campaign.
+
+    Args:
+        path: The HTML file; what stands there is replaced.
+        summary: What the campaign says.
+    """
+    write_page(path, "campaign.html", campaign_contents(summary))
+
+
+def campaign_contents(summary: Summary) -> dict[str, Any]:
+    """All that the page shows.
+
+    Args:
+        summary: What the campaign says.
+    """
+    every = pooled(summary.parameters)
+    figures = [
+        marginal_figure(summary, SHOWN),
+        coverage_figure(every),
+        score_figure(summary.z),
+        sigma_figure(summary.parameters),
+    ]
+    return {
+        "title": str(summary.about.get("name", "campaign")),
+        "claim": str(summary.about.get("claim", "")),
+        "summary": list(sentences(summary, every)),
+        "heats": list(_heats(summary)),
+        "factors": summary.factors,
+        "figures": [figure for figure in figures if figure is not None],
+        "tables": [
+            Table(HEADS, rows, f"By the {method} method, all cells together")
+            for method in METHODS
+            if (rows := [_row(each) for each in every if each.method == method])
+        ],
+        "failures": [{"command": command, "error": error} for command, error in summary.failures],
+    }
+
+
+def _heats(summary: Summary) -> Iterator[HeatTable]:
+    """The shown metrics over the first two factors, on one scale."""
+    if len(summary.factors) != 2:
+        return
+    levels = [list(dict.fromkeys(cell[k] for cell in summary.cells.values())) for k in range(2)]
+    if len(levels[0]) * len(levels[1]) != len(summary.cells):
+        return  # points, no grid
+    where = {cell: number for number, cell in summary.cells.items()}
+    means = {(each.metric, each.cell): each.mean for each in summary.figures}
+    grids = {
+        metric: [[means.get((metric, where[a, b]), math.nan) for b in levels[1]] for a in levels[0]]
+        for metric in CAPTIONS
+        if any((metric, number) in means for number in where.values())
+    }
+    there = [x for grid in grids.values() for line in grid for x in line if x > 0]
+    if not there:
+        return
+    names, columns = ([_level(level) for level in each] for each in levels)
+    for metric, grid in grids.items():
+        caption = CAPTIONS[metric]
+        yield HeatTable.of_powers(caption, names, columns, grid, min(there), max(there))
+
+
+def _level(level: float | str) -> str:
+    return level if isinstance(level, str) else f"{level:g}"
+
+
+def _row(each: ParameterErrors) -> list[str]:
+    low, high = each.bounds
+    return [
+        each.parameter,
+        str(each.runs),
+        f"{each.truth:.4g}",
+        f"{each.bias:.2g} +- {each.bias_error:.1g}",
+        f"{each.spread:.2g}",
+        f"{each.rms:.2g}",
+        f"{each.sigma:.2g}",
+        f"{100 * each.coverage:.1f}",
+        f"{100 * low:.1f} to {100 * high:.1f}",
+        f"{each.relative_rms:.2%}",
+    ]

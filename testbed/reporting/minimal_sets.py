@@ -1,21 +1,21 @@
-"""Minimal sets in the terminal: tables that fit it, formulas in LaTeX, the map, witnesses."""
+"""Minimal sets: on the terminal with map and witnesses, in LaTeX, and as JSON for programs."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
 from testbed.dynamics.witnesses import Agreement, DriveAgreement
 from testbed.errors import plural
-from testbed.parameters.barycentric import STANDARD
+from testbed.parameters.barycentric import COMPONENTS, STANDARD, parameter_names
 from testbed.parameters.formulas import Lengths
 from testbed.parameters.joint_terms import DriveSet
-from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.minimal_set import MinimalSet, selection
 from testbed.parameters.rules import REASONS, Model
 from testbed.parameters.symbols import Formula, Label, summands
 from testbed.robot.transmission import places
@@ -24,6 +24,12 @@ from testbed.robot.tree import Tree
 if TYPE_CHECKING:
     from testbed.parameters.identifiability import Visibility
 
+
+MANY = 500_000
+"""Numbers in the matrices above which they are left out unless they are asked for."""
+
+BYTES = 8
+"""About what one number of a matrix takes in the document."""
 
 GLYPHS = ("·", "+", "#")
 """Never, in combination with others, alone."""
@@ -296,3 +302,92 @@ def _verdicts(found: Findings) -> Iterator[str]:
 
 def _agree(holds: bool) -> str:
     return "agree" if holds else "DISAGREE"
+
+
+def matrix_numbers(found: Findings) -> int:
+    """How many numbers the matrices hold; it grows with the square of the joints."""
+    d, r, columns = found.dynamic.count, found.reaction.count, 10 * found.tree.n
+    drives = 0 if found.drives is None else found.drives.count * len(found.drives.asked)
+    return 2 * (d + r) * columns + d * r + drives
+
+
+def as_document(found: Findings, matrices: bool = True) -> dict[str, Any]:
+    """Everything, as JSON takes it.
+
+    Args:
+        found: What is known about the robot.
+        matrices: Whether to write the sets as matrices, too.
+    """
+    sets = (found.dynamic, found.reaction)
+    document: dict[str, Any] = {
+        "robot": found.tree.name,
+        "joints": list(found.tree.names),
+        "gravity": found.dynamic.gravity.tolist(),
+        "parameters": {
+            "barycentric": list(parameter_names(found.tree)),
+            "standard": list(STANDARD),
+        },
+        **{each.model: _set_as_json(found.tree, each, matrices) for each in sets},
+        "map": [_map_as_json(found.tree, each) for each in found.seen],
+        "verified": [asdict(each) | {"holds": each.holds} for each in found.agreements],
+    }
+    if matrices:
+        document["S"] = selection(*sets).tolist()
+    if found.drives is not None:
+        document["drives"] = _drives_as_json(found.drives, matrices)
+    if (agree := found.drives_agree) is not None:
+        document["drives"]["verified"] = asdict(agree) | {"holds": agree.holds}
+    return document
+
+
+def _set_as_json(tree: Tree, each: MinimalSet, matrices: bool) -> dict[str, Any]:
+    whole = {}
+    if matrices:
+        whole["matrix"] = each.matrix.tolist()
+        whole["standard_matrix"] = each.standard_matrix.tolist()
+    return whole | {
+        "names": list(each.names),
+        "units": list(each.units),
+        "formulas": [str(formula) for formula in each.formulas],
+        "auxiliary": [str(formula) for formula in each.auxiliary],
+        "reasons": [f"{number}: {REASONS[number]}" for number in each.reasons],
+        "never": list(each.never),
+        "latex": [formula.latex() for formula in each.formulas],
+        "tared": each.tared,
+        "known_zero": [
+            name
+            for name, zero in zip(parameter_names(tree), each.known_zero.ravel(), strict=True)
+            if zero
+        ],
+    }
+
+
+def _drives_as_json(drives: DriveSet, matrices: bool) -> dict[str, Any]:
+    asked = [drives.symbol(term).text for term in drives.asked]
+    regrouped = {
+        drives.symbol(term).text: {
+            name: float(share) for name, share in zip(drives.names, column, strict=True) if share
+        }
+        for term, column in drives.regrouped.items()
+    }
+    return {
+        "names": list(drives.names),
+        "units": list(drives.units),
+        "formulas": [str(formula) for formula in drives.formulas],
+        "latex": [formula.latex() for formula in drives.formulas],
+        "asked": asked,
+        "own": [drives.symbol(term).text for term in drives.terms],
+        "regrouped": regrouped,
+    } | ({"columns": drives.columns.tolist()} if matrices else {})
+
+
+def _map_as_json(tree: Tree, each: Visibility) -> dict[str, Any]:
+    words = ("never", "combined", "alone")
+    levels = {"standard": (STANDARD, each.standard), "barycentric": (COMPONENTS, each.barycentric)}
+    return {"instrument": each.instrument, "count": each.count} | {
+        basis: {
+            joint.body: {p: words[level] for p, level in zip(names, table[j], strict=True)}
+            for j, joint in enumerate(tree.joints)
+        }
+        for basis, (names, table) in levels.items()
+    }

@@ -1,0 +1,269 @@
+"""Estimates and what is made of two, a validation and a payload: tables and sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from testbed.errors import plural, printable
+from testbed.identification.estimate import Estimate
+from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.held_out import HeldOut, TermChoice
+from testbed.identification.influence import by_influence
+from testbed.reporting.section import Table
+
+if TYPE_CHECKING:
+    from testbed.identification.payload import PayloadEstimate
+    from testbed.identification.rest import Weighed
+    from testbed.identification.validate import Validation
+
+
+def parameter_tables(
+    estimates: Sequence[Estimate],
+    truths: Mapping[str, float],
+    title: str = "",
+    most: int | None = None,
+) -> Iterator[list[Table]]:
+    """What every method found: value and sigma, and, where it is known, the truth beside it.
+
+    First what adds most to the predicted signals; layouts from wide to narrow.
+
+    Args:
+        estimates: Of one recording, one a method.
+        truths: True values by name; {} where they are not known.
+        title: Of the table.
+        most: Rows in all; None for all that there are.
+    """
+    names = by_influence(estimates, truths)[:most]
+    yield [_table(estimates, names, truths, title, short=False)]
+    yield [_table(estimates, names, truths, title, short=True)]
+    yield [_table([each], names, truths, title, short=True) for each in estimates]
+
+
+def _table(
+    estimates: Sequence[Estimate],
+    names: Sequence[str],
+    truths: Mapping[str, float],
+    title: str,
+    *,
+    short: bool,
+) -> Table:
+    """Of some methods; short: 1.0610(9) for 1.0610 +- 0.0009, and no units."""
+    units = {n: u for e in estimates for n, u in zip(e.names, e.units, strict=True)}
+    rows = [
+        [
+            name,
+            *([] if short else [units[name]]),
+            *([_number(truths.get(name))] if truths else []),
+            *(cell for e in estimates for cell in _cells(e, name, truths, short)),
+        ]
+        for name in names
+        if name in units
+    ]
+    heads = ["parameter", *([] if short else ["unit"]), *(["truth"] if truths else [])]
+    for estimate in estimates:
+        heads += [estimate.method, *(["z" if short else "error/sigma"] if truths else [])]
+    return Table(heads, rows, title, left=["unit"])
+
+
+def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
+    """One line an estimate: number of unknowns, condition, noise, residual of each channel."""
+    lines = []
+    for e in estimates:
+        fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
+        lines.append(
+            f"{e.method}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
+            f"{_noise(e)}"
+            f"residual rms {fits}"
+        )
+        lines += [f"{e.method}: {part}" for part in _instrument(e)]
+    return lines
+
+
+def _instrument(estimate: Estimate) -> list[str]:
+    """What was estimated of the instrument, a line each kind; whether sigma is to be doubted."""
+    kinds: dict[str, list[str]] = {}
+    for each in estimate.nuisances:
+        number = f"{each.name} {each.value:.4g} +- {each.sigma:.2g} {each.unit}".rstrip()
+        kinds.setdefault(each.kind, []).append(number)
+    lines = [", ".join(numbers) for numbers in kinds.values()]
+    if estimate.doubtful:
+        lines.append("doubtful: sigma does not count what the warnings say")
+    return lines
+
+
+def _noise(estimate: Estimate) -> str:
+    """How long the noise lasts and what that does to sigma."""
+    noise = estimate.noise
+    if noise is None:
+        return ""
+    constants = ", constants estimated" if noise.bias_weight > 0.5 else ""
+    hidden = [name for name in noise.hidden if name not in estimate.unidentifiable]
+    rests = f", {', '.join(hidden)} if the plate's zero is right" if hidden else ""
+    return (
+        f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}"
+        f"{rests}), "
+    )
+
+
+def _cells(
+    estimate: Estimate, name: str, truths: Mapping[str, float], short: bool
+) -> tuple[str, ...]:
+    """Value with sigma, and, where truths are known, the error in sigmas."""
+    value = with_sigma(estimate, name, short=short or name in estimate.unidentifiable)
+    if not truths:
+        return (value,)
+    if name not in estimate.names or name not in truths:
+        return value, ""
+    k = estimate.names.index(name)
+    sigma = float(estimate.sigma[k])
+    if math.isinf(sigma):
+        return value, ""
+    z = (float(estimate.values[k]) - truths[name]) / sigma if sigma > 0 else 0.0
+    return value, f"{z:+.1f}"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.6g}"
+
+
+def with_sigma(estimate: Estimate, name: str, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say; "-" if it is not there.
+
+    Args:
+        estimate: Where to look.
+        name: Of the parameter.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if name not in estimate.names:
+        return "-"
+    k = estimate.names.index(name)
+    return number_with_sigma(float(estimate.values[k]), float(estimate.sigma[k]), short)
+
+
+def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
+    """Which terms were chosen, with the evidence, for all estimates that chose.
+
+    Args:
+        estimates: Of one recording.
+    """
+    for estimate in estimates:
+        if estimate.choice is not None:
+            yield from (printable(line) for line in _choice_lines(estimate.choice))
+
+
+def _choice_lines(choice: TermChoice) -> Iterator[str]:
+    first, *added = choice.growth.steps
+    yield f"terms, each part of {choice.parts} foretold by the others: {_left(choice.before)}"
+    before = first.residual
+    for step in added:
+        better = f"{100 * before:.2f} % -> {100 * step.residual:.2f} %"
+        yield f"  + {step.kind}: {better} in noise, {step.gain:.1f} standard errors"
+        before = step.residual
+    if choice.growth.next_best is not None:
+        left = choice.growth.next_best
+        yield f"  not {left.kind}: {left.gain:.1f} standard errors, 2 are wanted"
+    yield f"with all of them: {_left(choice.after)}"
+
+
+def _left(found: HeldOut) -> str:
+    units = set(found.units)
+    whole = f"rms {found.rms:.3f} {units.pop()} (" if len(units) == 1 else "rms ("
+    named = zip(found.channels, found.residual, strict=True)
+    return f"{whole}{', '.join(f'{name} {left:.3g}' for name, left in named)})"
+
+
+def validation_table(found: Validation) -> Table:
+    """What an estimate leaves of another recording.
+
+    Args:
+        found: By one method.
+    """
+    numbers = (found.residual, 100 * found.relative_residual, found.mean, found.noise)
+    columns = [
+        found.channels,
+        found.units,
+        *(
+            [_text(x, unit) for x in each]
+            for each, unit in zip(
+                (*numbers, found.spread, found.ratio), ("", " %", "", "", "", ""), strict=True
+            )
+        ),
+        [str(rows) for rows in found.rows],
+    ]
+    heads = ["channel", "unit", "residual", "of signal", "mean"]
+    heads += ["noise", "sigma adds", "ratio", "rows"]
+    title = f"{found.method}, on another recording"
+    return Table(
+        heads,
+        list(zip(*columns, strict=True)),
+        title,
+        left=["unit"],
+        parts=(range(1, 5), range(5, 9)),
+    )
+
+
+def _text(number: float, unit: str = "") -> str:
+    return "-" if np.isnan(number) else f"{number:.3g}{unit}"
+
+
+def payload_table(found: PayloadEstimate) -> Table:
+    """The ten parameters: value and sigma, or that a parameter is told in combination only.
+
+    Args:
+        found: The payload.
+    """
+    numbers = zip(found.values.tolist(), found.sigma.tolist(), found.told, strict=True)
+    said = [
+        number_with_sigma(value, sigma, short=True) if told else "not told alone"
+        for value, sigma, told in numbers
+    ]
+    rows = list(zip(found.names, said, found.units, strict=True))
+    title = f"payload on the link of {found.joint}, about and along its frame"
+    return Table(["", "value", "unit"], rows, title, left=["unit"])
+
+
+def payload_lines(found: PayloadEstimate) -> list[str]:
+    """How much is told, and the centre of mass, a sentence each.
+
+    Args:
+        found: The payload.
+    """
+    whole = all(found.told)
+    lines = [
+        "All ten are told."
+        if whole
+        else f"{sum(found.told)} are told alone, and {plural(found.rank, 'combination')} in all."
+    ]
+    centre = found.centre
+    if centre is not None:
+        lines.append(f"Centre of mass: {_place(*centre)}.")
+    return lines
+
+
+def weighed_lines(payload: Weighed, robot: Weighed) -> list[str]:
+    """A payload and a robot by their weight, a sentence each.
+
+    Args:
+        payload: The payload.
+        robot: The robot alone.
+    """
+    place = _place(np.array(payload.centre), np.array(payload.centre_sigma))
+    return [
+        f"Payload: {number_with_sigma(payload.mass, payload.sigma, short=False)} kg, centre of "
+        f"mass {place}, by {payload.poses} poses.",
+        f"What moves of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
+    ]
+
+
+def _place(centre: Any, sigma: Any) -> str:
+    said = [
+        f"{axis} {number_with_sigma(float(c), float(s), short=False)} m"
+        if np.isfinite(c)
+        else f"{axis} not told"
+        for axis, c, s in zip("xyz", centre, sigma, strict=True)
+    ]
+    return ", ".join(said)
