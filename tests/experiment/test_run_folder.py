@@ -261,7 +261,7 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     coupled = measured(model.tree(), 1, duration=6)
     coupled = replace(coupled, facts={"mapping": gear | {"joints": list(coupled.names)}})
     geared = tb.identify(model.tree(), coupled, "internal")
-    path.write_text(json.dumps(identified_as_json([geared], model, plain)))
+    path.write_text(json_text(identified_result([geared], model, plain).document()))
     assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
 
 
