@@ -257,11 +257,12 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
         with refuses(TestbedError, culprit):
             read_result(path, model)
     gear = {"gear": {"matrix": [[40, 0, 0], [0, 20, 10], [0, -30, 0]]}}
-    model, plain = ModelFile(MODELS["puma"]), RecordingTables.of([])
-    coupled = measured(model.tree(), 1, duration=6)
+    puma = ModelFile(MODELS["puma"])
+    coupled = measured(puma.tree(), 1, duration=6)
     coupled = replace(coupled, facts={"mapping": gear | {"joints": list(coupled.names)}})
-    geared = tb.identify(model.tree(), coupled, "internal")
-    path.write_text(json_text(identified_result([geared], model, plain).document()))
+    geared = tb.identify(puma.tree(), coupled, "internal")
+    document = identified_result([geared], puma, RecordingTables.of([])).document()
+    path.write_bytes(json_text(document))
     assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
 
 
