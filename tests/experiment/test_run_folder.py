@@ -238,7 +238,7 @@ def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
-    """The model may have moved, but is the same; settings can be overridden."""
+    """The model may have moved, but is the same; settings can be overridden; gears are coupled."""
     (content, estimates), tree, path = identified(), HELD.tree(), tmp_path / "result.json"
     path.write_text(json.dumps(content))
     kept, other = read_result(path), measured(tree, 2, duration=9)
@@ -256,6 +256,14 @@ def test_a_result_validates_to_the_same_bits(tmp_path: Path) -> None:
     for model, culprit in ((None, "--model"), (MODELS["ur5"], "SHA-256")):
         with refuses(TestbedError, culprit):
             read_result(path, model)
+    gear = {"gear": {"matrix": [[40, 0, 0], [0, 20, 10], [0, -30, 0]]}}
+    puma = ModelFile(MODELS["puma"])
+    coupled = measured(puma.tree(), 1, duration=6)
+    coupled = replace(coupled, facts={"mapping": gear | {"joints": list(coupled.names)}})
+    geared = tb.identify(puma.tree(), coupled, "internal")
+    document = identified_result([geared], puma, RecordingTables.of([])).document()
+    path.write_bytes(json_text(document))
+    assert [shaft.name for shaft in read_result(path).tree.shafts] == ["shoulder.motor"]
 
 
 def test_a_result_of_format_1_is_still_read() -> None:

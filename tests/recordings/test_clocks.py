@@ -71,6 +71,8 @@ def test_offsets_skews_and_delays_are_taken_back_on_a_common_grid(logs: Logs) ->
     """Of 500, 5000, 333 and 1000 Hz; a plate that is 2 ms ahead and 100 ppm slow, or 15 ms late."""
     logs.write(CLOCK, np.arange(0.01, 4, 1 / 5000))
     assert logs.off() < 2e-5
+    signals = logs.recording().facts["import"]["signals"]
+    assert (signals["position"]["low_pass"], signals["wrench"]["low_pass"]) == (False, True)
     logs.write(CLOCK, np.arange(0, 4, 1 / 333))
     assert logs.off(rate="1000") < 1e-6
     true = np.arange(0, 20, 1e-3)

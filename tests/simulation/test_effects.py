@@ -17,6 +17,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import ModelError, SettingsError
+from testbed.experiment.evaluate import robot_of
 from testbed.robot.friction import COULOMB, VISCOUS
 from testbed.robot.model_file import ModelFile
 from testbed.robot.transmission import with_rotor_spin
@@ -198,6 +199,8 @@ def test_a_rotors_spin_reaches_the_plate_by_its_law(robot: tuple[Tree, Path], pu
     more = minimal.values(tb.barycentric(spun)) - minimal.values(tb.barycentric(puma))
     expected = [0.018 * (name == "K*1zz") for name in minimal.names]
     np.testing.assert_allclose(more, expected, atol=1e-15)
+    asked = tb.Experiment.of_model(PUMA, ["robot.joint.waist.rotor_spin=0.018"])
+    assert (asked.robot.spins, robot_of(asked).names) == ({"waist": 0.018}, puma.names)
     tree = robot[0]
     sliding = next(joint.name for joint in tree.joints if not joint.revolute)
     with refuses(SettingsError, sliding):

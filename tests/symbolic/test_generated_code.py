@@ -136,7 +136,12 @@ def test_equations_of_real_arms_compute_what_pinocchio_does(name: str) -> None:
     """Some with more than nine joints, where s_{12} is the sine of q12, not of q1 + q2."""
     kinds = ["joint-forces", "mass-matrix", "base-wrench"]
     urdf = (GOLDEN / f"robots/{name}.urdf").read_text()
-    check(equations(named(name), kinds, "recursive"), urdf)
+    listing = equations(named(name), kinds, "recursive")
+    check(listing, urdf)
+    kept = {str(step) for each in listing.equations for step, _ in each.program.steps}
+    for letter in ("w", "wd", "a", "F", "L"):  # each by the number of its body
+        bodies = {int(k) for each in kept for k in re.findall(rf"^{letter}(\d+)[xyz]", each)}
+        assert 0 < min(bodies) <= max(bodies) == listing.tree.n, letter
 
 
 @pytest.mark.parametrize("form", ["full", "recursive"])

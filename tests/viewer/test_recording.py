@@ -168,7 +168,7 @@ def assert_stands(path: Path, urdf: Path, motion: Array, names: tuple[str, ...])
 
 @slow
 def test_the_robot_stands_as_it_stood_and_the_arrows_are_the_measured_reaction() -> None:
-    """Beside everything on the bedplate, where nothing hides them."""
+    """Beside everything on the bedplate, where nothing hides them; shapes in place and colour."""
     shown, path = scene("ur5"), rrd("ur5")
     run = shown.run
     assert_stands(path, GOLDEN / "robots/ur5.urdf", shown.motion.q[shown.frames], run.tree.names)
@@ -182,6 +182,17 @@ def test_the_robot_stands_as_it_stood_and_the_arrows_are_the_measured_reaction()
         origins = columns(path, f"/world/bedplate/{name}", "Arrows3D:origins").reshape(-1, 3)
         for low, high in (bounds(shape) for shape in look.shapes if shape.body < 0):
             assert ((origins[:, 0] > high[0]) & (origins[:, 1] < low[1])).all()
+    for k, shape in enumerate(look.shapes):
+        part = f"robot/{shape.body + 1}" if shape.body >= 0 else "bedplate"
+        at, solid = f"/world/{part}/shape{k}", {"box": "Boxes3D", "cylinder": "Cylinders3D"}
+        begins = shape.kind == "capsule"  # at one end; others have centres
+        kind, place = ("Capsules3D", "translations") if begins else (solid[shape.kind], "centers")
+        found = columns(path, at, f"{kind}:{place}", static=True)
+        half = begins * shape.rotation[:, 2] * shape.size[-1]
+        np.testing.assert_allclose(found.ravel(), shape.position - half, atol=1e-6)
+        (colour,) = columns(path, at, f"{kind}:colors", static=True)
+        seen = int(colour) >> np.array([24, 16, 8, 0]) & 255
+        np.testing.assert_allclose(seen, 255 * shape.colour, atol=1)
 
 
 @slow
