@@ -80,7 +80,7 @@ def consistency(
 ) -> None:
     """Consistent bodies: accuracy beside plain estimates, round trips of files, times."""
     from benchmarks import consistency as made
-    from testbed.identification.wishes import METRICS
+    from testbed.identification.consistency.options import METRICS
 
     _print(made.trees(trees, 1000))
     for metric in METRICS:

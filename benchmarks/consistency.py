@@ -16,9 +16,9 @@ from testbed.arrays import Array
 from testbed.errors import UnseenParameters
 from testbed.experiment.score import relative_errors, root_mean_square
 from testbed.experiment.wrong_prior import wrong_bodies
-from testbed.identification.consistency import Consistent, consistent, robot_of
+from testbed.identification.consistency.consistent import Consistent, consistent, robot_of
+from testbed.identification.consistency.options import ConsistencyOptions, Metric
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.wishes import Metric, Wishes
 from testbed.parameters.prior import prior_of
 from testbed.robot.model_file import ModelFile
 from testbed.robot.write_model import write_model
@@ -171,7 +171,7 @@ def times(sizes: tuple[int, ...], metric: Metric) -> Iterator[dict[str, Any]]:
             spent = []
             for _ in range(3):
                 start = time.perf_counter()
-                consistent(tree, used, prior, Wishes(metric=metric))
+                consistent(tree, used, prior, ConsistencyOptions(metric=metric))
                 spent.append(time.perf_counter() - start)
             yield {
                 "what": f"seconds, {metric}",

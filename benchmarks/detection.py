@@ -15,7 +15,7 @@ from scipy import stats
 
 import testbed as tb
 from benchmarks.random_recordings import ROBOTS, recorded
-from testbed.identification.residual_diagnostics import fault_diagnostics
+from testbed.identification.diagnostics.residuals import fault_diagnostics
 from testbed.instruments.encoders import EncoderGain
 from testbed.instruments.fault import Fault
 from testbed.instruments.plate import PlateCrosstalk, PlateGain, PlatePose

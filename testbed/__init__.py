@@ -29,14 +29,16 @@ if TYPE_CHECKING:
     from testbed.experiment.run import Run as Run
     from testbed.experiment.run import assemble_run as assemble_run
     from testbed.experiment.simulate import simulate as simulate
-    from testbed.identification.consistency import consistent as consistent
-    from testbed.identification.consistency import robot_of as robot_of
+    from testbed.identification.consistency.consistent import consistent as consistent
+    from testbed.identification.consistency.consistent import robot_of as robot_of
     from testbed.identification.estimate import Estimate as Estimate
     from testbed.identification.identify import identify as identify
-    from testbed.identification.normal_equations import NormalEquations as NormalEquations
-    from testbed.identification.payload import payload as payload
+    from testbed.identification.payload.payload import payload as payload
+    from testbed.identification.regression.normal_equations import (
+        NormalEquations as NormalEquations,
+    )
+    from testbed.identification.regression.solvers import fit as fit
     from testbed.identification.settings import Settings as Settings
-    from testbed.identification.solvers import fit as fit
     from testbed.identification.validate import validate as validate
     from testbed.installation import shipped as shipped
     from testbed.parameters.barycentric import barycentric as barycentric
@@ -82,8 +84,8 @@ _HOMES = {
     "testbed.identification.estimate": ("Estimate",),
     "testbed.identification.identify": ("identify",),
     "testbed.identification.settings": ("Settings",),
-    "testbed.identification.normal_equations": ("NormalEquations",),
-    "testbed.identification.solvers": ("fit",),
+    "testbed.identification.regression.normal_equations": ("NormalEquations",),
+    "testbed.identification.regression.solvers": ("fit",),
     "testbed.identification.validate": ("validate",),
     "testbed.recordings.joined": ("Joined",),
     "testbed.recordings.stored": ("StoredRecording",),
@@ -114,8 +116,8 @@ _HOMES = {
     "testbed.reporting.run_page": ("report",),
     "testbed.reporting.plot": ("plot",),
     "testbed.viewer.view": ("view",),
-    "testbed.identification.payload": ("payload",),
-    "testbed.identification.consistency": (
+    "testbed.identification.payload.payload": ("payload",),
+    "testbed.identification.consistency.consistent": (
         "consistent",
         "robot_of",
     ),

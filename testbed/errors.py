@@ -72,9 +72,9 @@ def few(names: Sequence[str], width: int | None = None, by: str = ", ") -> str:
     """
     ends = accumulate((len(name) + len(by) for name in names), initial=0)
     fit = LISTED if width is None else sum(end <= width for end in ends) - 1
-    told = names[: max(fit, 1)]
-    more = f" and {len(names) - len(told)} more" if len(names) > len(told) else ""
-    return by.join(told) + more
+    shown = names[: max(fit, 1)]
+    more = f" and {len(names) - len(shown)} more" if len(names) > len(shown) else ""
+    return by.join(shown) + more
 
 
 def quoted(names: Iterable[str]) -> str:

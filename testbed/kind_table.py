@@ -46,7 +46,7 @@ class Key:
     Attributes:
         members: What the value may be one of each for: "joints", "axes", "channels"; or
             "matrix" (6, 6); "word", a word instead of a number; or nothing.
-        drawn: What a single number leaves open: "sign", "phase" (where the value is left
+        sample: What a single number leaves open: "sign", "phase" (where the value is left
             out), or nothing.
         least: Smallest value.
         most: Largest value.
@@ -55,7 +55,7 @@ class Key:
     """
 
     members: str = ""
-    drawn: str = ""
+    sample: str = ""
     least: float = -LARGEST
     most: float = LARGEST
     positive: bool = False
@@ -121,16 +121,16 @@ class Key:
         return f"a {number} {' and '.join(bounds)}".strip() + _LISTS.get(self.members, "")
 
 
-def key(default: Any, members: str = "", drawn: str = "", **bounds: Any) -> Any:
+def key(default: Any, members: str = "", sample: str = "", **bounds: Any) -> Any:
     """A field that is a key of its kind's table.
 
     Args:
         default: Its value; None where nothing need be said.
         members: As in `Key`.
-        drawn: As in `Key`.
+        sample: As in `Key`.
         bounds: As in `Key`.
     """
-    return field(default=default, metadata={"key": Key(members, drawn, **bounds)})
+    return field(default=default, metadata={"key": Key(members, sample, **bounds)})
 
 
 def hidden(default: Any) -> Any:

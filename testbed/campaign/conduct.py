@@ -230,9 +230,9 @@ def seconds_of(experiment: Experiment) -> float:
     motion, measurement = experiment.motion, experiment.measurement
     time = motion.duration + experiment.simulation.warm_up
     steps = time / experiment.simulation.step
-    drawn = 0 if motion.file else motion.candidates
+    candidates = 0 if motion.file else motion.candidates
     work = PER_SAMPLE * time * measurement.rate + PER_STEP * steps
-    return FIXED + work + PER_CANDIDATE * drawn
+    return FIXED + work + PER_CANDIDATE * candidates
 
 
 def bytes_of(experiment: Experiment, *, keeps: bool) -> float:

@@ -66,8 +66,8 @@ def calibrate(
     from testbed.experiment.plate_file import write_plate
     from testbed.files import check_writable
     from testbed.identification.calibration import calibrate as calibrated
-    from testbed.identification.calibration_by_payload import calibrate_by_payload
-    from testbed.identification.known import parse_known
+    from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
+    from testbed.identification.regression.constraints import parse_known
     from testbed.reporting import output, terminal
 
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic)
@@ -119,7 +119,7 @@ def drives(
     Example: testbed drives run.parquet --model robot.urdf --choose-terms
     """
     from testbed.codec import encode
-    from testbed.identification.drive_findings import identify_drives
+    from testbed.identification.drives.identify_drives import identify_drives
     from testbed.identification.identify import identify
     from testbed.reporting import output, terminal
 
@@ -183,9 +183,13 @@ def payload(
     """
     from testbed.codec import encode
     from testbed.identification.identify import identify
-    from testbed.identification.payload import payload as payload_of
+    from testbed.identification.payload.payload import payload as payload_of
+    from testbed.identification.payload.static_poses import (
+        estimate_mass,
+        estimate_payload_mass,
+        poses_at_rest,
+    )
     from testbed.identification.problem import in_its_gravity
-    from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
@@ -196,9 +200,9 @@ def payload(
         tree = in_its_gravity(tree, sources[0], gravity)
         with output.Progress("weighing"):
             alone, carrying = (poses_at_rest(tree, source) for source in sources)
-            weighed = weigh_payload(tree, alone, carrying, joint)
-        words = {"payload": encode(weighed), "robot": encode(weigh(tree, alone))}
-        lines = shown.weighed_lines(weighed, weigh(tree, alone))
+            weighed = estimate_payload_mass(tree, alone, carrying, joint)
+        words = {"payload": encode(weighed), "robot": encode(estimate_mass(tree, alone))}
+        lines = shown.weighed_lines(weighed, estimate_mass(tree, alone))
         output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
     estimates = []

@@ -13,7 +13,7 @@ import typer
 if TYPE_CHECKING:
     from testbed.cli.reading import Reading
     from testbed.diagnostics.diagnostic import Diagnostic
-    from testbed.identification.consistency import Consistent
+    from testbed.identification.consistency.consistent import Consistent
     from testbed.identification.estimate import Estimate, Method
     from testbed.recordings.source import Source
 
@@ -75,10 +75,10 @@ class Writing:
         """
         from testbed.errors import SettingsError
         from testbed.files import check_writable
-        from testbed.identification.wishes import Wishes
+        from testbed.identification.consistency.options import ConsistencyOptions
         from testbed.robot.write_model import check_place
 
-        if not self.wanted and reading.tables().consistent != Wishes():
+        if not self.wanted and reading.tables().consistent != ConsistencyOptions():
             raise SettingsError("--set consistent... is about consistent bodies: say --consistent")
         if self.in_place and self.write is None:
             raise SettingsError("--in-place is about the file that --write names: say which")
@@ -107,18 +107,18 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
-        from testbed.identification.prior_choice import consistent_by_held_out
+        from testbed.identification.consistency.prior_weight import consistent_by_held_out
         from testbed.identification.problem import samples_of
         from testbed.recordings.coupled_gear import with_gear
         from testbed.reporting import output
 
         tree = with_gear(reading.tree(model), source)
-        wishes = reading.tables().consistent
+        options = reading.tables().consistent
         file = reading.model_file(model)
-        prior = prior_from(tree, file, shapes=wishes.centres_in_shapes)
+        prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         part = samples_of(source, reading.tables().identification)
         with output.Progress("looking for consistent bodies"):
-            return consistent_by_held_out(tree, estimates, prior, wishes, part, identified)
+            return consistent_by_held_out(tree, estimates, prior, options, part, identified)
 
     def written(
         self, found: Consistent, reading: Reading, model: Path, recordings: Sequence[Path]
@@ -135,7 +135,7 @@ class Writing:
             ModelError: The file cannot be written.
         """
         from testbed.experiment.versions import provenance
-        from testbed.identification.consistency import robot_of
+        from testbed.identification.consistency.consistent import robot_of
         from testbed.robot.write_model import write_model
 
         if self.write is None:

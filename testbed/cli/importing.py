@@ -113,10 +113,10 @@ def import_(
         said = {"import": found_in if cuts else found_in[0], "clocks": lines}
         output.print_json(said | {"diagnostics": [d.as_dict() for d in checked]} | several)
         return
-    told = [line for report in reports for line in report.lines()]
+    reported = [line for report in reports for line in report.lines()]
     names = ", ".join(map(str, paths))
     last = f"recordings: {names}; identify takes them together" if cuts else f"recording: {out}"
-    output.print_lines([*told, *lines, last], [*cuts, *doubts])
+    output.print_lines([*reported, *lines, last], [*cuts, *doubts])
 
 
 def _check_out(out: Path | None, read: list[Path | None], *, guess: bool) -> None:

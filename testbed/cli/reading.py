@@ -15,7 +15,7 @@ from testbed.stages import stage
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
-    from testbed.identification.plate_doubt import PlateDoubt
+    from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
     from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
     from testbed.robot.tree import Tree
@@ -131,7 +131,7 @@ class Reading:
         with Progress("looking for mistakes") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
-    def doubt(self, tree: Tree) -> PlateDoubt | None:
+    def doubt(self, tree: Tree) -> CalibrationCovariance | None:
         """What the plate's calibration leaves open; None where the plate is taken as perfect."""
         from testbed.experiment.plate_file import read_plate
 

@@ -24,7 +24,7 @@ from testbed.excitation.information import Information
 from testbed.excitation.limit_terms import LimitTerm
 from testbed.excitation.problem import Problem
 from testbed.excitation.proof import Proof, Rules, prove
-from testbed.excitation.random_motion import drawn
+from testbed.excitation.random_motion import sample
 from testbed.excitation.rest_posture import rest_posture
 from testbed.excitation.sampled_rows import SampledRows
 from testbed.excitation.series import Series
@@ -223,7 +223,7 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
     nearest: tuple[str, float, float] | None = None
     limits = wish.rules.limits
     for draws in range(DRAWS):
-        draw = drawn(limits, series.fundamental, series.harmonics, rng)
+        draw = sample(limits, series.fundamental, series.harmonics, rng)
         at_home = 2 * draws >= DRAWS
         motions = [draw.sized(float(share)) for share in SHARES]
         if at_home:  # few postures are free: begin about one that is

@@ -58,7 +58,7 @@ class Draw:
         return Fourier(self.motion.fundamental, offset, sine, cosine)
 
 
-def drawn(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator) -> Draw:
+def sample(limits: Limits, fundamental: float, harmonics: int, rng: np.random.Generator) -> Draw:
     """One random series, each joint scaled until its nearest limit.
 
     Args:
@@ -111,7 +111,7 @@ def random_motion(
         InfeasibleMotion: Even slow motions exceed the efforts.
     """
     limits, rng = limits or limits_of(tree), np.random.default_rng(rng)
-    draw = drawn(limits, fundamental, harmonics, rng)
+    draw = sample(limits, fundamental, harmonics, rng)
     motion, effort = _within_efforts(tree, draw)
     if motion is None:
         motion, effort = _within_efforts(tree, replace(draw, wish=easiest_posture(tree, limits)))
@@ -173,11 +173,11 @@ def best_motion(
     nearest: Proof | None = None
     rest: Array | None = None
     for count in (candidates, *((MORE,) * BATCHES)):
-        drawn = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(count)]
-        scores = [relative_sigma(tree, motion, minimal, noise) for motion in drawn]
+        sample = [random_motion(tree, limits, fundamental, harmonics, rng) for _ in range(count)]
+        scores = [relative_sigma(tree, motion, minimal, noise) for motion in sample]
         order = np.argsort(scores, kind="stable")
         for share, k in product(SHARES, order):
-            motion = drawn[k]
+            motion = sample[k]
             if share < 1:
                 rest = rest_posture(rules) if rest is None else rest
                 motion = motion.scaled(share, rest)

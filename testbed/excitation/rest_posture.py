@@ -57,8 +57,8 @@ def tried_postures(limits: Limits) -> Array:
     Args:
         limits: Of the joints.
     """
-    drawn = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
-    return np.vstack([limits.home, drawn])
+    random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
+    return np.vstack([limits.home, random])
 
 
 def _still(postures: Array) -> Motion:

@@ -14,7 +14,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.run_folder import write_recorded, write_result
 from testbed.experiment.simulate import simulate
 from testbed.experiment.unseen import on_unseen_motion
-from testbed.identification.passes import Progress
+from testbed.identification.regression.passes import Progress
 from testbed.simulation.rollout import Watch
 
 Stage = Callable[[str], AbstractContextManager[Progress]]

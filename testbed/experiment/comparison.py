@@ -23,7 +23,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.experiment.varied_tables import VariedTables
 from testbed.identification.estimate import Estimate, Method
-from testbed.identification.passes import Progress
+from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import measured_again
 from testbed.toml_text import checked, read_toml
 

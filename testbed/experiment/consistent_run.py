@@ -13,12 +13,12 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, root_mean_square
 from testbed.experiment.wrong_prior import wrong_bodies
-from testbed.identification.consistency import Consistent
+from testbed.identification.consistency.consistent import Consistent
+from testbed.identification.consistency.options import ConsistencyOptions
+from testbed.identification.consistency.prior_weight import consistent_by_held_out
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.prior_choice import consistent_by_held_out
 from testbed.identification.problem import samples_of
-from testbed.identification.wishes import Wishes
 from testbed.instruments.fault import stream
 from testbed.parameters.barycentric import standard
 from testbed.parameters.minimal_set import minimal_set
@@ -62,19 +62,19 @@ def with_consistent(run: Run) -> Run:
     return replace(run, score=replace(run.score, metrics=metrics))
 
 
-def recorded_bodies(run: Run, wishes: Wishes) -> Run:
+def recorded_bodies(run: Run, options: ConsistencyOptions) -> Run:
     """A recording's run with bodies that can exist, near those of the model file.
 
     Args:
         run: The run.
-        wishes: What is asked of the bodies.
+        options: What is asked of the bodies.
     """
-    return _with_bodies(run, run.tree, wishes) if run.estimates else run
+    return _with_bodies(run, run.tree, options) if run.estimates else run
 
 
-def _with_bodies(run: Run, believed: Tree, wishes: Wishes) -> Run:
+def _with_bodies(run: Run, believed: Tree, options: ConsistencyOptions) -> Run:
     """A run with its consistent bodies, or with a warning that says why there are none."""
-    prior = prior_from(believed, run.model, shapes=wishes.centres_in_shapes)
+    prior = prior_from(believed, run.model, shapes=options.centres_in_shapes)
 
     def identified(part: Source, method: Method) -> Estimate:
         return identify(run.tree, part, method, settings=run.settings)
@@ -82,7 +82,7 @@ def _with_bodies(run: Run, believed: Tree, wishes: Wishes) -> Run:
     estimates = list(run.estimates.values())
     blind = samples_of(run.recording.blind(), run.settings)
     try:
-        found = consistent_by_held_out(run.tree, estimates, prior, wishes, blind, identified)
+        found = consistent_by_held_out(run.tree, estimates, prior, options, blind, identified)
     except TestbedError as error:
         return run.with_diagnostics([diagnose("bodies.missing", reason=error)])
     return replace(run, consistent=found).with_diagnostics(found.diagnostics)
@@ -105,16 +105,18 @@ def _metrics(run: Run, found: Consistent) -> dict[str, float]:
         "consistent_rms_relative_error": _error(run, found.standard),
         "prior_rms_relative_error": _error(run, found.prior),
     }
-    told = {name: value for name, value in metrics.items() if value is not None}
+    known_metrics = {name: value for name, value in metrics.items() if value is not None}
     least = found.eigenvalues[massive, 0] / found.eigenvalues[massive, -1]
     if len(least):
-        told["consistent_least_eigenvalue"] = float(least.min())
+        known_metrics["consistent_least_eigenvalue"] = float(least.min())
     plain = [f"{method}_rms_relative_error" for method in run.estimates]
-    known = [run.metrics[name] for name in plain if name in run.metrics]
-    if known and "consistent_rms_relative_error" in told:
+    plain_metrics = [run.metrics[name] for name in plain if name in run.metrics]
+    if plain_metrics and "consistent_rms_relative_error" in known_metrics:
         floor = float(np.finfo(float).tiny)
-        told["consistent_to_plain"] = told["consistent_rms_relative_error"] / max(*known[:1], floor)
-    return told
+        known_metrics["consistent_to_plain"] = known_metrics["consistent_rms_relative_error"] / max(
+            *plain_metrics[:1], floor
+        )
+    return known_metrics
 
 
 def _error(run: Run, bodies: Array) -> float | None:

@@ -9,9 +9,9 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.score import root_mean_square, shared_errors
-from testbed.identification.drive_findings import DriveFindings
-from testbed.identification.friction_curves import FrictionCurve
-from testbed.identification.torque_constants import DriveEstimate
+from testbed.identification.drives.friction_curves import FrictionCurve
+from testbed.identification.drives.identify_drives import DriveFindings
+from testbed.identification.drives.torque_constants import DriveEstimate
 from testbed.instruments.drives import TorqueConstantError
 from testbed.kind_table import each_joint
 from testbed.parameters.barycentric import barycentric
@@ -117,8 +117,8 @@ def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[st
     """The estimate of plate and torques together."""
     zeros, both = experiment.identification.zeros, found.combined
     truth = minimal_set(tree, "reaction", zeros=zeros).values(barycentric(tree))
-    told = both.sigma > 0  # what is known beforehand has no error in sigmas
-    z = (both.values - truth)[told] / both.sigma[told]
+    uncertain = both.sigma > 0  # what is known beforehand has no error in sigmas
+    z = (both.values - truth)[uncertain] / both.sigma[uncertain]
     rms = root_mean_square(shared_errors(tree, both.values, zeros))
     metrics = {} if rms is None else {"combined_rms_relative_error": rms}
     return metrics | {"combined_max_z": float(np.abs(z).max(initial=0.0))}

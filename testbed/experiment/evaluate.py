@@ -13,7 +13,7 @@ from testbed.experiment.experiment_tables import BodyTable
 from testbed.experiment.run import Run, assemble_run
 from testbed.experiment.step_floor import with_floor
 from testbed.identification.estimate import METHODS, Method
-from testbed.identification.passes import Progress
+from testbed.identification.regression.passes import Progress
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.robot.transmission import with_rotor_spin

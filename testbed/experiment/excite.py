@@ -22,7 +22,7 @@ from testbed.excitation.sampled_rows import SampledRows
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import motion_of, plate_noise_of, rules_of
-from testbed.identification.filters import motion_taps, reversal_samples, row_weights
+from testbed.identification.regression.filters import motion_taps, reversal_samples, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.rules import Model
 from testbed.robot.tree import Tree
@@ -86,13 +86,13 @@ class Excitation(Diagnosed):
     @property
     def beside_random(self) -> str:
         """The gain in words."""
-        drawn = f"the best of {self.experiment.motion.candidates} random motions"
+        origin = f"the best of {self.experiment.motion.candidates} random motions"
         if self.random_predicted is None:
             return "no random motion could be proven, to compare with"
         if self.gain is None:
-            return f"{drawn} does not tell all parameters"
+            return f"{origin} does not tell all parameters"
         theirs = self.random_predicted.rms
-        return f"{self.gain:.2f} times smaller than that of {drawn} ({theirs:.3g})"
+        return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.3g})"
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

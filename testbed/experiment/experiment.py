@@ -25,8 +25,8 @@ from testbed.experiment.experiment_tables import (
     SimulationTable,
     Table,
 )
+from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.settings import Settings
-from testbed.identification.wishes import Wishes
 from testbed.instruments.chain import Instrument
 from testbed.toml_text import Finite, checked, complaints, override, read_toml
 
@@ -38,7 +38,7 @@ class RecordingTables(Table):
     """How the model file is read."""
     identification: Settings = Settings()
     """How the estimates are made."""
-    consistent: Wishes = Wishes()
+    consistent: ConsistencyOptions = ConsistencyOptions()
     """What is asked of physically consistent bodies."""
 
     @staticmethod
@@ -74,7 +74,7 @@ class ExperimentTables(Table):
     simulation: SimulationTable = SimulationTable()
     measurement: Instrument = Instrument()
     identification: Settings = Settings()
-    consistent: Wishes | None = None
+    consistent: ConsistencyOptions | None = None
     """What is asked of physically consistent bodies; without the table none are made."""
     prior: PriorTable = PriorTable()
     expect: Expectations = Field(default_factory=dict)

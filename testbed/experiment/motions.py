@@ -160,8 +160,8 @@ def _surroundings(
 ) -> tuple[Watched | None, tuple[Diagnostic, ...]]:
     """The robot's shapes and what stands around them; what cannot be watched."""
     table, model = experiment.excitation, model_of(experiment)
-    drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
-    if not any(shape.body >= 0 for shape in drawn.shapes):
+    shapes_of_model = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    if not any(shape.body >= 0 for shape in shapes_of_model.shapes):
         if table.obstacle:
             raise ExperimentError(
                 f"{model.path} has no shapes: whether it keeps clear of excitation.obstacle cannot "
@@ -169,12 +169,12 @@ def _surroundings(
             )
         return None, (diagnose("motion.no-shapes"),)
     floor = None if isinstance(table.floor, str) else table.floor
-    said = drawn.diagnostics
+    said = shapes_of_model.diagnostics
     if table.floor is None:
-        floor = _floor(tree, drawn.shapes)
+        floor = _floor(tree, shapes_of_model.shapes)
         if floor is None:
             said += (diagnose("motion.no-floor"),)
-    every = collision_model(tree, drawn.shapes, obstacles_of(experiment), floor)
+    every = collision_model(tree, shapes_of_model.shapes, obstacles_of(experiment), floor)
     every = every.without(table.exclude)
     found = watched(every, limits, clearance, np.random.default_rng(0))
     return found, (*said, *found.diagnostics)

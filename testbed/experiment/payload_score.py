@@ -11,8 +11,8 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
 from testbed.identification.identify import identify
-from testbed.identification.passes import Progress
-from testbed.identification.payload import payload
+from testbed.identification.payload.payload import payload
+from testbed.identification.regression.passes import Progress
 from testbed.simulation.bodies import Payload
 
 
@@ -37,7 +37,7 @@ def with_payload_metrics(run: Run, progress: Progress = lambda done, total: None
     loaded = identify(tree, run.recording.blind(), settings=settings)
     found = payload(tree, without, loaded, loads[0].joint or None)
     metrics = dict(run.score.metrics)
-    if found.told[0]:
+    if found.identifiable[0]:
         error, sigma = float(found.values[0]) - loads[0].mass, float(found.sigma[0])
         metrics |= {
             "payload_mass_error": abs(error),

@@ -13,8 +13,8 @@ from testbed.errors import ExperimentError
 from testbed.experiment.versions import versions
 from testbed.files import replacing
 from testbed.identification.calibration import Calibration
-from testbed.identification.nuisances.all_nuisances import NUISANCES
-from testbed.identification.nuisances.estimates import NuisanceEstimate
+from testbed.identification.sensor.catalogue import NUISANCES
+from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.robot.tree import Tree
 from testbed.toml_text import Finite, checked, read_toml
 

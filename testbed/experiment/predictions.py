@@ -14,9 +14,9 @@ from testbed.dynamics.motion import Motion
 from testbed.experiment.run import Run
 from testbed.experiment.shown_motion import shown_motion
 from testbed.identification.estimate import Method
-from testbed.identification.filters import row_weights
+from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.predict import friction, predictions
-from testbed.identification.stated import as_estimated, stated
+from testbed.identification.regression.filters import row_weights
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.recording import Recording
 
@@ -114,7 +114,7 @@ def _without_faults(run: Run, recording: Recording) -> Recording:
     external = run.estimates.get("external")
     if external is None or not external.nuisances:
         return recording
-    corrected = as_estimated(recording, run.tree, stated(external))
+    corrected = corrected_by(recording, run.tree, summary_of(external))
     return corrected.part(0, corrected.samples)
 
 

@@ -71,10 +71,10 @@ class Prepared:
     def happens(self) -> Hashable:
         """What determines all that happens, whoever measures it."""
         said, motion = self.experiment, self.path
-        drawn = said.seed if said.simulation.drive_model_error else None
+        seed = said.seed if said.simulation.drive_model_error else None
         shapes = motion.offset.tobytes(), motion.sine.tobytes(), motion.cosine.tobytes()
         clock = self.end, self.sampling
-        return clock, _plant_words(said), motion.fundamental, shapes, drawn
+        return clock, _plant_words(said), motion.fundamental, shapes, seed
 
     def rollout(
         self,

@@ -23,8 +23,8 @@ from testbed.experiment.experiment_tables import Table
 from testbed.experiment.run_folder import EXPERIMENT, RESULT
 from testbed.files import fingerprint, read_text
 from testbed.identification.estimate import METHODS, Method, channels_of
+from testbed.identification.estimate_summary import EstimateSummary
 from testbed.identification.settings import Settings
-from testbed.identification.stated import Stated
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.toml_text import Finite, checked, override
@@ -45,7 +45,7 @@ class KeptResult:
 
     tree: Tree
     settings: Settings
-    estimates: tuple[Stated, ...]
+    estimates: tuple[EstimateSummary, ...]
 
 
 class _Model(Table):
@@ -130,7 +130,7 @@ def _json(path: Path) -> dict[str, Any]:
     return content
 
 
-def _stated(content: Any, method: Method, source: str) -> Stated:
+def _stated(content: Any, method: Method, source: str) -> EstimateSummary:
     """One method's estimate.
 
     Raises:
@@ -138,7 +138,7 @@ def _stated(content: Any, method: Method, source: str) -> Stated:
     """
     kept = checked(_Estimate, content, source)
     try:
-        found = Stated(
+        found = EstimateSummary(
             method=method,
             names=kept.names,
             values=kept.values,

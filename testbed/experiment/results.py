@@ -22,14 +22,14 @@ from testbed.experiment.run import Run
 from testbed.experiment.score import Score
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint, replacing
-from testbed.identification.consistency import Consistent
-from testbed.identification.cross_check import diagnostics_of
-from testbed.identification.drive_findings import DriveFindings
+from testbed.identification.consistency.consistent import Consistent
+from testbed.identification.diagnostics.cross_check import diagnostics_of
+from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate import METHODS, MODEL_OF, Estimate, Method
-from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
-from testbed.identification.nuisances.nuisance import Nuisance
 from testbed.identification.problem import set_of
-from testbed.identification.term_choice import as_settled
+from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.sensor.catalogue import NUISANCES, TESTED
+from testbed.identification.sensor.nuisance import Nuisance
 from testbed.identification.validate import Validation
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
@@ -172,7 +172,7 @@ def _settled(tables: RecordingTables, estimates: Iterable[Estimate]) -> Recordin
             names = drives.tree.names
             said = {s.name: {names[j]: turn for j, turn in s.turns} for s in drives.tree.shafts}
             robot = robot.model_copy(update={"coupling": said})
-    identification = as_settled(tables.identification, estimates)
+    identification = with_chosen_terms(tables.identification, estimates)
     return tables.model_copy(update={"robot": robot, "identification": identification})
 
 
@@ -209,7 +209,7 @@ def read_estimates(run: Run, path: Path, source: Mapping[str, str]) -> Run | Non
                 return None
     except Exception:  # a file that was damaged may be wrong in any way
         return None
-    settings = as_settled(run.settings, found.estimates.values())
+    settings = with_chosen_terms(run.settings, found.estimates.values())
     return replace(run, settings=settings, **{name: getattr(found, name) for name in FIELDS})
 
 

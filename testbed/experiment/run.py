@@ -16,15 +16,15 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.run_diagnostics import diagnostics_of_run
 from testbed.experiment.score import Score, score
 from testbed.experiment.shown_motion import shown_motion
-from testbed.identification.consistency import Consistent
-from testbed.identification.drive_findings import DriveFindings, identify_drives
+from testbed.identification.consistency.consistent import Consistent
+from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.passes import Progress
-from testbed.identification.plate_doubt import PlateDoubt
 from testbed.identification.problem import in_its_gravity
+from testbed.identification.regression.passes import Progress
+from testbed.identification.selection.term_choice import with_chosen_terms
+from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.settings import Settings
-from testbed.identification.term_choice import as_settled
 from testbed.identification.validate import Validation
 from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.recording import Recording
@@ -111,7 +111,7 @@ def assemble_run(
     settings: Settings | None = None,
     experiment: Experiment | None = None,
     model: ModelFile | None = None,
-    doubt: PlateDoubt | None = None,
+    doubt: CalibrationCovariance | None = None,
     methods: Iterable[Method] = METHODS,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
@@ -165,15 +165,15 @@ def assemble_run(
     known = diagnostics_of_run(tree, recording, estimates, failures, errors)
     drives, more = _drives(tree, recording, estimates, settings, progress)
     if judged is not None and drives is not None and experiment is not None:
-        told = drive_metrics(tree, experiment, recording, drives)
-        judged = replace(judged, metrics={**judged.metrics, **told})
+        metrics = drive_metrics(tree, experiment, recording, drives)
+        judged = replace(judged, metrics={**judged.metrics, **metrics})
     return Run(
         name=name,
         tree=tree,
         recording=recording,
         estimates=estimates,
         failures=failures,
-        settings=as_settled(settings, estimates.values()),
+        settings=with_chosen_terms(settings, estimates.values()),
         experiment=experiment,
         score=judged,
         model=model,

@@ -9,7 +9,7 @@ import numpy as np
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 from testbed.errors import plural
 from testbed.experiment.score import Errors
-from testbed.identification.cross_check import diagnostics_of
+from testbed.identification.diagnostics.cross_check import diagnostics_of
 from testbed.identification.estimate import Estimate, Method
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree

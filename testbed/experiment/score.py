@@ -120,8 +120,8 @@ def score(
     ours, theirs = (metrics.get(f"{m}_rms_relative_error") for m in ("internal", "external"))
     if ours is not None and theirs is not None:
         metrics["internal_to_external"] = ours / max(theirs, np.finfo(float).tiny)
-    told = {name: value for name, value in metrics.items() if value is not None}
-    return Score(errors, told, accuracies(tree, estimates, zeros, motion))
+    known = {name: value for name, value in metrics.items() if value is not None}
+    return Score(errors, known, accuracies(tree, estimates, zeros, motion))
 
 
 def _truth(tree: Tree, estimate: Estimate, friction: bool) -> Array:
@@ -141,8 +141,8 @@ def shared_errors(tree: Tree, values: Array, zeros: bool | Sequence[str]) -> Arr
         zeros: Which zeros were taken as known.
     """
     reaction, dynamic = (minimal_set(tree, model, zeros=zeros) for model in ("reaction", "dynamic"))
-    told = selection(dynamic, reaction) @ values
-    return relative_errors(told, dynamic.values(barycentric(tree)), dynamic.units)
+    known = selection(dynamic, reaction) @ values
+    return relative_errors(known, dynamic.values(barycentric(tree)), dynamic.units)
 
 
 def _inertial(

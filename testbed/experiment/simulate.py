@@ -12,7 +12,7 @@ from testbed.experiment.experiment import Experiment
 from testbed.experiment.prepare import Plants, Prepared, prepare
 from testbed.experiment.versions import versions
 from testbed.files import fingerprint
-from testbed.identification.passes import Progress
+from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import measure
 from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording

@@ -13,7 +13,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.score import Score
 from testbed.experiment.shown_motion import shown_motion
 from testbed.experiment.simulate import simulate
-from testbed.identification.passes import Progress
+from testbed.identification.regression.passes import Progress
 from testbed.identification.validate import validate
 from testbed.recordings.recording import Recording
 
@@ -89,5 +89,5 @@ def _judged(run: Run, recording: Recording) -> Score | None:
     if run.score is None:
         return None
     motion, _ = shown_motion(recording, run.settings)
-    told = accuracies(run.tree, run.estimates, run.settings.zeros, motion)
-    return replace(run.score, accuracy=told)
+    accuracy = accuracies(run.tree, run.estimates, run.settings.zeros, motion)
+    return replace(run.score, accuracy=accuracy)

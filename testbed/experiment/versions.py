@@ -12,7 +12,7 @@ from testbed.files import fingerprint
 from testbed.installation import version as own_version
 
 if TYPE_CHECKING:
-    from testbed.identification.consistency import Consistent
+    from testbed.identification.consistency.consistent import Consistent
     from testbed.robot.model_file import ModelFile
 
 DIGITS = 16

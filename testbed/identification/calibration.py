@@ -17,13 +17,13 @@ from testbed.arrays import Array
 from testbed.codec import with_properties
 from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
-from testbed.identification.noise.scaled import square_root
-from testbed.identification.nuisances.all_nuisances import NUISANCES
-from testbed.identification.nuisances.corrected import lastingly_corrected
-from testbed.identification.nuisances.estimates import NuisanceEstimate
-from testbed.identification.nuisances.matrix import SENSITIVITIES
-from testbed.identification.passes import Progress
-from testbed.identification.plate_doubt import PlateDoubt
+from testbed.identification.regression.passes import Progress
+from testbed.identification.regression.scaled import square_root
+from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+from testbed.identification.sensor.catalogue import NUISANCES
+from testbed.identification.sensor.correction import lastingly_corrected
+from testbed.identification.sensor.estimates import NuisanceEstimate
+from testbed.identification.sensor.matrix import SENSITIVITIES
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
@@ -54,14 +54,14 @@ class Calibration:
     __get_pydantic_core_schema__ = with_properties("matrix", "matrix_sigma")
 
     @property
-    def doubt(self) -> PlateDoubt:
+    def doubt(self) -> CalibrationCovariance:
         """What is left open of the numbers that hold for other recordings, too."""
         passing = {nuisance.kind for nuisance in NUISANCES if nuisance.passing}
         kept = [k for k, each in enumerate(self.numbers) if each.kind not in passing]
         correlation = np.eye(len(self.numbers)) if self.correlation is None else self.correlation
         sigma = np.array([self.numbers[k].sigma for k in kept])
         root = sigma[:, None] * square_root(correlation[np.ix_(kept, kept)])
-        return PlateDoubt(tuple(self.numbers[k].name for k in kept), root)
+        return CalibrationCovariance(tuple(self.numbers[k].name for k in kept), root)
 
     @property
     def matrix(self) -> Array:

@@ -14,10 +14,10 @@ from testbed.arrays import Array, readonly
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
 from testbed.identification.estimate_text import Words
-from testbed.identification.held_out import TermChoice
-from testbed.identification.noise.found_noise import FoundNoise
-from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.nuisances.estimates import NuisanceEstimate, TraceTest
+from testbed.identification.noise.noise_model import NoiseModel
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.selection.held_out import TermChoice
+from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest
 from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
@@ -189,7 +189,7 @@ class Estimate(Diagnosed):
     minimal: MinimalSet
     drives: DriveSet | None
     joints: tuple[str, ...]
-    noise: FoundNoise | None = None
+    noise: NoiseModel | None = None
     nuisances: tuple[NuisanceEstimate, ...] = ()
     trace_tests: tuple[TraceTest, ...] = ()
     nuisance_covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))

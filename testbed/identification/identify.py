@@ -16,11 +16,22 @@ from testbed.arrays import Array
 from testbed.blas import one_blas_thread
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose, of_recording, ordered
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.coloured import Refined, under_coloured_noise
-from testbed.identification.covariance import ScoreSquares, bin_size, hidden, sandwich
-from testbed.identification.diagnosis import diagnostics, quality
+from testbed.identification.diagnostics.diagnosis import diagnostics, quality
+from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units
-from testbed.identification.instrument import (
+from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
+from testbed.identification.problem import Data, Problem
+from testbed.identification.regression.covariance import ScoreSquares, bin_size, hidden, sandwich
+from testbed.identification.regression.least_squares import Fit
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.passes import Passes, Progress
+from testbed.identification.regression.solvers import solve
+from testbed.identification.regression.weights import noise_weights
+from testbed.identification.regression.windows import Plan
+from testbed.identification.ridge import shrink
+from testbed.identification.selection.term_choice import with_all_terms
+from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+from testbed.identification.sensor.sensor_model import (
     Side,
     Start,
     nuisance_covariance,
@@ -30,18 +41,7 @@ from testbed.identification.instrument import (
     side,
     trace_tests,
 )
-from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.passes import Passes, Progress
-from testbed.identification.plate_doubt import PlateDoubt
-from testbed.identification.problem import Data, Problem
-from testbed.identification.residual_diagnostics import zero_unknown
-from testbed.identification.ridge import drawn
 from testbed.identification.settings import Settings
-from testbed.identification.solvers import solve
-from testbed.identification.solvers.least_squares import Fit
-from testbed.identification.term_choice import with_all_terms
-from testbed.identification.weights import noise_weights
-from testbed.identification.windows import Plan
 from testbed.kernel.layout import Layout
 from testbed.kernel.records import Question
 from testbed.recordings.source import Source, segments_of
@@ -58,7 +58,7 @@ def identify(
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
-    doubt: PlateDoubt | None = None,
+    doubt: CalibrationCovariance | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Estimate:
@@ -100,7 +100,7 @@ def identify(
     return estimate_of(problem, doubt)
 
 
-def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
+def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) -> Estimate:
     """The estimate of a recording that is made ready.
 
     Args:
@@ -127,21 +127,21 @@ def estimate_of(problem: Problem, doubt: PlateDoubt | None = None) -> Estimate:
 
     with one_blas_thread():
         beside = side(problem, doubt)
-        taken_back = settled(problem.source, begin, beside)
-        passes, equations, fit = taken_back.start
+        sensor_fit = settled(problem.source, begin, beside)
+        passes, equations, fit = sensor_fit.start
         if settings.noise == "ar":
-            columns = beside.beside(passes.plan, fit.values, taken_back.values)
-            found = under_coloured_noise(fit, passes, names, columns)
+            columns = beside.beside(passes.plan, fit.values, sensor_fit.values)
+            found = generalized_least_squares(fit, passes, names, columns)
         else:
             found = _refined(passes.plan, fit, passes)
         if not np.isfinite(found.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
         plain = _estimate(problem, equations, found)
-        told = _with_instrument(plain, problem.layout, beside, taken_back.values, found)
-        estimate = replace(told, choice=choice)
+        with_sensor = _with_instrument(plain, problem.layout, beside, sensor_fit.values, found)
+        estimate = replace(with_sensor, choice=choice)
         wrong = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
-    said += [*wrong, *nuisance_diagnostics(beside, taken_back), *quality(estimate)]
-    made = drawn(replace(estimate, diagnostics=ordered(said)), settings.ridge)
+    said += [*wrong, *nuisance_diagnostics(beside, sensor_fit), *quality(estimate)]
+    made = shrink(replace(estimate, diagnostics=ordered(said)), settings.ridge)
     open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
     return made.without([name for name in made.names if name in open_zero])
 
@@ -169,7 +169,7 @@ def _missing_terms(tree: Tree, settings: Settings) -> Iterator[Diagnostic]:
             yield diagnose("drives.term", names, method="internal", kind=law.kind)
 
 
-def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
+def _refined(plan: Plan, fit: Fit, passes: Passes) -> GlsFit:
     """Residuals, their covariance, and what they correct."""
     rows, basis = plan.layout.rows, plan.layout.basis
     factors = np.zeros(rows.slots)
@@ -187,10 +187,10 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> Refined:
     lost = len(values) / len(rows.measured)  # rows' worth of freedom, a channel
     factor = hidden(plan.weights, plan.step, plan.rate) / max(1 - lost / plan.rows, 0.1)
     covariance = factor * sandwich(fit.inverse, basis.T @ scores.finish() @ basis)
-    return Refined(fit, values, covariance, squares)
+    return GlsFit(fit, values, covariance, squares)
 
 
-def _estimate(problem: Problem, equations: NormalEquations, found: Refined) -> Estimate:
+def _estimate(problem: Problem, equations: NormalEquations, found: GlsFit) -> Estimate:
     square = equations.squares
     return Estimate(
         method=problem.method,
@@ -216,7 +216,7 @@ def _estimate(problem: Problem, equations: NormalEquations, found: Refined) -> E
 
 
 def _with_instrument(
-    estimate: Estimate, rows: Layout, beside: Side, numbers: Array, found: Refined
+    estimate: Estimate, rows: Layout, beside: Side, numbers: Array, found: GlsFit
 ) -> Estimate:
     """With the instrument's unknowns, and what was tested of it."""
     spread, across = nuisance_covariance(beside, found)

@@ -16,8 +16,8 @@ from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.filters import motion_taps
 from testbed.identification.problem import in_its_gravity, tare_of
+from testbed.identification.regression.filters import motion_taps
 from testbed.identification.settings import Settings
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import term_torque

@@ -24,11 +24,11 @@ from testbed.identification.estimate import (
     Method,
     channels_of,
 )
-from testbed.identification.normal_equations import NormalEquations, gather
-from testbed.identification.offered_laws import ALWAYS
-from testbed.identification.passes import Passes, Progress
+from testbed.identification.regression.normal_equations import NormalEquations, gather
+from testbed.identification.regression.passes import Passes, Progress
+from testbed.identification.regression.windows import make_plan
+from testbed.identification.selection.candidates import ALWAYS
 from testbed.identification.settings import Settings
-from testbed.identification.windows import make_plan
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet

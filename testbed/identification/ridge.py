@@ -35,7 +35,7 @@ def ridge(values: Array, covariance: Array) -> tuple[Array, Array]:
     return shrink @ values, shrink @ covariance @ shrink.T
 
 
-def drawn(estimate: Estimate, wanted: bool) -> Estimate:
+def shrink(estimate: Estimate, wanted: bool) -> Estimate:
     """An estimate by ridge regression, where that is wanted.
 
     Args:

@@ -25,12 +25,17 @@ from testbed.identification.estimate import (
     channel_units,
     matters,
 )
-from testbed.identification.normal_equations import NormalEquations
-from testbed.identification.passes import Progress
+from testbed.identification.estimate_summary import (
+    EstimateSummary,
+    check_parameters,
+    corrected_by,
+    summary_of,
+)
 from testbed.identification.problem import Data, Problem
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.passes import Progress
+from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.settings import Settings
-from testbed.identification.stated import Stated, as_estimated, check_parameters, stated
-from testbed.identification.term_choice import as_settled
 from testbed.robot.tree import Tree
 
 LIMIT = 2.0
@@ -112,7 +117,7 @@ class Validation(Diagnosed):
 def validate(
     tree: Tree,
     recording: Data,
-    estimate: Estimate | Stated,
+    estimate: Estimate | EstimateSummary,
     *,
     gravity: ArrayLike | None = None,
     settings: Settings | None = None,
@@ -139,13 +144,13 @@ def validate(
         RecordingError: The recording cannot be used for the estimate's method.
         SettingsError: Robot and settings have other parameters than the estimate.
     """
-    said = estimate if isinstance(estimate, Stated) else stated(estimate)
-    made = [] if isinstance(estimate, Stated) else [estimate]
+    said = estimate if isinstance(estimate, EstimateSummary) else summary_of(estimate)
+    made = [] if isinstance(estimate, EstimateSummary) else [estimate]
     problem = Problem.of(
         tree.with_gravity(said.gravity),
         recording,
         said.method,
-        as_settled(settings or Settings(), made),
+        with_chosen_terms(settings or Settings(), made),
         gravity=gravity,
         threads=threads,
         progress=progress,
@@ -158,7 +163,7 @@ def validate(
             f"{plural(len(said.residual), 'channel')}, the "
             f"robot has {len(channels)}"
         )
-    passes = problem.passes(2, as_estimated(problem.source, tree, said))
+    passes = problem.passes(2, corrected_by(problem.source, tree, said))
     with one_blas_thread():
         equations = problem.equations(passes)
         total, squares = np.zeros((2, len(channels)))
@@ -170,7 +175,7 @@ def validate(
 
 
 def _validation(
-    said: Stated, tree: Tree, equations: NormalEquations, total: Array, squares: Array
+    said: EstimateSummary, tree: Tree, equations: NormalEquations, total: Array, squares: Array
 ) -> Validation:
     """Sums over rows as numbers of channels."""
     used = np.where(equations.used > 0, equations.used, np.nan)

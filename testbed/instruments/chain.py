@@ -128,7 +128,7 @@ class Instrument:
         rig = Rig(names, self.full_scale, position)
         return {
             signal: tuple(
-                fault.on(rig).drawn(rig, stream(fault.kind, seed, number, "once"))
+                fault.on(rig).sample(rig, stream(fault.kind, seed, number, "once"))
                 for fault, number in number_kinds(stages)
             )
             for signal, stages in self.stages(names).items()

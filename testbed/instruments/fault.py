@@ -115,7 +115,7 @@ class Fault(KindTable):
         """
         del rate  # most can be at any
 
-    def drawn(self, rig: Rig, rng: np.random.Generator) -> Self:
+    def sample(self, rig: Rig, rng: np.random.Generator) -> Self:
         """The same fault with the signs and phases that chance gives it.
 
         Args:
@@ -125,9 +125,9 @@ class Fault(KindTable):
         found: dict[str, Any] = {}
         for name, wanted in self.known_keys().items():
             value, count = getattr(self, name), COUNTS.get(wanted.members, len(rig.names))
-            if wanted.drawn == "sign" and isinstance(value, float):
+            if wanted.sample == "sign" and isinstance(value, float):
                 found[name] = tuple((value * rng.choice([-1.0, 1.0], count)).tolist())
-            elif wanted.drawn == "phase" and value is None:
+            elif wanted.sample == "phase" and value is None:
                 found[name] = tuple(rng.uniform(0, 2 * np.pi, count).tolist())
         return replace(self, **found)
 

@@ -71,7 +71,7 @@ class PlateCrosstalk(Fault):
     matrix: Matrix | None = key(None, "matrix")
     full_scale: tuple[float, ...] = hidden(FULL_SCALE)
 
-    def drawn(self, rig: Rig, rng: np.random.Generator) -> Self:
+    def sample(self, rig: Rig, rng: np.random.Generator) -> Self:
         """The same fault with a matrix."""
         if self.matrix is not None:
             return self

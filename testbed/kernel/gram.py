@@ -133,7 +133,7 @@ def dots(E, X, n):
 
 
 @plain
-def weigh(rows, signals, work, centre, count, at, n):
+def estimate_mass(rows, signals, work, centre, count, at, n):
     """Add what a chunk of samples gives to the filtered rows that it reaches.
 
     centre: sample of the block's first row; count: its rows; at, n: the chunk's samples.
@@ -278,7 +278,7 @@ def sweep(robot, rows, signals, work, question, sums):
             n = min(CHUNK, end - at) if half > 0 else count
             fill(robot, rows, signals, at, n, work, work.Y if half > 0 else work.Z)
             if half > 0:
-                weigh(rows, signals, work, centre, count, at, n)
+                estimate_mass(rows, signals, work, centre, count, at, n)
         if signals.deadband > 0.0:
             rest_joints(rows, work, count, sums)
         else:

@@ -39,7 +39,7 @@ _INERTIA = ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class SeenWrench:
     """Functionals of composite j, at q = 0, that a measurement tells; rows on (m, h, I).
 
     Attributes:
@@ -77,11 +77,11 @@ def recursive_space(
     """
     g = tree.gravity_or(gravity)
     static = _static(g) if model == "reaction" and not tared else np.zeros((0, 10))
-    seen = [each.whole for each in told(tree, model, g, static)]
+    seen = [each.whole for each in seen_wrenches(tree, model, g, static)]
     return row_space(_on_barycentric(tree, seen, static), NEW, known_zero)
 
 
-def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[Told]:
+def seen_wrenches(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[SeenWrench]:
     """What is told of every composite body, from the bedplate outwards.
 
     Args:
@@ -100,7 +100,7 @@ def told(tree: Tree, model: Model, gravity: Array, static: Array) -> Iterator[To
         ahead = _closed(np.vstack([free[joint.parent + 1] @ into, still @ turning]), turning)
         closure = _closed(known[joint.parent + 1] @ _composite_into(joint), rate)
         aside = _span(np.vstack([ahead @ momentum, closure @ rate]))
-        here = Told(aside, screw @ momentum, still @ momentum)
+        here = SeenWrench(aside, screw @ momentum, still @ momentum)
         yield here
         free.append(_span(np.vstack([ahead, screw])))
         rest.append(still)

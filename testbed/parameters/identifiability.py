@@ -71,11 +71,11 @@ def identifiability(
     return tuple(
         Visibility(
             name,
-            told.rows.shape[0],
-            told.of(units, back).reshape(shape),
-            told.of(one, one).reshape(shape),
+            space.rows.shape[0],
+            space.of(units, back).reshape(shape),
+            space.of(one, one).reshape(shape),
         )
-        for name, told in zip(INSTRUMENTS, sets, strict=True)
+        for name, space in zip(INSTRUMENTS, sets, strict=True)
     )
 
 

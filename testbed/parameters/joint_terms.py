@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from testbed.arrays import Array, readonly
 from testbed.codec import named
 from testbed.parameters.elimination import INDEPENDENT
-from testbed.parameters.exact_recursion import NEW, told
+from testbed.parameters.exact_recursion import NEW, seen_wrenches
 from testbed.parameters.formulas import Lengths
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.row_space import beyond
@@ -251,7 +251,7 @@ def _lone(tree: Tree, gravity: Array, offsets: Collection[int]) -> dict[int, flo
         By joint, the constant force per unit of that inertia which an offset takes up.
     """
     found = {}
-    for j, each in enumerate(told(tree, "dynamic", gravity, np.zeros((0, 10)))):
+    for j, each in enumerate(seen_wrenches(tree, "dynamic", gravity, np.zeros((0, 10)))):
         known = each.aside
         inertia, weight = beyond(each.inertia, known), beyond(each.weight, known)
         size, heavy = float(np.linalg.norm(inertia)), float(np.linalg.norm(weight))

@@ -9,7 +9,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
 from testbed.experiment.run import Run
-from testbed.identification.consistency import Consistent, robot_of
+from testbed.identification.consistency.consistent import Consistent, robot_of
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.parameters.barycentric import STANDARD, with_standard
 from testbed.reporting.portrait import view
@@ -48,7 +48,7 @@ def consistent_tables(found: Consistent) -> list[Table]:
             name,
             f"{found.prior[k, c]:.4g}",
             number_with_sigma(float(found.standard[k, c]), float(found.sigma[k, c]), short=True),
-            f"{found.told[k, c]:.0%}",
+            f"{found.data_share[k, c]:.0%}",
         ]
         for k, link in enumerate(found.links)
         for c, name in enumerate(STANDARD)
@@ -148,7 +148,7 @@ def _row(found: Consistent, k: int) -> list[str]:
         f"{found.prior[k, 0]:.4g}",
         f"{mass:.4g} +- {found.sigma[k, 0]:.2g}",
         " ".join(f"{x:.4f}" for x in centre),
-        f"{found.told[k].mean():.0%}",
+        f"{found.data_share[k].mean():.0%}",
     ]
 
 

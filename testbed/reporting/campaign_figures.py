@@ -47,8 +47,8 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> Section | None:
             panels += named_panels(factor, [str(level) for level in levels], curves, title)
         else:
             at, log = np.array(levels, dtype=float), all(level > 0 for level in levels)
-            drawn = {kind: (at, means) for kind, means in curves.items()}
-            panels.append(Panel(title, drawn, factor, log, tuple(curves)))
+            shown = {kind: (at, means) for kind, means in curves.items()}
+            panels.append(Panel(title, shown, factor, log, tuple(curves)))
     if not panels:
         return None
     return Section(

@@ -11,15 +11,15 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.errors import printable
 from testbed.experiment.predictions import Predictions
-from testbed.identification.drive_findings import DriveFindings
+from testbed.identification.drives.friction_curves import FrictionCurve
+from testbed.identification.drives.identify_drives import DriveFindings
 from testbed.identification.estimate_text import number_with_sigma
-from testbed.identification.friction_curves import FrictionCurve
 from testbed.reporting.figures import Panel, named_panels, thinned
 from testbed.reporting.section import Section, Table
 
 if TYPE_CHECKING:
-    from testbed.identification.drive_laws import Choice
-    from testbed.identification.torque_constants import DriveEstimate
+    from testbed.identification.drives.joint_terms import Choice
+    from testbed.identification.drives.torque_constants import DriveEstimate
 
 BAND = 2.0
 """Sigmas to either side of a curve."""

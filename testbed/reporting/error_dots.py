@@ -94,8 +94,8 @@ def dots_of_run(run: Run) -> ErrorDots:
 def _own_sigmas(estimate: Estimate) -> Array:
     """Relative sigmas; not a number where a value is zero, known, or not identifiable."""
     size = np.abs(estimate.values)
-    told = (size > 0) & (estimate.sigma > ROUNDING * size) & np.isfinite(estimate.sigma)
-    shares: Array = estimate.sigma / np.where(told, size, np.nan)
+    known = (size > 0) & (estimate.sigma > ROUNDING * size) & np.isfinite(estimate.sigma)
+    shares: Array = estimate.sigma / np.where(known, size, np.nan)
     return shares
 
 

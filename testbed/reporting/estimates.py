@@ -11,13 +11,13 @@ import numpy as np
 from testbed.errors import plural, printable
 from testbed.identification.estimate import Estimate
 from testbed.identification.estimate_text import number_with_sigma
-from testbed.identification.held_out import HeldOut, TermChoice
 from testbed.identification.influence import by_influence
+from testbed.identification.selection.held_out import HeldOut, TermChoice
 from testbed.reporting.section import Table
 
 if TYPE_CHECKING:
-    from testbed.identification.payload import PayloadEstimate
-    from testbed.identification.rest import Weighed
+    from testbed.identification.payload.payload import PayloadEstimate
+    from testbed.identification.payload.static_poses import MassEstimate
     from testbed.identification.validate import Validation
 
 
@@ -216,10 +216,10 @@ def payload_table(found: PayloadEstimate) -> Table:
     Args:
         found: The payload.
     """
-    numbers = zip(found.values.tolist(), found.sigma.tolist(), found.told, strict=True)
+    numbers = zip(found.values.tolist(), found.sigma.tolist(), found.identifiable, strict=True)
     said = [
-        number_with_sigma(value, sigma, short=True) if told else "not told alone"
-        for value, sigma, told in numbers
+        number_with_sigma(value, sigma, short=True) if identifiable else "not told alone"
+        for value, sigma, identifiable in numbers
     ]
     rows = list(zip(found.names, said, found.units, strict=True))
     title = f"payload on the link of {found.joint}, about and along its frame"
@@ -232,11 +232,11 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
     Args:
         found: The payload.
     """
-    whole = all(found.told)
+    whole = all(found.identifiable)
     lines = [
         "All ten are told."
         if whole
-        else f"{sum(found.told)} are told alone, and {plural(found.rank, 'combination')} in all."
+        else f"{sum(found.identifiable)} are told alone, and {plural(found.rank, 'combination')} in all."
     ]
     centre = found.centre
     if centre is not None:
@@ -244,7 +244,7 @@ def payload_lines(found: PayloadEstimate) -> list[str]:
     return lines
 
 
-def weighed_lines(payload: Weighed, robot: Weighed) -> list[str]:
+def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
     """A payload and a robot by their weight, a sentence each.
 
     Args:

@@ -183,14 +183,14 @@ class Panel:
 
     def _drawn(self, frame: Frame, curves: Curves) -> Iterator[str]:
         """The curves of one plot, and their bars; bands below all."""
-        drawn = [kind for kind in KINDS if kind in curves]
-        lines = [kind for kind in drawn if kind not in self.points]
+        shown = [kind for kind in KINDS if kind in curves]
+        lines = [kind for kind in shown if kind not in self.points]
         for kind, wide in self.bands.items():
             x, y = curves[kind]
             for part in pieces(frame.across(x), frame.up(y - wide), frame.up(y + wide)):
                 outline = path(np.concatenate([part[:, :2], part[::-1, ::2]]))
                 yield f'<path d="{outline}z" fill="{colour(kind)}" opacity=".3"/>'
-        for kind in drawn:
+        for kind in shown:
             x, y = frame.across(curves[kind][0]), frame.up(curves[kind][1])
             if kind in self.bars:
                 ends = pieces(*map(frame.across, self.bars[kind]), y)

@@ -12,7 +12,7 @@ from testbed.experiment.run import Run
 from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import Estimate
 from testbed.identification.estimate_text import number_with_sigma
-from testbed.identification.nuisances.estimates import TraceTest
+from testbed.identification.sensor.estimates import TraceTest
 from testbed.recordings.columns import AXES
 from testbed.reporting.section import DARKEST, HeatTable, Table
 

@@ -272,14 +272,14 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
 def _summary(found: Findings) -> str:
     bedplate = f"{'tared ' if found.reaction.tared else ''}bedplate {found.reaction.count}"
     count = found.dynamic.count
-    told = f"joint torques tell {plural(count, 'combination')} and the {bedplate}"
+    phrase = f"joint torques tell {plural(count, 'combination')} and the {bedplate}"
     drives = found.drives
     terms = (
         f"; with terms of the joints, {plural(drives.count, 'unknown')}"
         if drives is not None
         else ""
     )
-    return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {told}{terms}"
+    return f"{found.tree.name}: {10 * found.tree.n} parameters, of which {phrase}{terms}"
 
 
 def _verdicts(found: Findings) -> Iterator[str]:

@@ -192,7 +192,7 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
         for head, cells in zip(table.heads[1:], columns[1:], strict=False)
     ]
     room = None if width is None else max(NAME, width - sum(taken) - 2 * len(taken) - 4)
-    drawn = RichTable(
+    grid = RichTable(
         title=printable(table.title) or None,
         title_justify="left",
         header_style="bold",
@@ -200,7 +200,7 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
     )
     for k, head in enumerate(table.heads):
         words = k == 0 or head in table.left
-        drawn.add_column(
+        grid.add_column(
             head,
             justify="left" if words else "right",
             style="dim" if head == "unit" else "",
@@ -209,5 +209,5 @@ def _drawn(table: Table, width: int | None = None) -> RichTable:
             max_width=room if k == 0 else None,
         )
     for row in table.rows:
-        drawn.add_row(*map(printable, row))
-    return drawn
+        grid.add_row(*map(printable, row))
+    return grid

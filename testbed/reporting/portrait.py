@@ -62,7 +62,7 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
     scale = SIZE / float((high - low).max())
     width, height = np.ceil((high - low) * scale).astype(int).tolist()
 
-    def drawn(points: Array) -> Array:
+    def projected(points: Array) -> Array:
         """Pixels to the right and down, and depth."""
         seen = points @ camera.T
         return np.stack(
@@ -70,10 +70,10 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
             axis=-1,
         )
 
-    picture = base64.b64encode(png(paint(drawn(solid), colours, width, height))).decode()
+    picture = base64.b64encode(png(paint(projected(solid), colours, width, height))).decode()
     parts = [f'<image width="{width}" height="{height}" href="data:image/png;base64,{picture}"/>']
     for path in paths:
-        line = " ".join(f"{x:.0f},{y:.0f}" for x, y, _ in drawn(path))
+        line = " ".join(f"{x:.0f},{y:.0f}" for x, y, _ in projected(path))
         parts.append(
             f'<polyline points="{line}" fill="none" stroke="var(--truth)" stroke-width="1.5" '
             'opacity=".6"/>'
@@ -84,7 +84,7 @@ def portrait(look: Appearance, motion: Array, wrench: Array | None, name: str) -
     ] + [(ends, colour, 4.0, label) for ends, colour, label in arrows]
     labels: list[Label] = []
     for ends, colour, thickness, label in marks:
-        pixels = drawn(ends)
+        pixels = projected(ends)
         parts.append(_arrow(pixels, colour, thickness))
         labels.append(_label(pixels, label, labels))
     parts += [each.svg() for each in labels]  # no arrow over any

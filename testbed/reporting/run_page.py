@@ -46,7 +46,7 @@ WIDEST = 5.0
 LONGEST = 21
 """Characters of a value and its sigma with a sign between them; longer, sigma is in brackets."""
 
-Facts = list[tuple[str, str]]
+LinearConstraints = list[tuple[str, str]]
 
 
 def write_report(run: Run, path: Path) -> Path:
@@ -241,7 +241,7 @@ def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
     return tables
 
 
-def asked(run: Run) -> Facts:
+def asked(run: Run) -> LinearConstraints:
     """Robot, motion, instruments and how the signals were treated.
 
     Args:
@@ -270,7 +270,7 @@ def _held(lock: Mapping[str, float | None]) -> str:
     return ", ".join(f"{joint} {place}" for joint, place in at.items()) + unit
 
 
-def _of_recording(run: Run) -> Facts:
+def _of_recording(run: Run) -> LinearConstraints:
     """What a recording says of itself."""
     recording = run.recording
     duration = float(recording.time[-1] - recording.time[0])
@@ -288,7 +288,7 @@ def _of_recording(run: Run) -> Facts:
     ]
 
 
-def _of_experiment(experiment: Experiment) -> Facts:
+def _of_experiment(experiment: Experiment) -> LinearConstraints:
     """Motion, instruments and plant, as they were asked for."""
     motion, plate, plant = experiment.motion, experiment.measurement, experiment.simulation
     errors = ", ".join(f"{k} {v:+.0%}" for k, v in plate.torque_constant_error.items())
@@ -338,7 +338,7 @@ def _treatment(run: Run) -> str:
     )
 
 
-def origin(run: Run) -> Facts:
+def origin(run: Run) -> LinearConstraints:
     """Files, versions, and how to repeat it.
 
     Args:

@@ -36,20 +36,20 @@ def sections(found: Predictions) -> list[Section]:
         found: Predictions for the unseen recording, or for the one that was identified.
     """
     smooth = found.smoothed(CUTOFF)
-    drawn = [_measured(found, smooth)]
-    if any(_told(signal) for signal in found.signals):
-        drawn.append(_spectra(found))
+    shown = [_measured(found, smooth)]
+    if any(_methods_of(signal) for signal in found.signals):
+        shown.append(_spectra(found))
     if found.unexplained_torque is not None:
-        drawn.append(_friction(found, smooth))
+        shown.append(_friction(found, smooth))
         if found.run.drives is not None:
             seconds = seconds_shown(found.motion.t)
-            drawn.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
+            shown.append(drive_section(smooth, found.run.drives, CUTOFF, seconds))
     if found.run.consistent is not None:
-        drawn.append(bodies_section(found.run, found.run.consistent))
-    return drawn
+        shown.append(bodies_section(found.run, found.run.consistent))
+    return shown
 
 
-def _told(signal: Signal) -> list[Method]:
+def _methods_of(signal: Signal) -> list[Method]:
     """The methods whose residual says something: joint torques of the external lack friction."""
     lacking = "external" if signal.kind == "torque" and "internal" in signal.predicted else None
     return [method for method in signal.predicted if method != lacking]
@@ -77,7 +77,7 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         name, unit = signal.channels[c], signal.units[c]
         lines: dict[str, Array] = {"measured": signal.measured[:, c]}
         lines |= {m: signal.predicted[m][:, c] for m in reversed(METHODS) if m in signal.predicted}
-        rest: dict[str, Array] = {m: signal.residual(m)[:, c] for m in _told(signal)}
+        rest: dict[str, Array] = {m: signal.residual(m)[:, c] for m in _methods_of(signal)}
         above, below = (
             {label: thinned(time[shown], line[shown]) for label, line in curves.items()}
             for curves in (lines, rest)
@@ -147,11 +147,11 @@ def _ratio_cells(found: Predictions, signal: Signal, c: int) -> list[str]:
 
 def _spectra(found: Predictions) -> Section:
     rate = found.recording.rate
-    panels, rows, told = [], [], []
+    panels, rows, weights = [], [], []
     for signal, c in _channels(found):
         name, unit = signal.channels[c], signal.units[c]
         spectra: dict[str, tuple[Array, Array]] = {
-            m: spectrum(signal.residual(m)[:, c], rate) for m in _told(signal)
+            m: spectrum(signal.residual(m)[:, c], rate) for m in _methods_of(signal)
         }
         panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
         sizes = {
@@ -159,7 +159,7 @@ def _spectra(found: Predictions) -> Section:
             for method, each in spectra.items()
         }
         rows += [[name, unit, m, f"{slow:.3g}", f"{fast:.3g}"] for m, (slow, fast) in sizes.items()]
-        told.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
+        weights.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
     return Section(
 id="spectra",
 title="What is left over, by frequency",
@@ -167,7 +167,7 @@ says=("Amplitude density of the residuals. White noise of the instrument is flat
         "of the encoders rises until the filter on positions ends it; what stands at the motion's "
         "frequencies is a part of the robot, or of its friction, that the model lacks."),
 legend={method: method for method in found.run.estimates},
-panels=telling_first(panels, told),
+panels=telling_first(panels, weights),
 shown=SHOWN_OTHERS,
 caption=f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",
 table=Table([
@@ -176,16 +176,16 @@ table=Table([
 )  # fmt: skip
 
 
-def telling_first(panels: Sequence[Panel], told: Sequence[float]) -> list[Panel]:
+def telling_first(panels: Sequence[Panel], weights: Sequence[float]) -> list[Panel]:
     """Plots, those that say most first where some are to be folded away.
 
     Args:
         panels: In their own order.
-        told: How much each says.
+        weights: How much each says.
     """
     if len(panels) <= SHOWN_OTHERS:
         return list(panels)
-    return [panels[k] for k in np.argsort(-np.asarray(told), kind="stable")]
+    return [panels[k] for k in np.argsort(-np.asarray(weights), kind="stable")]
 
 
 def _ordered(panels: Sequence[Panel]) -> str:

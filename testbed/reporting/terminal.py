@@ -11,7 +11,7 @@ from rich.console import Console
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import printable
 from testbed.experiment.summary import accuracy_lines, headline, residual_line
-from testbed.identification.cross_check import diagnostics_of
+from testbed.identification.diagnostics.cross_check import diagnostics_of
 from testbed.identification.estimate_text import OPEN_ZERO
 from testbed.reporting.bodies import consistent_lines, consistent_tables
 from testbed.reporting.drives import drive_lines, drive_table
@@ -29,10 +29,10 @@ from testbed.reporting.output import console, print_diagnostics, print_tables
 if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.calibration import Calibration
-    from testbed.identification.consistency import Consistent
-    from testbed.identification.drive_findings import DriveFindings
+    from testbed.identification.consistency.consistent import Consistent
+    from testbed.identification.drives.identify_drives import DriveFindings
     from testbed.identification.estimate import Estimate
-    from testbed.identification.payload import PayloadEstimate
+    from testbed.identification.payload.payload import PayloadEstimate
     from testbed.identification.validate import Validation
 
 

@@ -317,8 +317,8 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
     )
     axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
     note += f"; {axes} cannot be told from these data" * bool(axes)
-    told = np.array(SHIFT)[spread <= FAR]
-    widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(told, told)]).max(initial=0.0))
+    precise = np.array(SHIFT)[spread <= FAR]
+    widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(precise, precise)]).max(initial=0.0))
     if widest > LOOSE:
         note += f"; the place cannot be told closer than +- {1e3 * widest:.1f} mm from these data"
         note += ": faster motion would tell it"

@@ -17,7 +17,7 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
-from testbed.identification.filters import motion_taps, row_weights
+from testbed.identification.regression.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
 from testbed.recordings.geometry import check_robot
 from testbed.recordings.importing.import_report import ImportReport

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import rerun as rr
 
-from testbed.identification.torque_constants import DriveEstimate
+from testbed.identification.drives.torque_constants import DriveEstimate
 from testbed.reporting.drives import BAND
 from testbed.viewer.colours import COLOURS
 

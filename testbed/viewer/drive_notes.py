@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.experiment.run import Run
-from testbed.identification.friction_curves import FrictionCurve
+from testbed.identification.drives.friction_curves import FrictionCurve
 from testbed.reporting.drives import BAND, TITLE, drive_table
 from testbed.reporting.section import Table
 from testbed.viewer.colours import COLOURS

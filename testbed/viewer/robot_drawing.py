@@ -9,7 +9,7 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.dynamics.kinematics import poses
-from testbed.identification.consistency import robot_of
+from testbed.identification.consistency.consistent import robot_of
 from testbed.parameters.barycentric import with_standard
 from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.shapes import Shape, equivalent_ellipsoids
@@ -64,14 +64,14 @@ def log_bodies(stream: rr.RecordingStream, scene: Scene, at: str) -> None:
     robots["estimate"] = robot_of(run.consistent, run.tree)
     for name, colour in (("prior", "measured"), ("truth", "path"), ("estimate", "external")):
         for shape in equivalent_ellipsoids(robots[name], (0, 0, 0, 1)) if name in robots else ():
-            drawn = rr.Ellipsoids3D(
+            ellipsoids = rr.Ellipsoids3D(
                 half_sizes=[shape.size],
                 centers=[shape.position],
                 quaternions=[rr.Quaternion(xyzw=quaternions(shape.rotation))],
                 colors=[COLOURS[colour]],
                 fill_mode=rr.components.FillMode.MajorWireframe,
             )
-            stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", drawn, static=True)
+            stream.log(f"{at}/robot/{shape.body + 1}/body/{name}", ellipsoids, static=True)
 
 
 def log_appearance(stream: rr.RecordingStream, look: Appearance, at: str) -> None:

@@ -164,7 +164,7 @@ def figures(command: str, found: Any) -> Iterator[tuple[str, float]]:
             values = (each["constant"], *(term["value"] for term in each["terms"]))
             yield from ((each["joint"], value) for value in values)
     elif command == "payload":
-        each = zip(found["names"], found["values"], found["told"], strict=True)
+        each = zip(found["names"], found["values"], found["identifiable"], strict=True)
         yield from ((name, value) for name, value, told in each if told)
     else:
         for channel, row in zip(("Fx", "Fy", "Fz", "Mx", "My", "Mz"), found["matrix"], strict=True):

@@ -33,9 +33,9 @@ from testbed.experiment.run_diagnostics import correlated, systematic_errors
 from testbed.experiment.score import relative_errors
 from testbed.experiment.summary import headline
 from testbed.experiment.unseen import unseen, validated
+from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, SIGNAL_OF
-from testbed.identification.filters import row_weights
-from testbed.identification.wishes import Wishes
+from testbed.identification.regression.filters import row_weights
 from testbed.robot.inertia import NOTHING
 from tests.helpers.ideal import EXACT, ideal, plus
 from tests.helpers.runs import MODELS, ROBOTS, experiment, judged_run, noisy, robot, run_of, without
@@ -304,10 +304,14 @@ def test_consistent_bodies_are_judged_by_the_truth_and_a_wrong_model_file_is_of_
     assert metrics["prior_rms_relative_error"] > metrics["consistent_rms_relative_error"]
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
     plain = run_of(robot("puma"), asked=asked)
-    wishes = asked.model_copy(update={"consistent": Wishes(), "prior": PriorTable(error=0.0)})
-    right = with_consistent(replace(plain, experiment=wishes))
+    options = asked.model_copy(
+        update={"consistent": ConsistencyOptions(), "prior": PriorTable(error=0.0)}
+    )
+    right = with_consistent(replace(plain, experiment=options))
     assert right.metrics["prior_rms_relative_error"] < 1e-9
-    nobody = wishes.model_copy(update={"consistent": Wishes(known={"mass/nobody": 1.0})})
+    nobody = options.model_copy(
+        update={"consistent": ConsistencyOptions(known={"mass/nobody": 1.0})}
+    )
     failed = with_consistent(replace(plain, experiment=nobody))
     assert (failed.consistent, failed.as_expected) == (None, False)
     tree = robot("ur5")

@@ -35,7 +35,7 @@ from testbed.experiment.run_folder import check_folder, read_run, write_recorded
 from testbed.experiment.trajectory_file import write_trajectory
 from testbed.experiment.write_motion import write_motion
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.stated import Stated
+from testbed.identification.estimate_summary import EstimateSummary
 from testbed.identification.validate import validate
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_shapes
@@ -366,7 +366,7 @@ def test_sigma_is_as_promised_and_an_earlier_estimate_is_a_prior(tmp_path: Path)
     order = np.random.default_rng(0).permutation(len(ratio))
     names, covariance = np.array(estimate.names)[order], estimate.covariance[np.ix_(order, order)]
     down, nothing = np.array([0, 0, -9.81]), np.zeros(len(ratio))
-    stated = Stated("external", tuple(names), nothing, covariance, down, np.ones(6), {})
+    stated = EstimateSummary("external", tuple(names), nothing, covariance, down, np.ones(6), {})
     kept = KeptResult(found.tree, tb.Settings(), (stated,))
     np.testing.assert_array_equal(prior_covariance(kept, asked()), estimate.covariance)
     with refuses(TestbedError, "internal"):

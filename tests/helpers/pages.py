@@ -24,7 +24,7 @@ from testbed.excitation.prediction import Prediction
 from testbed.experiment.excite import Excitation
 from testbed.experiment.motions import CheckedMotion, checked_motion
 from testbed.experiment.run import Run
-from testbed.identification.nuisances.estimates import NuisanceEstimate
+from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.recordings.importing.draft import Draft
 from testbed.reporting.campaign import write_campaign_page
 from testbed.reporting.mapping import write_mapping_page

@@ -56,7 +56,7 @@ GUESTS = {
     "pinocchio": "robot/formats/urdf.py robot/visuals/urdf_shapes.py",
     "coal": "robot/visuals/urdf_shapes.py",
     "rerun": "viewer/",
-    "clarabel": "identification/conic.py",
+    "clarabel": "identification/consistency/conic.py",
     "numba": "kernel/",
     "llvmlite": "kernel/compiler.py",
     "threadpoolctl": "blas.py",

@@ -15,10 +15,14 @@ from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.experiment.plate_file import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
-from testbed.identification.calibration_by_payload import calibrate_by_payload
-from testbed.identification.payload import payload, seen_of_payload
-from testbed.identification.rest import poses_at_rest, weigh, weigh_payload
-from testbed.identification.whole_robot import centre_of_mass, total_mass
+from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
+from testbed.identification.payload.payload import payload, seen_of_payload
+from testbed.identification.payload.static_poses import (
+    estimate_mass,
+    estimate_payload_mass,
+    poses_at_rest,
+)
+from testbed.identification.regression.total_mass import centre_of_mass, total_mass
 from testbed.parameters.barycentric import standard
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured
@@ -74,10 +78,12 @@ def test_doubt_about_the_plate_counts_as_drawn_plates_say() -> None:
         numbers = (replace(n, value=n.value + moved.get(n.name, 0.0)) for n in plate.numbers)
         other = replace(plate, numbers=tuple(numbers))
         drawn.append(tb.identify(tree, corrected(second, tree, other)).values - plain.values)
-    told = np.isfinite(plain.sigma) & np.isfinite(counted.sigma)
-    scatter = np.sqrt(np.mean(np.square(drawn), axis=0))[told]
-    added = np.sqrt(np.maximum(counted.sigma[told] ** 2 - plain.sigma[told] ** 2, 0.0))
-    matters = scatter > 0.3 * plain.sigma[told]
+    identifiable = np.isfinite(plain.sigma) & np.isfinite(counted.sigma)
+    scatter = np.sqrt(np.mean(np.square(drawn), axis=0))[identifiable]
+    added = np.sqrt(
+        np.maximum(counted.sigma[identifiable] ** 2 - plain.sigma[identifiable] ** 2, 0.0)
+    )
+    matters = scatter > 0.3 * plain.sigma[identifiable]
     assert matters.any()
     assert 0.6 < np.sqrt(np.mean((added / scatter)[matters] ** 2)) < 1.6
 
@@ -162,13 +168,13 @@ def test_a_payload_is_what_was_added(name: str) -> None:
     both = enumerate((tree, heavy))
     one, other = (tb.identify(each, ideal(each, seed=k), settings=EXACT) for k, each in both)
     exact = payload(tree, one, other)
-    told = np.array(exact.told)
-    assert told[0]
-    np.testing.assert_allclose(exact.values[told], ten()[told], atol=1e-8)
-    assert np.isinf(exact.sigma[~told]).all()
+    identifiable = np.array(exact.identifiable)
+    assert identifiable[0]
+    np.testing.assert_allclose(exact.values[identifiable], ten()[identifiable], atol=1e-8)
+    assert np.isinf(exact.sigma[~identifiable]).all()
     one, other = (tb.identify(tree, measured(each, k)) for k, each in ((70, tree), (80, heavy)))
     noisy = payload(tree, one, other)
-    assert np.abs((noisy.values - ten())[told] / noisy.sigma[told]).max() < 4.5
+    assert np.abs((noisy.values - ten())[identifiable] / noisy.sigma[identifiable]).max() < 4.5
     assert noisy.chance > 1e-4
     assert noisy.diagnostics == ()
 
@@ -229,7 +235,7 @@ def test_what_tells_no_payload_is_refused() -> None:
         with refuses(RecordingError):
             poses_at_rest(tree, recording)
     with refuses(RecordingError, "mass"):
-        weigh(tree.with_gravity(np.zeros(3)), poses_at_rest(tree, still))
+        estimate_mass(tree.with_gravity(np.zeros(3)), poses_at_rest(tree, still))
 
 
 @few(8)
@@ -240,7 +246,7 @@ def test_poses_at_rest_weigh(name: str, seed: int) -> None:
     alone = poses_at_rest(tree, resting(tree, seed))
     carrying = poses_at_rest(tree, resting(loaded(tree), seed + 100))
     assert len(alone) == len(carrying) == 8
-    robots, found = weigh(tree, alone), weigh_payload(tree, alone, carrying)
+    robots, found = estimate_mass(tree, alone), estimate_payload_mass(tree, alone, carrying)
     assert abs(robots.mass - mass_of(tree)) < 4.5 * robots.sigma < 0.1
     assert abs(found.mass - LOAD.mass) < 4.5 * found.sigma < 0.1
     for place, sigma, true in zip(found.centre, found.centre_sigma, LOAD.com, strict=True):

@@ -14,11 +14,11 @@ from scipy import stats
 import testbed as tb
 from testbed.arrays import Array
 from testbed.experiment.wrong_prior import wrong_bodies
-from testbed.identification.consistency import consistent, robot_of
+from testbed.identification.consistency.consistent import consistent, robot_of
+from testbed.identification.consistency.options import METRICS, ConsistencyOptions, Metric
+from testbed.identification.consistency.prior_weight import consistent_by_held_out
+from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.prior_choice import consistent_by_held_out
-from testbed.identification.rigid_bodies import possibility
-from testbed.identification.wishes import METRICS, Metric, Wishes
 from testbed.parameters.barycentric import to_barycentric
 from testbed.parameters.prior import Prior, prior_of
 from testbed.parameters.pseudo_inertia import matrices, parameters
@@ -65,7 +65,9 @@ def test_no_possible_bodies_nearby_are_better(metric: Metric) -> None:
         estimate, prior = tb.identify(tree, measured(tree, seed, duration=5.0)), prior_for(tree)
         if seed:
             estimate = replace(estimate, covariance=100 * estimate.covariance)
-        found = consistent(tree, [estimate], prior, Wishes(metric=metric, prior_error=0.5))
+        found = consistent(
+            tree, [estimate], prior, ConsistencyOptions(metric=metric, prior_error=0.5)
+        )
         here = cost(np.array(found.standard), estimate, prior, 0.5, metric)
         for size in (1e-4, 1e-2):
             for _ in range(50):
@@ -76,7 +78,7 @@ def test_no_possible_bodies_nearby_are_better(metric: Metric) -> None:
         assert found.unsettled < 1e-2
         assert (np.linalg.eigvalsh(matrices(found.standard)) > 0).all()
         assert (found.margin > (1e-2 if metric == "log-det" else 1e-8)).all()
-        assert ((found.told >= 0) & (found.told <= 1)).all()
+        assert ((found.data_share >= 0) & (found.data_share <= 1)).all()
 
 
 def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
@@ -90,8 +92,8 @@ def test_perfect_data_and_the_true_bodies_give_the_true_bodies() -> None:
         assert body.mass == pytest.approx(truth.mass, rel=1e-5)
         np.testing.assert_allclose(body.tensor, truth.tensor, atol=1e-4 * truth.tensor.max())
     for key in ("coulomb", "viscous", "rotor_inertia"):
-        told, true = ([getattr(j, key) for j in each.joints] for each in (own, tree))
-        np.testing.assert_allclose(told, true, rtol=1e-5, atol=1e-4)
+        data_share, true = ([getattr(j, key) for j in each.joints] for each in (own, tree))
+        np.testing.assert_allclose(data_share, true, rtol=1e-5, atol=1e-4)
     assert found.diagnostics == ()
     assert (found.coefficients >= 0).all()
     false = wrong_bodies(tree, 0.9, np.random.default_rng(0)).without_friction()
@@ -107,14 +109,14 @@ def test_wishes_are_obeyed() -> None:
     estimates = [estimate_of("puma", method) for method in METHODS]
     names, total = [joint.body for joint in tree.joints], sum(b.mass for b in tree.inertias)
     extent = np.tile([[-0.1, -0.5, -1.0], [0.1, 0.5, 1.0]], (3, 1, 1))
-    wishes = Wishes(
+    options = ConsistencyOptions(
         known={f"mass/{names[1]}": 4.5, "mass": [total, 1e-4]},
         symmetric={names[2]: "yz", names[0]: ["yz", "xz"]},
         centres_in_shapes=True,
     )
-    found = consistent(tree, estimates, replace(prior, extent=extent), wishes)
+    found = consistent(tree, estimates, replace(prior, extent=extent), options)
     assert found.standard[1, 0] == pytest.approx(4.5, rel=1e-9)
-    assert found.sigma[1, 0] == found.told[1, 0] == 0
+    assert found.sigma[1, 0] == found.data_share[1, 0] == 0
     assert found.standard[:, 0].sum() == pytest.approx(total, abs=1e-3)
     np.testing.assert_allclose(found.standard[2, [1, 5, 7]], 0, atol=1e-12)
     np.testing.assert_allclose(found.standard[0, [1, 2, 5, 7, 8]], 0, atol=1e-12)
@@ -123,7 +125,7 @@ def test_wishes_are_obeyed() -> None:
     wide = np.tile(np.array([[-9.0], [9.0]]) * np.ones(3), (3, 1, 1))
     wide[2, 1, 2] = 0.25  # of 0.303
     true = replace(prior_of(tree), extent=wide)
-    bound = consistent(tree, estimates, true, Wishes(centres_in_shapes=True))
+    bound = consistent(tree, estimates, true, ConsistencyOptions(centres_in_shapes=True))
     assert bound.standard[2, 3] / bound.standard[2, 0] == pytest.approx(0.25, abs=1e-5)
     assert any(names[2] in each and "z" in each for each in bound.binding)
 
@@ -138,19 +140,19 @@ def test_impossible_wishes_name_what_contradicts() -> None:
         ({"centres_in_shapes": 1}, "centres_in_shapes"),
     ):
         with refuses(tb.TestbedError, culprit):
-            Wishes(**words)
+            ConsistencyOptions(**words)
     tree, estimate, prior = robot("puma"), estimate_of("puma"), prior_of(robot("puma"))
     names = [joint.body for joint in tree.joints]
     light = replace(prior, standard=prior.standard * [[1], [1], [0]])
-    for bodies, wishes, culprits in (
-        (prior, Wishes(known={f"mass/{n}": 1.0 for n in names} | {"mass": 9.0}), names),
-        (prior, Wishes(known={"mass/nobody": 1.0}), ["nobody"]),
-        (prior, Wishes(symmetric={"nowhere": "xz"}), ["nowhere"]),
-        (light, Wishes(known={f"mass/{names[2]}": 2.0}), [f"mass/{names[2]}"]),
-        (prior, Wishes(prior_error="chosen"), ["prior"]),
+    for bodies, options, culprits in (
+        (prior, ConsistencyOptions(known={f"mass/{n}": 1.0 for n in names} | {"mass": 9.0}), names),
+        (prior, ConsistencyOptions(known={"mass/nobody": 1.0}), ["nobody"]),
+        (prior, ConsistencyOptions(symmetric={"nowhere": "xz"}), ["nowhere"]),
+        (light, ConsistencyOptions(known={f"mass/{names[2]}": 2.0}), [f"mass/{names[2]}"]),
+        (prior, ConsistencyOptions(prior_error="chosen"), ["prior"]),
     ):
         with refuses(tb.TestbedError, *culprits):
-            consistent(tree, [estimate], bodies, wishes)
+            consistent(tree, [estimate], bodies, options)
 
 
 @pytest.mark.slow
@@ -163,8 +165,8 @@ def test_data_that_no_bodies_have_are_said() -> None:
     scaled = replace(torques, values=1.06 * torques.values)
     hollow = replace(torques, covariance=-torques.covariance)
     mirrored = replace(plate, values=-plate.values)
-    told = [(mirrored,), (backwards,), (plate, scaled), (plate, hollow)]
-    wrong, rubbing, both, without = found = [consistent(tree, each, prior) for each in told]
+    data_share = [(mirrored,), (backwards,), (plate, scaled), (plate, hollow)]
+    wrong, rubbing, both, without = found = [consistent(tree, each, prior) for each in data_share]
     assert all(each.diagnostics for each in found)
     assert wrong.bent[0].distance > 100
     assert (rubbing.coefficients >= 0).all()
@@ -185,17 +187,17 @@ def test_held_out_data_choose_how_far_a_model_file_is_trusted() -> None:
     def identified(part: Source, method: Method) -> Estimate:
         return tb.identify(tree, part, method)
 
-    estimates, wishes = [identified(source, "external")], Wishes(prior_error="chosen")
+    estimates, options = [identified(source, "external")], ConsistencyOptions(prior_error="chosen")
     chosen = []
     for error in (0.0, 1.5):
         prior = prior_for(tree, 3, error)
-        found = consistent_by_held_out(tree, estimates, prior, wishes, source, identified)
+        found = consistent_by_held_out(tree, estimates, prior, options, source, identified)
         assert min(found.tried, key=lambda e: found.tried[e]) == found.prior_error
         chosen.append(found.prior_error)
     assert chosen[0] <= 0.2 < chosen[1]
     with refuses(tb.TestbedError, "prior_error"):
         short = Stretch(source, 0, 150)
-        consistent_by_held_out(tree, estimates, prior, wishes, short, identified)
+        consistent_by_held_out(tree, estimates, prior, options, short, identified)
 
 
 def having(estimate: Estimate, values: Array, relative: float) -> Estimate:
@@ -237,15 +239,15 @@ def test_robots_are_possible_and_mirrored_ones_are_not(
         there = having(estimate, maps @ random_bodies(tree, rng, thin), relative)
         sigma = there.sigma[: len(maps)]
         noisy = having(estimate, there.base.values + sigma * rng.normal(size=len(sigma)), relative)
-        assert not possibility(there).impossible
-        assert not possibility(noisy).impossible
+        assert not rigid_body_test(there).impossible
+        assert not rigid_body_test(noisy).impossible
     mirrored = -maps @ random_bodies(tree, rng, False)
-    found = possibility(having(estimate, mirrored, 1e-3))
+    found = rigid_body_test(having(estimate, mirrored, 1e-3))
     assert found.impossible
     assert found.distance > found.limit
     limit = np.sqrt(stats.chi2.isf(2 * stats.norm.sf(5.0), len(mirrored)))
     assert found.limit == pytest.approx(limit, rel=1e-12)
-    assert not possibility(having(estimate, found.nearest, 0.05)).impossible
+    assert not rigid_body_test(having(estimate, found.nearest, 0.05)).impossible
     assert np.linalg.norm(found.nearest - mirrored) > 0
     for _ in range(100):  # no robot is nearer than proved
         other = rng.lognormal(0, 1) * maps @ random_bodies(tree, rng, bool(rng.integers(2)))
@@ -261,4 +263,4 @@ def test_a_rotor_may_add_to_an_inertia_and_never_take_from_it() -> None:
     for value, impossible in ((1e4, False), (-5.0, True)):
         values = np.array(estimate.base.values)
         values[k] = value
-        assert possibility(having(estimate, values, 1e-3)).impossible == impossible
+        assert rigid_body_test(having(estimate, values, 1e-3)).impossible == impossible

@@ -21,9 +21,13 @@ from testbed.diagnostics.diagnostic import (
     phrase,
     sentences,
 )
-from testbed.identification.cross_check import cross_check, diagnostics_of, torque_factor
+from testbed.identification.diagnostics.cross_check import (
+    cross_check,
+    diagnostics_of,
+    torque_factor,
+)
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.nuisances.all_nuisances import TESTED
+from testbed.identification.sensor.catalogue import TESTED
 from testbed.parameters.minimal_set import selection
 from testbed.recordings.recording import Recording
 from tests.helpers.ideal import plus

@@ -10,14 +10,14 @@ import pytest
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification.combined import combined
-from testbed.identification.drive_findings import DriveFindings, identify_drives
-from testbed.identification.drive_regression import regressions, torques_beside
+from testbed.identification.drives.friction_curves import friction_curves
+from testbed.identification.drives.fusion import combined
+from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
+from testbed.identification.drives.joint_regression import regressions, torques_beside
 from testbed.identification.estimate import METHODS
-from testbed.identification.friction_curves import friction_curves
-from testbed.identification.held_out import Parts, grown, stretches
 from testbed.identification.problem import Problem
-from testbed.identification.term_choice import choose_terms
+from testbed.identification.selection.held_out import Parts, grown, stretches
+from testbed.identification.selection.term_choice import choose_terms
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import QUADRATIC, ROTOR, stribeck
 from testbed.robot.transmission import with_shafts

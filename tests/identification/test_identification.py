@@ -17,10 +17,15 @@ from testbed.dynamics.algebra import NUMBERS
 from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.newton_euler import transmitted
 from testbed.errors import RecordingError, UnknownName, UnseenParameters
-from testbed.identification.covariance import ScoreSquares, bin_size, hidden
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
-from testbed.identification.filters import ROW_ATTENUATION, low_pass, motion_taps, row_weights
 from testbed.identification.predict import motion_in, own_torque, predictions
+from testbed.identification.regression.covariance import ScoreSquares, bin_size, hidden
+from testbed.identification.regression.filters import (
+    ROW_ATTENUATION,
+    low_pass,
+    motion_taps,
+    row_weights,
+)
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS, OFFSET, JointLaw
 from tests.helpers.ideal import EXACT, ideal, plus, true_values
@@ -84,7 +89,7 @@ def test_a_law_of_ones_own_goes_all_the_way(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Defined here and nowhere else: recorded, identified and foretold, whatever the engine."""
-    monkeypatch.setattr("testbed.identification.passes.SMALL", 0.0 if compiled else 1e9)
+    monkeypatch.setattr("testbed.identification.regression.passes.SMALL", 0.0 if compiled else 1e9)
     law = JointLaw("cubic", "N m s^3/rad^3", "N s^3/m^3", lambda qd, qdd: qd**3)
     tree = robot("gantry")
     coefficients = np.linspace(0.5, 3.0, tree.n)

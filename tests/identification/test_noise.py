@@ -16,7 +16,7 @@ from scipy import stats
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.identification.diagnosis import UNLIKELY
+from testbed.identification.diagnostics.diagnosis import UNLIKELY
 from testbed.identification.noise.autoregression import (
     LARGEST_ROOT,
     Autoregression,
@@ -24,17 +24,17 @@ from testbed.identification.noise.autoregression import (
     best_order,
     fit,
 )
-from testbed.identification.noise.average import averaged, averaged_fit
-from testbed.identification.noise.biases import constants, square_of_last
-from testbed.identification.noise.counts import Counts
-from testbed.identification.noise.dilution import undiluted
+from testbed.identification.noise.errors_in_variables import correct_attenuation
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
-from testbed.identification.noise.late import Lateness, lateness
-from testbed.identification.noise.repetition import Repetition, RepetitionSums
-from testbed.identification.period import period_of
-from testbed.identification.survey import Surveyor
-from testbed.identification.windows import Plan, Window, make_plan
+from testbed.identification.noise.model_average import averaged, averaged_fit
+from testbed.identification.noise.offsets import constants, square_of_last
+from testbed.identification.noise.period import period_of
+from testbed.identification.noise.periodic_residual import PeriodicResidual, PeriodicSums
+from testbed.identification.noise.quantization import Quantization
+from testbed.identification.noise.time_delay import TimeDelay, lateness
+from testbed.identification.regression.survey import Surveyor
+from testbed.identification.regression.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout
 from testbed.kernel.records import Signals
 from testbed.recordings.recording import Recording
@@ -197,8 +197,8 @@ def test_what_noise_of_the_columns_draws_to_zero_comes_back(fits: Fits, size: fl
     for seed in range(12):
         rows, made = slow_columns(seed, np.full(3, size))
         (plain,) = fits(rows, None)
-        better = undiluted(plain, made)
-        assert not better.drowned(np.eye(3)).any()
+        better = correct_attenuation(plain, made)
+        assert not better.noise_limited(np.eye(3)).any()
         before.append(scores(plain))
         after.append(scores(better.found))
     assert np.abs(np.mean(before, axis=0)).max() > 2.0
@@ -211,8 +211,8 @@ def test_columns_without_noise_stay_and_drowned_ones_are_named() -> None:
     for size in ([0.0, 0.0, 0.0], [30.0, 1e-3, 1e-3], [1e-3, 1e-3, 30.0]):
         rows, made = slow_columns(1, np.array(size), 600)
         (plain,) = whitened_fits(rows)
-        better = undiluted(plain, made)
-        np.testing.assert_array_equal(better.drowned(np.eye(3)), np.array(size) > 1)
+        better = correct_attenuation(plain, made)
+        np.testing.assert_array_equal(better.noise_limited(np.eye(3)), np.array(size) > 1)
         added = better.found.covariance - plain.covariance
         assert np.linalg.eigvalsh(added).min() > -1e-12
         assert np.isfinite(better.found.values).all()
@@ -254,9 +254,9 @@ def made(noise: Autoregression, rows: int, seed: int) -> Array:
     return NoiseMaker(noise, 1, np.random.default_rng(seed)).rows(rows)[..., 0]
 
 
-def repetition(noise: Autoregression, left: Array, cut: int = 10**9) -> Repetition | None:
+def repetition(noise: Autoregression, left: Array, cut: int = 10**9) -> PeriodicResidual | None:
     """What is found in residuals of a motion with a period of 100 rows, 10 s."""
-    sums = RepetitionSums(noise, 100, 10.0)
+    sums = PeriodicSums(noise, 100, 10.0)
     for first in range(0, left.shape[1], cut):
         sums.add(left[:, first : first + cut])
     return sums.found()
@@ -331,7 +331,7 @@ def late_by(delay: float, seed: int, gaps: float = 0.0, slow: float = 0.0) -> La
     return sums.finish()
 
 
-def delay_in(given: LaggedProducts, start: Array) -> Lateness:
+def delay_in(given: LaggedProducts, start: Array) -> TimeDelay:
     """As an estimate goes about it: residuals are those of a first solution."""
     moved = np.eye(5)
     moved[:3, 3] = -start
@@ -421,7 +421,7 @@ def test_made_errors_of_counts_are_like_real_ones() -> None:
     around = sliding_window_view(off, kernels.shape[1], axis=1)
     real = np.moveaxis(around[:, :: plan.step] @ kernels.T, 3, 1)[:, :, : plan.rows]
     (window,) = plan.windows()
-    counts, signals = Counts(plan, np.full(tree.n, COUNT)), signals_of(plan, window)
+    counts, signals = Quantization(plan, np.full(tree.n, COUNT)), signals_of(plan, window)
     lasting = [counts.lasting(signals, replica) for replica in range(9)]
     made = np.array([*lasting, counts.changing(signals, window.row)])
     ratio = np.sqrt((made**2).mean(axis=(0, 2)) / (real**2).mean(axis=(0, 2)))

@@ -13,13 +13,13 @@ import pytest
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.identification import windows
-from testbed.identification.filters import row_weights
-from testbed.identification.nuisances.all_nuisances import NUISANCES, TESTED
-from testbed.identification.nuisances.clock import shifted
-from testbed.identification.nuisances.foretold import row_filter
-from testbed.identification.nuisances.unknowns import Columns, unknowns_of
-from testbed.identification.windows import make_plan
+from testbed.identification.regression import windows
+from testbed.identification.regression.filters import row_weights
+from testbed.identification.regression.windows import make_plan
+from testbed.identification.sensor.catalogue import NUISANCES, TESTED
+from testbed.identification.sensor.clock import shifted
+from testbed.identification.sensor.predicted_wrench import row_filter
+from testbed.identification.sensor.unknowns import Columns, unknowns_of
 from testbed.instruments.fault import Fault
 from testbed.instruments.faults import fault_of
 from testbed.kernel.layout import layout

@@ -17,8 +17,8 @@ from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.problem import Problem
+from testbed.identification.selection.term_choice import choose_terms
 from testbed.identification.settings import Settings
-from testbed.identification.term_choice import choose_terms
 from testbed.robot.friction import JointLaw
 from tests.helpers.ideal import EXACT, ideal, true_values
 from tests.helpers.measured import measured

@@ -17,8 +17,8 @@ from testbed.codec import encode, json_text
 from testbed.errors import SettingsError, TestbedError
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.influence import by_influence, influence
-from testbed.identification.known import parse_known
 from testbed.identification.predict import motion_in
+from testbed.identification.regression.constraints import parse_known
 from testbed.identification.ridge import ridge
 from testbed.robot.rotations import about
 from tests.helpers.ideal import ideal, plus
@@ -65,8 +65,8 @@ def test_sigma_holds_where_noise_of_accelerations_passes_the_filter() -> None:
     tree, rng = robot("gantry"), np.random.default_rng(0)
     fine = measured(tree, 0, duration=40.0, speed=0.25, memory=0.98, noise=0.1)
     coarse = replace(fine, position=fine.position + 5e-4 * rng.normal(size=fine.position.shape))
-    drowned = [tb.identify(tree, each).noise for each in (fine, coarse)]
-    assert [bool(each and each.drowned) for each in drowned] == [False, True]
+    noise_limited = [tb.identify(tree, each).noise for each in (fine, coarse)]
+    assert [bool(each and each.noise_limited) for each in noise_limited] == [False, True]
 
 
 @pytest.mark.slow

@@ -20,12 +20,12 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError, SettingsError
-from testbed.identification import survey
 from testbed.identification.estimate import METHODS, Method
 from testbed.identification.problem import samples_of
+from testbed.identification.regression import survey
+from testbed.identification.regression.survey import Surveyor
+from testbed.identification.regression.windows import make_plan
 from testbed.identification.settings import Settings
-from testbed.identification.survey import Surveyor
-from testbed.identification.windows import make_plan
 from testbed.kernel import numba_engine
 from testbed.kernel.layout import layout
 from testbed.kernel.records import Signals
@@ -90,7 +90,7 @@ def sweeps(monkeypatch: pytest.MonkeyPatch) -> list[Callable[[], None]]:
             hook()
         return real(*arguments)
 
-    monkeypatch.setattr("testbed.identification.passes.SMALL", 0.0)
+    monkeypatch.setattr("testbed.identification.regression.passes.SMALL", 0.0)
     monkeypatch.setattr(numba_engine, "sweep", sweep)
     return hooks
 

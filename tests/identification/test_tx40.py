@@ -13,7 +13,7 @@ from scipy import signal
 import testbed as tb
 from testbed.arrays import Array
 from testbed.identification.problem import Problem
-from testbed.identification.term_choice import choose_terms, held_out
+from testbed.identification.selection.term_choice import choose_terms, held_out
 from tests.helpers.paths import ROOT
 
 TX40 = ROOT / "examples/tx40"

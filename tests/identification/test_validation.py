@@ -17,11 +17,11 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError, UnknownName
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Estimate, Method
-from testbed.identification.filters import reversal_samples, row_weights
+from testbed.identification.estimate_summary import summary_of
 from testbed.identification.predict import friction, motion_in, own_torque, predictions
-from testbed.identification.stated import stated
+from testbed.identification.regression.filters import reversal_samples, row_weights
+from testbed.identification.regression.windows import ROWS_PER_CUTOFF
 from testbed.identification.validate import LIMIT, validate
-from testbed.identification.windows import ROWS_PER_CUTOFF
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import LAWS
 from tests.helpers.ideal import EXACT, ideal, plus
@@ -83,7 +83,7 @@ def test_residuals_and_what_sigma_adds_are_those_of_dense_computation(
     squares = np.zeros(len(found.channels))
     sizes, ways = np.linalg.eigh(estimate.covariance)
     for size, way in zip(sizes, ways.T, strict=True):
-        one = replace(stated(estimate), values=way)
+        one = replace(summary_of(estimate), values=way)
         squares += size * validate(tree, silent, one, settings=SETTINGS).residual ** 2
     np.testing.assert_allclose(found.spread, np.sqrt(squares), rtol=1e-6)
 
@@ -141,7 +141,7 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
     assert [each.subject for each in found.diagnostics] == ["channel Fy"]
     assert found.diagnostics[0].code not in [each.code for each in gain.diagnostics]
     np.testing.assert_allclose(found.mean, zero, atol=1.0)
-    passing = replace(stated(sound), nuisances={"bias/Fx": 50.0, "slope/Fy": 5.0})
+    passing = replace(summary_of(sound), nuisances={"bias/Fx": 50.0, "slope/Fy": 5.0})
     np.testing.assert_array_equal(validate(puma, other, passing).residual, plain.residual)
     off = np.array([0.0, 0.03, -0.05])
     zeros = {f"joint_zeros/{j}": float(x) for j, x in zip(puma.names, off, strict=True)}
@@ -151,13 +151,13 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
         position=(other.position + off)[:, ::-1],
         torque=other.measured("torque")[:, ::-1],
     )
-    again = validate(puma, shuffled, replace(stated(sound), nuisances=zeros))
+    again = validate(puma, shuffled, replace(summary_of(sound), nuisances=zeros))
     np.testing.assert_allclose(again.residual, plain.residual, rtol=1e-6)
     asked = tb.Settings(nuisances=("skew",))
     late = [replace(r.part(4, r.samples), wrench=r.measured("wrench")[:-4]) for r in (one, other)]
     estimate = tb.identify(puma, late[0], settings=asked)
     assert estimate.nuisances[0].value == pytest.approx(0.02, rel=0.1)
-    ignorant = replace(stated(estimate), nuisances={})
+    ignorant = replace(summary_of(estimate), nuisances={})
     told, silent = (validate(puma, late[1], e, settings=asked) for e in (ignorant, estimate))
     assert told.diagnostics
     assert not silent.diagnostics
@@ -165,7 +165,7 @@ def test_an_instruments_lasting_faults_are_taken_back_and_passing_ones_are_told(
 
 def test_what_does_not_fit_together_is_refused(puma: tb.Tree) -> None:
     estimate, other = tb.identify(puma, ideal(puma), settings=EXACT), ideal(puma, seed=2)
-    said = stated(estimate)
+    said = summary_of(estimate)
     tilted = replace(other, facts={"gravity": [9.81, 0.0, 0.0]})
     for kind, culprit, recording, said_so, settings in (
         (SettingsError, "K3xy", other, estimate, replace(EXACT, zeros=True)),

@@ -96,7 +96,9 @@ def test_crosstalk_is_in_proportion_to_full_scale() -> None:
         loads = np.diag(scale)
         seen = through(fault.on(Rig(NAMES, scale)), loads, TIME[:6])
         same(((seen - loads) / scale).T, x)
-    mixing = np.array(plate.PlateCrosstalk(0.01).drawn(Rig(NAMES), np.random.default_rng(1)).matrix)
+    mixing = np.array(
+        plate.PlateCrosstalk(0.01).sample(Rig(NAMES), np.random.default_rng(1)).matrix
+    )
     assert not np.diagonal(mixing).any()
     assert 0.005 < np.abs(mixing).max() <= 0.01
 
@@ -186,15 +188,15 @@ def test_a_single_number_gets_signs_and_phases_by_chance_and_a_list_keeps_its_ow
     rig, signs, phases = Rig(NAMES), set(), []
     for seed in range(40):
         rng = np.random.default_rng(seed)
-        fault = plate_noise.PlateBias(0.3, (1.0, -2.0, 3.0)).drawn(rig, rng)
+        fault = plate_noise.PlateBias(0.3, (1.0, -2.0, 3.0)).sample(rig, rng)
         assert np.abs(fault.force).tolist() == [0.3] * 3
         assert fault.moment == (1.0, -2.0, 3.0)
         signs.add(tuple(np.sign(fault.force)))
-        phases += list(np.atleast_1d(plate_noise.PlateHum().drawn(rig, rng).phase or 0.0))
+        phases += list(np.atleast_1d(plate_noise.PlateHum().sample(rig, rng).phase or 0.0))
     assert len(signs) == 8
     every = np.sort(phases)
     assert np.diff(every, append=every[0] + 2 * np.pi).max() < 0.3  # all around, six at a time
-    assert plate_noise.PlateHum(phase=1.0).drawn(rig, rng).phase == 1.0
+    assert plate_noise.PlateHum(phase=1.0).sample(rig, rng).phase == 1.0
     by_name = encoders.EncoderEccentricity({"a": 1e-3}, period={"c": 0.01}).on(rig)
     assert by_name.amplitude == (1e-3, 0.0, 0.0)
     assert by_name.period == (2 * np.pi, 2 * np.pi, 0.01)
@@ -209,6 +211,6 @@ def test_a_fault_of_no_size_is_none_to_the_bit() -> None:
     for kind in [kind for kind in KINDS if kind not in others]:
         sizes = {name: 0.0 for name in KINDS[kind]().known_keys() if name not in no_sizes}
         sizes = {"covered": 1.0} if kind == "plate_saturation" else sizes
-        fault = KINDS[kind](**sizes).on(rig).drawn(rig, np.random.default_rng(1))
+        fault = KINDS[kind](**sizes).on(rig).sample(rig, np.random.default_rng(1))
         given = W if fault.signal == "wrench" else Q
         assert through(fault, given).tobytes() == given.tobytes(), kind

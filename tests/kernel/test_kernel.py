@@ -16,7 +16,7 @@ from llvmlite import binding
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.identification.filters import motion_taps, row_weights
+from testbed.identification.regression.filters import motion_taps, row_weights
 from testbed.kernel import gram, numba_engine, numpy_engine
 from testbed.kernel.constants import NB
 from testbed.kernel.layout import Layout, independent_columns, layout

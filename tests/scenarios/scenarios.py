@@ -27,10 +27,10 @@ from testbed.experiment.excite import Excitation, excite
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.run import Run, assemble_run
 from testbed.identification.calibration import Calibration, calibrate
+from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate
-from testbed.identification.payload import PayloadEstimate, payload
+from testbed.identification.payload.payload import PayloadEstimate, payload
 from testbed.identification.settings import Settings
-from testbed.identification.wishes import Wishes
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.pieces import pieces
 from testbed.recordings.joined import Joined
@@ -93,8 +93,8 @@ def figures_of_run(run: Run) -> Iterator[tuple[str, ArrayLike]]:
 
 def figures_of_payload(found: PayloadEstimate) -> Iterator[tuple[str, ArrayLike]]:
     """Numbers of a payload."""
-    yield "values", found.values[list(found.told)]
-    yield "sigma", found.sigma[list(found.told)]
+    yield "values", found.values[list(found.identifiable)]
+    yield "sigma", found.sigma[list(found.identifiable)]
     yield "chance", found.chance
 
 
@@ -185,10 +185,10 @@ def _plate() -> Calibration:
 
 
 def _imported() -> Run:
-    made, told = planted("ur5", "any", "two_csv", 11)
+    made, identifiable = planted("ur5", "any", "two_csv", 11)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        files = LAYOUTS["two_csv"](folder, made, raw_signals(made, told), 11)
+        files = LAYOUTS["two_csv"](folder, made, raw_signals(made, identifiable), 11)
         draft = guessed(files.paths, folder, made.tree.names)
         mapping = folder / "mapping.toml"
         mapping.write_text(solve_mapping(draft, mapping, made.tree).draft.text)
@@ -218,7 +218,7 @@ def _motion() -> Excitation:
 
 def _bodies() -> Run:
     asked = experiment(expect={"consistent_to_plain": Bound(at_most=1.5)})
-    asked = asked.model_copy(update={"consistent": Wishes()})
+    asked = asked.model_copy(update={"consistent": ConsistencyOptions()})
     return with_consistent(run_of(robot("puma"), asked=asked))
 
 

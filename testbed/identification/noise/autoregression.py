@@ -74,7 +74,7 @@ def prediction_errors(coefficients: Array) -> Array:
     return np.concatenate([np.ones((*coefficients.shape[:-1], 1)), -coefficients], axis=-1)
 
 
-def unforetold(moments: Array, coefficients: Array) -> Array:
+def innovation_variance(moments: Array, coefficients: Array) -> Array:
     """Sums of the squares of u, (...,).
 
     Args:
@@ -96,7 +96,7 @@ def best_order(moments: Array, rows: int, highest: int = HIGHEST) -> int:
     """
     scores = []
     for order in range(1, highest + 1):
-        left = np.maximum(unforetold(moments, fit(moments, order)), np.finfo(float).tiny)
+        left = np.maximum(innovation_variance(moments, fit(moments, order)), np.finfo(float).tiny)
         scores.append(rows * np.log(left).sum() + 2 * order * len(moments))
     return 1 + int(np.argmin(scores))
 

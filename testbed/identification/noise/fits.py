@@ -31,10 +31,10 @@ from testbed.identification.noise.autoregression import (
     Autoregression,
     best_order,
     fit,
-    unforetold,
+    innovation_variance,
 )
 from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
-from testbed.identification.noise.scaled import inverse_and_solution
+from testbed.identification.regression.scaled import inverse_and_solution
 
 ROUNDS = 4
 """Times that noise and unknowns are found in turns: what is left to go is 1 % of sigma."""
@@ -242,7 +242,7 @@ def _from_covariances(covariances: Array, order: int) -> Autoregression:
     lag = np.abs(np.subtract.outer(np.arange(order + 1), np.arange(order + 1)))
     moments = covariances[:, lag]
     coefficients = fit(moments, order)
-    left = unforetold(moments, coefficients)
+    left = innovation_variance(moments, coefficients)
     return Autoregression(coefficients, np.sqrt(np.maximum(left, 0.0)))
 
 

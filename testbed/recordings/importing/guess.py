@@ -55,8 +55,8 @@ def guessed(paths: Sequence[Path], folder: Path, joints: Sequence[str] = ()) -> 
         listed = ", ".join(f"'{path}'" for path in paths)
         raise RecordingError(f"no columns of numbers in {listed}")
     signals = likely_signals(sources, joints)
-    told = {each.source.name: each.source for each in signals.values()}
-    sources = [told.get(each.name, each) for each in sources]
+    by_name = {each.source.name: each.source for each in signals.values()}
+    sources = [by_name.get(each.name, each) for each in sources]
     files = ", ".join(printable(path.name, 100) for path in paths)
     draft = Draft().remarking(
         "",

@@ -107,8 +107,8 @@ def by_file(source: LikelySource) -> LikelySource:
         source: As its columns' names tell it.
     """
     kind = read_name(source.file.name.partition(".")[0]).kind
-    told = any(says_signal(word) for column in source.columns for word in column.words)
-    if kind not in KINDS or told:
+    assigned = any(says_signal(word) for column in source.columns for word in column.words)
+    if kind not in KINDS or assigned:
         return source
     columns = (
         replace(each, kind=kind) if each.unit is None and each.role is None else each
@@ -142,8 +142,8 @@ def in_order(source: LikelySource, joints: int) -> LikelySource:
         roles += [("wrench", divmod(k, 3)) for k in range(6) if "wrench" in rest]
         if len(roles) == len(names):
             pairs = zip(source.columns, roles, strict=True)
-            told = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
-            return replace(source, columns=tuple(told))
+            assigned = [replace(column, kind=kind, role=role) for column, (kind, role) in pairs]
+            return replace(source, columns=tuple(assigned))
     return source
 
 

@@ -104,11 +104,11 @@ def load_appearance(tree: Tree, model: ModelFile | None = None) -> Appearance:
     Raises:
         ModelError: The file cannot be read.
     """
-    drawn = DrawnShapes(())
+    drawing = DrawnShapes(())
     if model is not None:
-        drawn = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
-    shapes = drawn.shapes or tuple(sticks(tree))
-    return Appearance(tree, _with_plate(tree, shapes), drawn.diagnostics)
+        drawing = load_shapes(model.path, tree, weld_root=model.weld_root, lock=model.lock)
+    shapes = drawing.shapes or tuple(sticks(tree))
+    return Appearance(tree, _with_plate(tree, shapes), drawing.diagnostics)
 
 
 def _with_plate(tree: Tree, shapes: tuple[Shape, ...]) -> tuple[Shape, ...]:

@@ -1,0 +1,170 @@
+"""What residuals show: faults of the instrument, repetition, offsets, and noise of the encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy import special
+
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose, phrase
+from testbed.errors import few
+from testbed.identification.estimate import Estimate
+from testbed.identification.noise.noise_model import NoiseModel
+from testbed.identification.sensor.encoders import (
+    ECCENTRICITY,
+    ENCODER_DELAYS,
+    ENCODER_GAINS,
+    JOINT_ZEROS,
+    SAMPLING,
+)
+
+FALSE_ALARMS = 1e-6
+"""Nominal probability of a diagnostic of a recording without any fault, all its tests together. It
+is small since noise need not be what the model of it says: of poor encoders it grows with the
+robot's inertia."""
+
+FILTERED = 1e-5
+"""Part of the largest signal that the filters may leave of a perfect recording."""
+
+NAMED = 3
+"""Most causes, and most numbers of a cause, that are named."""
+
+OF_ENCODERS = (JOINT_ZEROS, ENCODER_GAINS, ENCODER_DELAYS, ECCENTRICITY, SAMPLING)
+"""Faults that spoil estimates by torques as well."""
+
+TINY = float(np.finfo(float).tiny)
+"""Least chance that has a number of standard deviations."""
+
+LIKE_TILT = {"crosstalk", "gains", "pose"}
+"""Kinds whose effects the weight on a plate that is not level resembles."""
+
+SMALL_CHANCE = 1e-3
+"""Probability below which what is found is not taken for chance."""
+
+DRIFT = 0.5
+"""Part of a recording over which the noise of a channel is correlated, and is a drift."""
+
+
+def fault_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
+    """What the residuals hold that is no noise.
+
+    Args:
+        estimate: With its tests, the clearest first.
+    """
+    tests = estimate.trace_tests
+    if not noisy(estimate):
+        return
+    clear = [test for test in tests if test.chance * len(tests) < FALSE_ALARMS]
+    if not clear:
+        yield from _repetition(estimate)
+        return
+    best, kinds = clear[0], [test.nuisance.kind for test in clear[:NAMED]]
+    yield diagnose(
+        f"sensor.{best.nuisance.kind}",
+        "the plate's residuals",
+        best.shift,
+        significance=float(-special.ndtri(max(best.chance / 2, TINY))),
+        method="" if best.nuisance in OF_ENCODERS else "external",
+        causes=[*kinds, *["level"] * bool(LIKE_TILT & {*kinds}), "unmodelled-load"],
+        chance=chance_text(best.chance),
+        cause=phrase(best.nuisance.kind),
+        kind=best.nuisance.kind,
+        size=", ".join(best.largest(NAMED)),
+        parameter=best.parameter,
+    )
+
+
+def noisy(estimate: Estimate) -> bool:
+    """Whether residuals are more than what the filter on positions takes from the motion.
+
+    Args:
+        estimate: Of either method.
+    """
+    rms = estimate.normal_equations.rms
+    return bool(np.any(estimate.residual > FILTERED * rms.max(initial=0.0)))
+
+
+def noise_diagnostics(estimate: Estimate) -> Iterator[Diagnostic]:
+    """What offsets, slow noise and noise of the encoders do to an estimate.
+
+    Args:
+        estimate: With what its noise is like.
+    """
+    noise = estimate.noise
+    if noise is None:
+        return
+    if noise.noise_limited:
+        yield diagnose("encoder.noise", few(noise.noise_limited), method=estimate.method)
+    if noise.steps_matter:
+        steps = zip(estimate.joints, noise.least_counts, strict=True)
+        coarse = few([f"'{name}' ({count:.3g} a step)" for name, count in steps if count])
+        share = min(noise.by_counts, 1.0)
+        yield diagnose("encoder.resolution", coarse, share, method=estimate.method)
+    hidden, verb = ", ".join(noise.hidden), "is" if len(noise.hidden) == 1 else "are"
+    if noise.bias_chance <= SMALL_CHANCE:
+        constants = zip(
+            estimate.channels, estimate.channel_units, noise.bias, noise.bias_sigma, strict=True
+        )
+        yield diagnose(
+            "plate.offset",
+            "the plate",
+            method="external",
+            constants=", ".join(
+                f"{channel} {value:.3g} +- {sigma:.2g} {unit}"
+                for channel, unit, value, sigma in constants
+                if sigma > 0 and abs(value) > 2 * sigma
+            ),
+            hidden=hidden,
+            verb=verb,
+        )
+    elif any(_slow(noise)) and noise.hidden:
+        memories = zip(estimate.channels, noise.memory, _slow(noise), strict=True)
+        slow = ", ".join(
+            f"{channel} ({time:.2g} s)" for channel, time, is_slow in memories if is_slow
+        )
+        yield diagnose(
+            "plate.drift", "the plate", method="external", channels=slow, hidden=hidden, verb=verb
+        )
+
+
+def zero_unknown(noise: NoiseModel | None) -> tuple[str, ...]:
+    """Parameters that are not identifiable beside the plate's zero, where that is off or drifts.
+
+    Args:
+        noise: What the residuals are like.
+    """
+    if noise is None:
+        return ()
+    known = noise.bias_chance > SMALL_CHANCE and not any(_slow(noise))
+    return () if known else noise.hidden
+
+
+def chance_text(chance: float) -> str:
+    """A probability as a person reads it."""
+    return f"chance {chance:.0e}" if chance > 1e-99 else "chance below 1e-99"
+
+
+def _slow(noise: NoiseModel) -> list[bool]:
+    """Of each channel, whether it wanders so slowly that its constant rests on nothing."""
+    return [memory > DRIFT * noise.span for memory in noise.memory]
+
+
+def _repetition(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Residuals that repeat with the motion, for a cause that was not tested for."""
+    noise = estimate.noise
+    found = None if noise is None else noise.repetition
+    if noise is None or found is None or found.chance > FALSE_ALARMS:
+        return
+    share, channel = max(zip(found.share, estimate.channels, strict=True))
+    first = ["encoder-steps"] * noise.steps_matter
+    yield diagnose(
+        "estimate.repetition",
+        "the plate's residuals",
+        share,
+        method="external",
+        causes=[*first, "elastic", "hoses", "encoder-errors", "unmodelled-load"],
+        period=found.period,
+        chance=chance_text(found.chance),
+        channel=channel,
+    )

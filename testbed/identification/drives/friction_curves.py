@@ -1,0 +1,200 @@
+"""Friction torque as a curve over velocity, with a band: no law is assumed.
+
+The curve is straight between nodes, one curve for each direction of motion; the torque at a node is
+the coefficient of a law of its own, so that filters, weights and sigma are those of every law.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.identification.drives.joint_regression import (
+    JointRegression,
+    regressions,
+    torques_beside,
+)
+from testbed.identification.estimate import Estimate
+from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.parameters.joint_terms import DriveSet
+from testbed.robot.friction import ROTOR, JointLaw
+from testbed.robot.tree import Tree
+
+NODES = (
+    0.0,
+    0.03,
+    0.06,
+    0.1,
+    0.15,
+    0.2,
+    0.3,
+    0.45,
+    0.7,
+    1.0,
+    1.4,
+    2.0,
+    2.8,
+    4.0,
+    5.6,
+    8.0,
+    11.0,
+    16.0,
+)
+"""Speeds of the nodes [rad/s or m/s]: close where friction changes most."""
+
+LEAST = 4.0
+"""Rows' worth of data that a node needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionCurve:
+    """One joint's friction over velocity.
+
+    Attributes:
+        joint: Its name.
+        speed: Of the nodes, ascending; zero is there twice, for either direction, (m,)
+            [rad/s or m/s].
+        torque: What friction takes there, with the sign of the motion, (m,) [N m or N].
+        sigma: Standard deviations, (m,).
+        constant: What the drive reports over what the torque is.
+        unit: N m or N.
+    """
+
+    joint: str
+    speed: Array
+    torque: Array
+    sigma: Array
+    constant: float
+    unit: str
+
+    def __post_init__(self) -> None:
+        for name in ("speed", "torque", "sigma"):
+            values = getattr(self, name)
+            object.__setattr__(self, name, readonly(values, (len(self.speed),), name))
+
+    def at(self, speed: Array) -> Array:
+        """Friction at speeds, straight between nodes and as at the last ones beyond, (M,).
+
+        Args:
+            speed: (M,) [rad/s or m/s].
+        """
+        if not len(self.speed):
+            return np.zeros_like(speed)
+        found: Array = np.interp(speed, self.speed, self.torque)
+        return found
+
+
+@lru_cache
+def node_law(number: int, direction: int) -> JointLaw:
+    """The law whose coefficient is the torque at a node.
+
+    Args:
+        number: Of the node.
+        direction: Of the motion, 1 or -1.
+    """
+    kind = f"node {'-' if direction < 0 else ''}{number}"
+    return JointLaw(kind, "N m", "N", _hat(number, direction), jumps=True)
+
+
+def _hat(number: int, direction: int) -> Callable[[Any, Any], Any]:
+    places = np.array(NODES)
+    heights = np.eye(len(NODES))[number]
+
+    def column(qd: Any, qdd: Any) -> Any:
+        del qdd
+        forward = direction * np.asarray(qd, dtype=float)
+        return np.where(forward > 0, np.interp(forward, places, heights), 0.0)
+
+    return column
+
+
+LAWS = tuple(node_law(number, way) for way in (1, -1) for number in range(len(NODES)))
+"""Of all nodes, forwards and then backwards."""
+
+
+def friction_curves(problem: Problem, bodies: Estimate) -> tuple[FrictionCurve, ...]:
+    """Friction over velocity, joint by joint, with the torque constant found beside it.
+
+    Args:
+        problem: By joint torques; a rotor's inertia is looked for where it is among the terms.
+        bodies: The external estimate: of this recording or of another.
+
+    Raises:
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    tree = problem.tree
+    rotors = [law for law in problem.settings.laws if law == ROTOR]
+    torques = torques_beside(problem, bodies, (*rotors, *LAWS))
+    nodes = [_nodes_of(j, torques.drives, torques.equations) for j in range(tree.n)]
+
+    def pick(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+        del equations
+        return _straight_between(nodes[joint], joint, drives)
+
+    found = regressions(torques, bodies, pick)
+    return tuple(_curve(tree, each, own) for each, own in zip(found, nodes, strict=True))
+
+
+def _straight_between(nodes: list[tuple[int, int]], joint: int, drives: DriveSet) -> Array:
+    """Torques at the nodes of which there are enough data make those at all; rotors stay."""
+    columns: list[Array] = []
+    place = {term.law: k for k, term in enumerate(drives.asked) if term.joint == joint}
+    for way in (-1, 1):
+        kept = [number for number, each in nodes if each == way]
+        places = np.array(NODES)
+        for column in _straight(places, places[kept]).T:
+            full = np.zeros(len(drives.asked))
+            full[[place[node_law(k, way)] for k in range(len(NODES))]] = column
+            columns.append(full)
+    if ROTOR in place:
+        columns.append(np.eye(len(drives.asked))[place[ROTOR]])
+    return np.array(columns).reshape(-1, len(drives.asked)).T
+
+
+def _nodes_of(joint: int, drives: DriveSet, equations: NormalEquations) -> list[tuple[int, int]]:
+    """Number and direction of the nodes with enough data, backwards first, ascending numbers."""
+    normal, _, _ = equations.of_channel(joint)
+    worth = {}
+    for k, term in enumerate(drives.asked):
+        if term.joint == joint and term.law != ROTOR:
+            column = drives.columns[:, k]
+            worth[term.law] = float(column @ normal @ column)
+    return [
+        (number, way)
+        for way in (-1, 1)
+        for number in range(len(NODES))
+        if worth[node_law(number, way)] >= LEAST
+    ]
+
+
+def _straight(places: Array, nodes: Array) -> Array:
+    """Weights of values at nodes in straight lines through them, and beyond, (len(places), k)."""
+    if len(nodes) < 2:
+        return np.ones((len(places), len(nodes)))
+    at = np.clip(np.searchsorted(nodes, places) - 1, 0, len(nodes) - 2)
+    share = (places - nodes[at]) / (nodes[at + 1] - nodes[at])
+    found, rows = np.zeros((len(places), len(nodes))), np.arange(len(places))
+    found[rows, at], found[rows, at + 1] = 1 - share, share
+    return found
+
+
+def _curve(tree: Tree, found: JointRegression, nodes: list[tuple[int, int]]) -> FrictionCurve:
+    torque, covariance = found.as_they_are
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    speed = np.array([way * NODES[number] for number, way in nodes])
+    order = np.lexsort((np.array([way for _, way in nodes]), speed))
+    joint = tree.joints[found.joint]
+    return FrictionCurve(
+        joint=joint.name,
+        speed=speed[order],
+        torque=torque[order],
+        sigma=sigma[order],
+        constant=float(found.values[0]),
+        unit="N m" if joint.revolute else "N",
+    )

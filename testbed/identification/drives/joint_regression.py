@@ -1,0 +1,268 @@
+"""One joint's reported torque on what its bodies need and its own terms: a short regression.
+
+The bodies are known from the plate; their uncertainty counts in what comes out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from testbed.arrays import Array
+from testbed.blas import one_blas_thread
+from testbed.errors import RecordingError, SettingsError
+from testbed.identification.drives.bodies_covariance import TINY, correct_attenuation, doubt_about
+from testbed.identification.estimate import Estimate
+from testbed.identification.noise.autoregression import HIGHEST
+from testbed.identification.noise.fits import NoiseFit, of_residuals, weighted_fits
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
+from testbed.identification.noise.replicas import Replicas
+from testbed.identification.noise.whitening import counted
+from testbed.identification.problem import Problem
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.passes import Passes
+from testbed.identification.regression.scaled import scaled_inverse, scaled_solve
+from testbed.identification.settings import Settings
+from testbed.parameters.joint_terms import DriveSet
+from testbed.parameters.minimal_set import minimal_set, selection
+from testbed.robot.friction import JointLaw
+from testbed.robot.tree import Tree
+
+ROUNDING = 1e-20
+"""Of a torque's square: what exact data leave."""
+
+
+@dataclass(frozen=True, eq=False)
+class JointRegression:
+    """One joint's.
+
+    Attributes:
+        joint: Index.
+        terms: How its q coefficients make those of the asked terms, (asked, q).
+        values: What the drive reports over what the torque is, then the coefficients as
+            reported, (1 + q,).
+        covariance: (1 + q, 1 + q); it holds that of the bodies.
+        residual: Rms of what is left, as reported [N m or N].
+        noise: What the residual would be, were rows independent of each other and as uncertain as
+            the covariance has it [N m or N].
+        rows: How many counted.
+        reliability: Share of the constant that is left where what the bodies need is not known
+            exactly: it is put back, and below `bodies_doubt.LEAST` there is nothing to put back.
+    """
+
+    joint: int
+    terms: Array
+    values: Array
+    covariance: Array
+    residual: float
+    noise: float
+    rows: int
+    reliability: float = 1.0
+
+    @property
+    def as_they_are(self) -> tuple[Array, Array]:
+        """The coefficients in true torque, (q,), and their covariance, (q, q)."""
+        constant, terms = float(self.values[0]), self.values[1:] / self.values[0]
+        slope = np.column_stack([-terms / constant, np.eye(len(terms)) / constant])
+        return terms, slope @ self.covariance @ slope.T
+
+
+Pick = Callable[[int, DriveSet, NormalEquations], Array]
+"""How the coefficients of a joint's regression make those of the asked terms, (asked, q): of its
+index, the set and the equations."""
+
+
+def all_terms(joint: int, drives: DriveSet, equations: NormalEquations) -> Array:
+    """Every term of the joint has a coefficient.
+
+    Args:
+        joint: Its index.
+        drives: The terms.
+        equations: Of all rows.
+    """
+    del equations
+    own = [k for k, term in enumerate(drives.asked) if term.joint == joint]
+    return np.eye(len(drives.asked))[:, own]
+
+
+@dataclass(frozen=True, eq=False)
+class Torques:
+    """A recording's joint torques beside what a plate's estimate says of the bodies.
+
+    Attributes:
+        drives: The unknowns.
+        passes: Over the rows.
+        equations: Of all rows.
+        lift: How the plate's parameters make the unknowns, (p, N_r).
+        combined: How unknowns combine to the columns of a regression, (p, 1 + asked): the
+            torque that the bodies need, and the terms.
+    """
+
+    drives: DriveSet
+    passes: Passes
+    equations: NormalEquations
+    lift: Array
+    combined: Array
+
+
+def torques_beside(
+    problem: Problem, bodies: Estimate, laws: Sequence[str | JointLaw] | None = None
+) -> Torques:
+    """A recording's joint torques, ready for regressions.
+
+    Args:
+        problem: By joint torques.
+        bodies: The external estimate: of this recording or of another.
+        laws: Of the joints' own torque; default those of the settings.
+
+    Raises:
+        SettingsError: The estimate is not the plate's, or not of these parameters.
+    """
+    if problem.tree.shafts:
+        raise SettingsError(
+            "joints are held against the plate one by one, and robot.coupling joins some: "
+            'leave identification.drives "off"'
+        )
+    terms = problem.settings.words if laws is None else laws
+    problem = problem.with_settings(terms=terms, weights="channels")
+    assert problem.drives is not None, "terms are those of joint torques"
+    lift = _lift(problem.tree, bodies, problem.drives, problem.settings)
+    passes = problem.passes(3)
+    with one_blas_thread():
+        equations = problem.equations(passes)
+    combined = np.column_stack([lift @ bodies.values, problem.drives.columns])
+    return Torques(problem.drives, passes, equations, lift, combined)
+
+
+def regressions(
+    torques: Torques, bodies: Estimate, pick: Pick = all_terms
+) -> tuple[JointRegression, ...]:
+    """Every joint's regression, with an honest covariance.
+
+    Args:
+        torques: And what the bodies need.
+        bodies: The external estimate.
+        pick: Which terms each joint has.
+
+    Raises:
+        RecordingError: The rows of a joint do not tell its numbers apart.
+    """
+    drives, equations = torques.drives, torques.equations
+    n = len(equations.channels)
+    picked = [pick(joint, drives, equations) for joint in range(n)]
+    own = [block_diag(1.0, terms) for terms in picked]
+    for joint, each in enumerate(own):
+        _refuse_dependent(equations, joint, torques.combined @ each)
+    with one_blas_thread():
+        fits = _fits(torques.passes, torques.combined, own)
+    found = []
+    for joint, (fit, squares) in enumerate(fits):
+        lead = torques.combined @ own[joint]
+        used = int(equations.used[joint])
+        residual = float(np.sqrt(squares / max(used, 1)))
+        normal, _, _ = equations.of_channel(joint)
+        plain = np.diagonal(scaled_inverse(lead.T @ normal @ lead))
+        noise = float(np.sqrt(np.mean(np.diagonal(fit.covariance) / plain)))
+        undone = correct_attenuation(
+            fit, lead.T @ normal @ lead, doubt_about(normal, torques.lift, bodies)
+        )
+        moved = undone.slope @ _by_bodies(equations, joint, lead, torques.lift, undone.values)
+        found.append(
+            JointRegression(
+                joint=joint,
+                terms=picked[joint],
+                values=undone.values,
+                covariance=undone.covariance + moved @ bodies.covariance @ moved.T,
+                residual=residual,
+                noise=max(noise, residual),
+                rows=used,
+                reliability=undone.reliability,
+            )
+        )
+    return tuple(found)
+
+
+def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> None:
+    """Columns of a joint's regression, combined by `lead`, (p, q), that hang together."""
+    normal, _, _ = equations.of_channel(joint)
+    products = lead.T @ normal @ lead
+    size = np.sqrt(np.diagonal(products))
+    spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
+    if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
+        raise RecordingError(
+            f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not tell "
+            f"its torque constant and {len(size) - 1} numbers of its friction and rotor apart: "
+            "record longer, or a richer motion of it"
+        )
+
+
+def _lift(tree: Tree, bodies: Estimate, drives: DriveSet, settings: Settings) -> Array:
+    """How the plate's parameters make the internal unknowns without terms, (p, N_r)."""
+    reaction = minimal_set(tree, "reaction", zeros=settings.zeros)
+    if bodies.method != "external" or bodies.names != reaction.names:
+        raise SettingsError(
+            "drives are held against the plate's estimate, of the same robot, gravity and zeros"
+        )
+    found = np.zeros((drives.count, reaction.count))
+    found[: drives.minimal.count] = selection(drives.minimal, reaction)
+    return found
+
+
+def _fits(passes: Passes, combined: Array, own: Sequence[Array]) -> list[tuple[NoiseFit, float]]:
+    """The regression of every joint, sigma corrected by bootstrap, and the squares it leaves."""
+    sums = [LaggedSums(HIGHEST) for _ in own]
+    for joint, part in _parts(passes, combined, own):
+        sums[joint].add(part)
+    given = [each.finish() for each in sums]
+    sizes = [_left(each.products[0, 0]) for each in given]
+    scaled = [_in_units(each, size) for each, size in zip(given, sizes, strict=True)]
+    found = [weighted_fits(each)[0] for each in scaled]
+    replicas = [Replicas(fit.noise, each) for fit, each in zip(found, scaled, strict=True)]
+    for joint, part in _parts(passes, combined, own):
+        replicas[joint].add(part[..., :-2] / sizes[joint], part[..., -1])
+    corrected = []
+    for fit, each, made, size in zip(found, scaled, replicas, sizes, strict=True):
+        factor = made.factor(weighted_fits, np.eye(len(fit.values)))
+        squares = _square(each.products[0, 0], fit.values) * size**2
+        corrected.append((replace(fit, covariance=factor**2 * fit.covariance), squares))
+    return corrected
+
+
+def _parts(passes: Passes, combined: Array, own: Sequence[Array]) -> Iterator[tuple[int, Array]]:
+    """Blocks of a joint's rows: its columns, the torque, and ones where a row counts, (1, k, q)."""
+    for columns, measured in passes.rows(combined):
+        ones = counted(columns, measured)
+        for joint, which in enumerate(own):
+            last = np.stack([measured[joint], ones[joint]], axis=1)
+            part = [columns[joint] @ which, last]
+            yield joint, np.concatenate(part, axis=1)[None]
+
+
+def _left(squares: Array) -> float:
+    """Rms of what plain least squares leaves, and next to nothing at least."""
+    m = len(squares) - 2
+    values = scaled_solve(squares[:m, :m], squares[:m, m])
+    count, whole = max(float(squares[m + 1, m + 1]), 1.0), float(squares[m, m])
+    return float(np.sqrt(max(_square(squares, values), ROUNDING * whole, TINY) / count))
+
+
+def _square(squares: Array, values: Array) -> float:
+    return max(float(of_residuals(squares, values)), 0.0)  # but for rounding
+
+
+def _in_units(given: LaggedProducts, size: float) -> LaggedProducts:
+    """Columns and torques in units of what is left."""
+    columns = given.products.shape[2]
+    return given.combined(np.diag([*np.full(columns - 1, 1 / size), 1.0]))
+
+
+def _by_bodies(
+    equations: NormalEquations, joint: int, lead: Array, lift: Array, values: Array
+) -> Array:
+    """How a joint's numbers move with the plate's parameters, (q, N_r)."""
+    normal, _, _ = equations.of_channel(joint)
+    across = lead.T @ normal
+    return np.asarray(-values[0] * scaled_solve(across @ lead, across @ lift))

@@ -1,0 +1,114 @@
+"""What an estimate says, without the data that it was made from; and the rows that it is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.errors import SettingsError, components, few
+from testbed.identification.estimate import Estimate, Method
+from testbed.identification.problem import Problem, set_of
+from testbed.identification.sensor.correction import lastingly_corrected
+from testbed.recordings.source import Source
+from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateSummary:
+    """What an estimate says, without the data that it was made from.
+
+    Attributes:
+        method: "external" or "internal".
+        names: Of the parameters, (p,).
+        values: (p,).
+        covariance: (p, p).
+        gravity: That was assumed, (3,) [m/s^2], bedplate frame.
+        residual: Rms of the estimate's own residuals, (channels,) [N, N m].
+        nuisances: Numbers of the instrument that were estimated, by name, such as "pose/rx".
+        zero_unknown: Whether some parameters are not identifiable, the plate's zero being unknown.
+    """
+
+    method: Method
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    gravity: Array
+    residual: Array
+    nuisances: Mapping[str, float]
+    zero_unknown: bool = False
+
+    def __post_init__(self) -> None:
+        p = len(self.names)
+        shapes: dict[str, tuple[int | None, ...]] = {
+            "values": (p,),
+            "covariance": (p, p),
+            "gravity": (3,),
+            "residual": (None,),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, readonly(getattr(self, name), shape, name))
+
+
+def summary_of(estimate: Estimate) -> EstimateSummary:
+    """What an estimate says.
+
+    Args:
+        estimate: With its data.
+    """
+    return EstimateSummary(
+        method=estimate.method,
+        names=estimate.names,
+        values=estimate.values,
+        covariance=estimate.covariance,
+        gravity=estimate.gravity,
+        residual=estimate.residual,
+        nuisances={each.name: each.value for each in estimate.nuisances},
+        zero_unknown=bool(estimate.unidentifiable),
+    )
+
+
+def check_parameters(problem: Problem, said: EstimateSummary) -> None:
+    """Whether an estimate is of a problem's parameters.
+
+    Args:
+        problem: Another recording of the robot.
+        said: The estimate.
+
+    Raises:
+        SettingsError: It is of other parameters, or was made under another gravity.
+    """
+    tree, minimal, names = problem.tree, problem.minimal, problem.names
+    then = set_of(tree.with_gravity(said.gravity), said.method, problem.settings)
+    if not (minimal.count == then.count and np.allclose(minimal.matrix, then.matrix)):
+        raise SettingsError(
+            f"the estimate was made under gravity {components(said.gravity)}, the recording has "
+            f"{components(tree.gravity)} m/s^2: other combinations of parameters count there"
+        )
+    if names != said.names:
+        extra = [name for name in said.names if name not in names]
+        lacking = [name for name in names if name not in said.names]
+        phrases = [f"{few(extra)} are not among them"] if extra else []
+        phrases += [f"it lacks {few(lacking)}"] if lacking else []
+        raise SettingsError(
+            f"the {said.method} estimate is not of this robot's parameters under these settings: "
+            f"{', and '.join(phrases) or 'they are in another order'}"
+        )
+
+
+def corrected_by(source: Source, tree: Tree, said: EstimateSummary) -> Source:
+    """A recording, faults of the instrument that an estimate has found taken back.
+
+    Those that are of one recording only, the plate's zero and drift, stay.
+
+    Args:
+        source: The recording, of the same instrument.
+        tree: The robot.
+        said: The estimate.
+
+    Raises:
+        UnknownName: The estimate has a number that no instrument has.
+    """
+    return lastingly_corrected(source, tree, said.nuisances)

@@ -1,0 +1,185 @@
+"""What noise of the encoders does to the unknowns' columns, made with noise of the same size.
+
+Columns are made of measured positions and their derivatives. Noise of the encoders is white,
+or they show whole counts; after the filters on positions and on rows what is left of it is known,
+and moves the columns as the joints' coordinates would. Noise that is made stands in for what
+cannot be seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.noise.quantization import Quantization
+from testbed.identification.regression.passes import Columns, motion_rows
+from testbed.identification.regression.windows import Plan
+from testbed.kernel.records import Signals
+
+PER_ROW = 5
+"""Samples of made noise from row to row, at least: slow noise, behind the filter on rows."""
+
+ZEROS = 24
+"""Replicas of errors of whole counts: the spread of what they do is found to 15 %."""
+
+BLOCK = 1024
+"""Samples of made noise that are drawn at once, from a seed of their own."""
+
+SEED = 1997
+"""Of the made noise: the same recording gives the same estimate."""
+
+
+class Made(NamedTuple):
+    """Columns that made noise gives.
+
+    Attributes:
+        columns: Makes those of a window; None for none.
+        width: How many they are.
+    """
+
+    columns: Columns | None
+    width: int
+
+
+NOTHING_MADE = Made(None, 0)
+"""No noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class PositionNoise:
+    """What is wrong with positions, beside what an instrument's faults do to them.
+
+    Attributes:
+        sigma: Standard deviations of white noise, (n,) [rad or m].
+        count: Least counts of encoders that have counts instead, zero for others, (n,) [rad or m].
+    """
+
+    sigma: Array
+    count: Array
+
+    @property
+    def least_counts(self) -> tuple[float, ...]:
+        """Joint by joint; nothing where none has any."""
+        return tuple(map(float, self.count)) if self.count.any() else ()
+
+    def made(self, plan: Plan, combined: Array) -> Made:
+        """What such noise does to combinations of the columns; nothing without noise.
+
+        Args:
+            plan: The rows.
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        if not self.sigma.any():
+            return NOTHING_MADE
+        return Made(NoisyColumns(plan, self, combined), combined.shape[1])
+
+    def again(self, plan: Plan, values: Array) -> Made:
+        """What counts from other zeros do to an estimate's rows; nothing without counts.
+
+        Args:
+            plan: The rows.
+            values: Of the unknowns, (p,).
+        """
+        if not self.count.any():
+            return NOTHING_MADE
+        return Made(QuantizationReplicas(plan, self.count, values), ZEROS)
+
+
+class NoisyColumns:
+    """Noise in columns of rows, window by window, the same for any order of them."""
+
+    def __init__(self, plan: Plan, encoders: PositionNoise, combined: Array) -> None:
+        """Ready for any window.
+
+        Args:
+            plan: The rows.
+            encoders: Their noise.
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        self._plan, self._sigma = plan, np.where(encoders.count > 0, 0.0, encoders.sigma)
+        self._counts = Quantization(plan, encoders.count) if encoders.count.any() else None
+        self._lead = plan.layout.basis @ combined
+        divisors = [d for d in range(1, plan.step + 1) if plan.step % d == 0]
+        stride = max([d for d in divisors if d * PER_ROW <= plan.step], default=1)
+        kernels = np.stack([np.convolve(taps, plan.weights) for taps in plan.taps])
+        middle = kernels.shape[1] // 2
+        self._per_row = plan.step // stride
+        self._kernels = kernels[:, middle % stride :: stride].T * np.sqrt(stride)
+
+    def __call__(self, signals: Signals, first: int) -> Array:
+        """Of a window's rows, (C, rows, q).
+
+        Args:
+            signals: The window's.
+            first: Number of its first row.
+        """
+        noise = self.coordinates(first, signals.number)
+        if self._counts:
+            noise = noise + self._counts.changing(signals, first)
+        return changed(self._plan, at_rows(signals), noise, self._lead)
+
+    def coordinates(self, first: int, count: int) -> Array:
+        """Made noise of positions, velocities and accelerations, filtered, (3, rows, n).
+
+        Args:
+            first: Number of the first row.
+            count: How many rows.
+        """
+        begin = first * self._per_row
+        end = (first + count - 1) * self._per_row + len(self._kernels)
+        white = np.concatenate(
+            [
+                np.random.default_rng([SEED, block]).normal(size=(BLOCK, len(self._sigma)))
+                for block in range(begin // BLOCK, -(-end // BLOCK))
+            ]
+        )[begin % BLOCK :][: end - begin]
+        around = np.lib.stride_tricks.sliding_window_view(white, len(self._kernels), axis=0)
+        made = around[:: self._per_row] @ self._kernels
+        return np.asarray(np.moveaxis(made, 2, 0) * self._sigma)
+
+
+class QuantizationReplicas:
+    """What counts from other zeros do to the rows of an estimate, window by window."""
+
+    def __init__(self, plan: Plan, count: Array, values: Array) -> None:
+        """Ready for any window.
+
+        Args:
+            plan: The rows.
+            count: Least counts, zero for encoders without, (n,) [rad or m].
+            values: Of the unknowns, (p,).
+        """
+        self._plan, self._counts = plan, Quantization(plan, count)
+        self._lead = plan.layout.basis @ values[:, None]
+
+    def __call__(self, signals: Signals, first: int) -> Array:
+        """Of a window's rows, replica by replica, (C, rows, ZEROS)."""
+        del first
+        motion = at_rows(signals)
+        each = [self._counts.lasting(signals, replica) for replica in range(ZEROS)]
+        return np.concatenate([changed(self._plan, motion, e, self._lead) for e in each], axis=2)
+
+
+def at_rows(signals: Signals) -> Array:
+    """Measured positions, velocities and accelerations at the rows, (3, rows, n)."""
+    half = signals.taps.shape[1] // 2
+    around = np.lib.stride_tricks.sliding_window_view(signals.position, 2 * half + 1, axis=0)
+    at = signals.start - half + np.arange(signals.number) * signals.step
+    return np.moveaxis(around[at] @ signals.taps.T, 2, 0)
+
+
+def changed(plan: Plan, motion: Array, noise: Array, lead: Array) -> Array:
+    """By how much noise changes combinations of the columns, to second order, (C, rows, q).
+
+    Args:
+        plan: The rows.
+        motion: Positions, velocities, accelerations, (3, rows, n).
+        noise: Of these, (3, rows, n).
+        lead: How the columns are combined, (P, q).
+    """
+    moved = np.concatenate([motion + noise, motion - noise], axis=1)
+    more, less = np.split(motion_rows(plan, *moved), 2, axis=1)
+    return plan.layout.combined((more - less) / 2, lead)

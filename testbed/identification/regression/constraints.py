@@ -1,0 +1,188 @@
+"""What is known before any data: a total mass, its centre, a gain, any single unknown.
+
+Facts are linear in the unknowns. They are put in exactly, one unknown fewer each; how uncertain
+they are themselves comes back into the covariance afterwards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import SettingsError, UnknownName
+from testbed.identification.regression.total_mass import CENTRE, MASS, centre_of_mass, total_mass
+from testbed.parameters.minimal_set import MinimalSet
+from testbed.robot.tree import Tree
+
+PAYLOAD = "payload/"
+"""Of a payload that one of two recordings carries: no fact about one recording."""
+
+INDEPENDENT = 1e-9
+"""Part of a fact that the others do not say."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearConstraints:
+    """Facts about unknowns x: rows x = values.
+
+    Attributes:
+        names: What is known.
+        rows: (k, m).
+        values: (k,).
+        root: R with R R' the values' covariance, (k, r), for unknowns that make `scale` one.
+        scale: What a fact's doubt grows with, (k, m): of a centre of mass with the mass; of a row
+            of zeros with nothing.
+        reached: What that is of the unknowns so far, (k,).
+    """
+
+    names: tuple[str, ...]
+    rows: Array
+    values: Array
+    root: Array
+    scale: Array
+    reached: Array
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def about(self, unknowns: Sequence[int]) -> LinearConstraints:
+        """The same of some of the unknowns, the others being zero.
+
+        Args:
+            unknowns: Which.
+        """
+        return replace(self, rows=self.rows[:, unknowns], scale=self.scale[:, unknowns])
+
+    def around(self, found: Array) -> LinearConstraints:
+        """About what is still to be added to unknowns.
+
+        Args:
+            found: The unknowns, (m,).
+        """
+        reached = self.reached + self.scale @ found
+        return replace(self, values=self.values - self.rows @ found, reached=reached)
+
+    def doubt(self, added: Array) -> Array:
+        """`root`, as large as the unknowns make it.
+
+        Args:
+            added: To the unknowns so far, (m,).
+        """
+        size = np.abs(self.reached + self.scale @ added)
+        return np.asarray(np.where(self.scale.any(axis=1), size, 1.0)[:, None] * self.root)
+
+
+@dataclass(frozen=True, eq=False)
+class NullSpace:
+    """Unknowns as far as facts leave them free: x = fixed @ values + lead z.
+
+    Attributes:
+        lead: (m, m - k).
+        fixed: (m, k).
+    """
+
+    lead: Array
+    fixed: Array
+
+
+def parse_known(words: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """Value and sigma by name, of words such as mass=20 and gain/Fz=1+-0.001.
+
+    Args:
+        words: As written.
+
+    Raises:
+        SettingsError: A word is not of that form.
+    """
+    found = {}
+    for word in words:
+        name, equals, numbers = word.rpartition("=")
+        value, _, sigma = numbers.partition("+-")
+        try:
+            found[name] = float(value), float(sigma or 0.0)
+        except ValueError:
+            equals = ""
+        if not equals or not name:
+            raise SettingsError(f"--known '{word}': write it as mass=20 or mass=20+-0.01")
+    return found
+
+
+def facts(
+    tree: Tree,
+    minimal: MinimalSet,
+    names: Sequence[str],
+    numbers: Sequence[str],
+    given: Mapping[str, tuple[float, float]],
+) -> LinearConstraints:
+    """Facts about a robot's unknowns and the instrument's numbers after them.
+
+    Args:
+        tree: The robot.
+        minimal: Its minimal parameters.
+        names: Of its unknowns, these first.
+        numbers: Names of the instrument's.
+        given: Value and sigma by name: "mass" [kg], "centre/x" [m], a minimal parameter, or a
+            number.
+
+    Raises:
+        UnknownName: There is no such name.
+        SettingsError: No minimal parameters say it, or facts repeat each other.
+    """
+    unknowns = (*names, *numbers)
+    rows, scale = (np.zeros((len(given), len(unknowns))) for _ in range(2))
+    values, sigmas = np.array(list(given.values())).reshape(-1, 2).T
+    for k, name in enumerate(given):
+        if name == MASS:
+            rows[k, : minimal.count] = total_mass(tree, minimal)
+        elif name.startswith(CENTRE):
+            row = centre_of_mass(tree, minimal, name, float(values[k]))
+            rows[k, : minimal.count], values[k] = row, 0.0
+            scale[k, : minimal.count] = total_mass(tree, minimal)
+        elif name in unknowns:
+            rows[k, unknowns.index(name)] = 1.0
+        elif name.startswith(PAYLOAD):
+            raise SettingsError(
+                f"'{name}': a payload that the robot always carries is a part of its link and "
+                "tells nothing; record the robot without it, too: testbed calibrate WITHOUT "
+                f"--loaded WITH --known {PAYLOAD}mass=1.5"
+            )
+        else:
+            raise UnknownName("known fact", name, (MASS, f"{CENTRE}x", *unknowns))
+    return LinearConstraints(
+        tuple(given), rows, values, np.diag(sigmas), scale, np.zeros(len(given))
+    )
+
+
+def free(given: LinearConstraints) -> NullSpace:
+    """What facts leave free; the unknowns that they settle are those with the largest part.
+
+    Args:
+        given: The facts.
+
+    Raises:
+        SettingsError: One of them follows from the others.
+    """
+    count, size = given.rows.shape
+    rows, right = given.rows.copy(), np.eye(count)
+    pivots: list[int] = []
+    for k in range(count):
+        at = int(np.abs(rows[k]).argmax())
+        if abs(rows[k, at]) <= INDEPENDENT * np.abs(given.rows[k]).max():
+            raise SettingsError(
+                f"'{given.names[k]}' is known twice: it follows from {', '.join(given.names[:k])}"
+            )
+        right[k] /= rows[k, at]
+        rows[k] /= rows[k, at]
+        others = np.arange(count) != k
+        right[others] -= np.outer(rows[others, at], right[k])
+        rows[others] -= np.outer(rows[others, at], rows[k])
+        pivots.append(at)
+    kept = [m for m in range(size) if m not in pivots]
+    lead, fixed = np.zeros((size, len(kept))), np.zeros((size, count))
+    lead[kept, range(len(kept))] = 1.0
+    lead[pivots] = -rows[:, kept]
+    fixed[pivots] = right
+    return NullSpace(lead, fixed)

@@ -1,0 +1,225 @@
+"""Passes over the samples: window by window, on several threads, in constant memory.
+
+Windows and the order in which their answers come are the same whatever the source and the
+number of threads, and so is, to the bit, all that is computed from them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from queue import Empty, SimpleQueue
+from typing import Any, TypeVar
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.regression.survey import Surveyor
+from testbed.identification.regression.windows import Plan, Window
+from testbed.kernel import numpy_engine
+from testbed.kernel.records import Block, Question, Signals, Sums, sensed
+from testbed.recordings.checks import LARGEST, check_times, check_values
+from testbed.recordings.recording import Recording
+
+Progress = Callable[[int, int], None]
+"""Called with samples done and samples in all."""
+
+Columns = Callable[[Signals, int], Array]
+"""Columns of a window's rows, (C, rows, s), of its signals and the number of its first row."""
+
+Answer = TypeVar("Answer")
+
+SMALL = 0.3
+"""Seconds that NumPy may take; longer jobs are worth loading the compiled kernel for."""
+
+PER_SAMPLE, PER_NUMBER = 12e-6, 6e-9
+"""Seconds that NumPy takes for a sample, and more for each number of `Layout.theta`; measured."""
+
+KEPT = 100e6
+"""Bytes of rows that are kept from the first pass to the next: the first ones."""
+
+
+def is_small(plan: Plan) -> bool:
+    """Whether NumPy does the job in the time in which the compiled kernel is loaded."""
+    seconds = PER_SAMPLE + PER_NUMBER * plan.layout.theta.size
+    return plan.source.samples * seconds < SMALL
+
+
+def is_compiled(plan: Plan) -> bool:
+    """Whether the compiled kernel makes a plan's rows."""
+    wanted = plan.engine == "compiled" or (plan.engine == "by size" and not is_small(plan))
+    return wanted and plan.layout.compiles
+
+
+def motion_rows(plan: Plan, q: Array, qd: Array, qdd: Array) -> Array:
+    """Rows of a motion by what makes a plan's, unfiltered, zero where measurements are, (slots, M).
+
+    Args:
+        plan: The rows.
+        q: Positions, (M, n) [rad or m].
+        qd: Velocities, (M, n).
+        qdd: Accelerations, (M, n).
+    """
+    signals = sensed(q, qd, qdd, plan.layout.width)
+    if is_compiled(plan):
+        from testbed.kernel import numba_engine
+
+        work = numba_engine.workspace(plan.layout, signals)
+        made = numba_engine.rows(plan.layout, signals, work)
+    else:
+        made = numpy_engine.rows(plan.layout, signals)
+    return np.concatenate([block.rows for block in made], axis=1)
+
+
+class Passes:
+    """Answers questions about all rows of a plan, pass by pass."""
+
+    def __init__(self, plan: Plan, threads: int | None, progress: Progress, number: int) -> None:
+        """Ready for the first pass.
+
+        Args:
+            plan: The rows.
+            threads: How many to use; default one a processor.
+            progress: Called with samples done and samples in all passes.
+            number: How many passes there will be.
+        """
+        self.number = number
+        self.plan = plan
+        self.compiled = is_compiled(plan)
+        self.threads = max(1, threads or os.cpu_count() or 1) if self.compiled else 1
+        self.progress = progress
+        self.checked = False
+        self.done = 0
+        self.surveyor = Surveyor(plan.source.samples)
+        self._rooms: SimpleQueue[Any] = SimpleQueue()
+        self._kept: dict[int, list[Block]] = {}
+        thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
+        self._rows_kept = KEPT // (plan.layout.rows.slots * 8) if thinned else 0
+
+    def sums(self, question: Question) -> Iterator[Sums]:
+        """The answers of all windows, in order; the first time, what was read is checked."""
+        check, self.checked = not self.checked, True
+        return self._pass(lambda part, window: self._sums(part, window, question, check))
+
+    def rows(self, combined: Array) -> Iterator[tuple[Array, Array]]:
+        """All rows, a block at a time: combined columns, (C, k, q), and measurements, (C, k).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+        """
+        return ((columns, y) for columns, _, y in self.rows_beside(combined, None))
+
+    def rows_beside(
+        self, combined: Array, beside: Columns | None
+    ) -> Iterator[tuple[Array, Array, Array]]:
+        """The same with further columns between the two, (C, k, s).
+
+        Args:
+            combined: How the unknowns' columns are combined, (p, q).
+            beside: Makes the further columns of a window, (C, rows, s).
+        """
+        layout, done = self.plan.layout, 0
+        lead = layout.basis @ combined
+        answers = self._pass(partial(self._rows, beside))
+        for window, (blocks, further) in zip(self.plan.windows(), answers, strict=True):
+            if window.row > done:  # what a gap leaves out counts for nothing, but takes its time
+                none = np.zeros((layout.width, window.row - done, lead.shape[1]))
+                yield none, np.zeros((*none.shape[:2], further.shape[2])), none[..., :0].sum(axis=2)
+            done, first = window.row + window.rows, 0
+            for block in blocks:
+                last = first + block.shape[1]
+                yield (
+                    layout.combined(block, lead),
+                    further[:, first:last],
+                    block[layout.rows.measured],
+                )
+                first = last
+
+    def _pass(self, ask: Callable[[Recording, Window], Answer]) -> Iterator[Answer]:
+        with ThreadPoolExecutor(self.threads) as pool:
+            pending: deque[tuple[Window, Callable[[], Answer]]] = deque()
+            try:
+                for window in self.plan.windows():
+                    part = self.plan.source.part(window.first, window.last)
+                    if self.threads == 1:
+                        pending.append((window, partial(ask, part, window)))
+                    else:
+                        pending.append((window, pool.submit(ask, part, window).result))
+                    if len(pending) > self.threads or self.threads == 1:
+                        yield self._next(pending)
+                while pending:
+                    yield self._next(pending)
+            finally:
+                pool.shutdown(cancel_futures=True)
+
+    def _next(self, pending: deque[tuple[Window, Callable[[], Answer]]]) -> Answer:
+        window, answer = pending.popleft()
+        found = answer()
+        self.done += window.rows * self.plan.step
+        self.progress(self.done, self.number * self.plan.rows * self.plan.step)
+        return found
+
+    def _sums(self, part: Recording, window: Window, question: Question, check: bool) -> Sums:
+        if check:
+            check_times(part.time, "the recording", 1 / self.plan.source.rate, window.first)
+        signals = self.plan.signals(part, window)
+        found = self._answer(signals, window, question)
+        if check:
+            self.surveyor.look(signals, window.first, self.plan.own(window))
+        if check and not found.squares[0] < LARGEST**2:  # what is no number is not
+            check_values(part.columns(), "the recording", window.first)
+        return found
+
+    def _answer(self, signals: Signals, window: Window, question: Question) -> Sums:
+        layout = self.plan.layout
+        if self._keeps(window) or not self.compiled:
+            return numpy_engine.answer(layout, signals, self._blocks(signals, window), question)
+        from testbed.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.sweep(layout, signals, question, work)
+        finally:
+            self._rooms.put(work)
+
+    def _rows(
+        self, beside: Columns | None, part: Recording, window: Window
+    ) -> tuple[list[Array], Array]:
+        signals = self.plan.signals(part, window)
+        none = np.zeros((self.plan.layout.width, window.rows, 0))
+        further = none if beside is None else beside(signals, window.row)
+        return [block.rows for block in self._blocks(signals, window)], further
+
+    def _blocks(self, signals: Signals, window: Window) -> list[Block]:
+        if window.row in self._kept:
+            return self._kept[window.row]
+        found = self._made(signals)
+        if self._keeps(window):
+            self._kept[window.row] = found
+        return found
+
+    def _keeps(self, window: Window) -> bool:
+        return window.row + window.rows <= self._rows_kept
+
+    def _made(self, signals: Signals) -> list[Block]:
+        if not self.compiled:
+            return numpy_engine.rows(self.plan.layout, signals)
+        from testbed.kernel import numba_engine
+
+        work = self._room(signals)
+        try:
+            return numba_engine.rows(self.plan.layout, signals, work)
+        finally:
+            self._rooms.put(work)
+
+    def _room(self, signals: Signals) -> Any:
+        """A workspace that no other thread is using."""
+        from testbed.kernel import numba_engine
+
+        try:
+            return self._rooms.get_nowait()
+        except Empty:
+            return numba_engine.workspace(self.plan.layout, signals)

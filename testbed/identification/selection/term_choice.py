@@ -1,0 +1,170 @@
+"""Which terms the joints' torques have, without a plate: chosen by data that no fit has seen.
+
+Bodies and terms are fitted together, to all parts of a recording but one; that one is foretold. A
+term, of one joint or of a shaft that turns with several, is added if it lessens what is foretold
+wrongly, on average over the parts by more than the standard error of that gain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.blas import one_blas_thread
+from testbed.errors import RecordingError, plural
+from testbed.identification.estimate import Estimate, channel_units
+from testbed.identification.problem import Problem, usual_laws
+from testbed.identification.regression.normal_equations import NormalEquations
+from testbed.identification.regression.weights import noise_weights
+from testbed.identification.selection.candidates import OFFERED, rivals
+from testbed.identification.selection.held_out import HeldOut, Parts, TermChoice, grown, stretches
+from testbed.identification.selection.stribeck_speed import with_stribeck_speed
+from testbed.identification.settings import AUTO, USUAL, Settings
+from testbed.parameters.joint_terms import DriveSet
+from testbed.robot.friction import ROTOR, JointTerm
+
+PARTS = 6
+"""Of a recording."""
+
+ROUNDS = 2
+"""Of a choice: the second knows how much noise the first one leaves."""
+
+FEWEST = 4
+"""Rows of a part for each joint, on average, below which nothing can be chosen."""
+
+
+def with_chosen_terms(settings: Settings, estimates: Iterable[Estimate]) -> Settings:
+    """Settings that say the terms of an estimate, where they left them open.
+
+    Args:
+        settings: Those by which the estimates were made.
+        estimates: By one method or by both.
+    """
+    drives = next((each.drives for each in estimates if each.drives is not None), None)
+    if drives is not None and settings.terms == AUTO:
+        return replace(settings, terms=[term.name(drives.tree) for term in drives.asked])
+    if drives is not None and settings.terms is None:
+        kinds = tuple(dict.fromkeys(term.law.kind for term in drives.asked))
+        return settings if kinds == USUAL else replace(settings, terms=kinds)
+    return settings
+
+
+def with_all_terms(problem: Problem) -> tuple[Problem, TermChoice | None]:
+    """A problem whose settings say all terms, and the evidence where held-out data chose them.
+
+    Args:
+        problem: By either method.
+    """
+    choice = None
+    if problem.method == "external":
+        return problem, choice
+    if problem.settings.terms == AUTO:
+        choice = choose_terms(problem)
+        problem = problem.with_settings(terms=choice.words)
+    return (with_stribeck_speed(problem) if problem.settings.open_speed else problem), choice
+
+
+def choose_terms(problem: Problem) -> TermChoice:
+    """The terms that held-out data choose.
+
+    Args:
+        problem: By joint torques; the terms of its settings do not matter.
+
+    Raises:
+        RecordingError: The recording is too short to be cut into parts.
+    """
+    tree = problem.tree
+    usual = usual_laws(problem.source)
+    laws = tuple(dict.fromkeys((*usual, ROTOR, *OFFERED)))
+    look = _Look(problem.with_settings(terms=laws))
+    count, terms = look.drives.minimal.count, look.drives.terms
+    base = [term for term in terms if term.law in usual]
+    at = {term: count + k for k, term in enumerate(terms)}
+    always = [*range(count), *(at[term] for term in base)]
+    more: list[JointTerm] = []
+    with one_blas_thread():
+        for _ in range(ROUNDS):
+            parts = look.parts([*always, *(at[term] for term in more)])
+            more, growth = grown(
+                parts,
+                always,
+                {term: place for term, place in at.items() if term not in base},
+                lambda term: term.name(tree),
+                lambda one, other: one.joint == other.joint and rivals(one.law, other.law),
+            )
+        before = look.held_out(parts, always)
+        after = look.held_out(parts, [*always, *(at[term] for term in more)])
+    within = [term for term in look.drives.regrouped if term.law == ROTOR]
+    words = tuple(term.name(tree) for term in (*base, *more, *within))
+    return TermChoice(words, growth, before, after, PARTS)
+
+
+def held_out(problem: Problem) -> HeldOut:
+    """What is left of unseen parts with the terms of the settings.
+
+    Args:
+        problem: By joint torques.
+
+    Raises:
+        RecordingError: The recording is too short to be cut into parts.
+    """
+    look = _Look(problem)
+    every = [*range(look.drives.count)]
+    with one_blas_thread():
+        return look.held_out(look.parts(every), every)
+
+
+class _Look:
+    """A recording's rows with the columns of some terms, cut into parts."""
+
+    def __init__(self, problem: Problem) -> None:
+        problem = problem.with_settings(weights="channels")
+        assert problem.drives is not None, "terms are those of joint torques"
+        self.drives: DriveSet = problem.drives
+        self.passes = problem.passes(4)
+        plan = self.passes.plan
+        if plan.rows < FEWEST * PARTS:
+            raise RecordingError(
+                f"the recording gives {plural(plan.rows, 'row')}, too few to foretell "
+                f"{PARTS} parts of it "
+                "from the others; record longer"
+            )
+        self.units = channel_units(problem.tree, problem.method)
+        reach = -(-2 * (len(plan.weights) // 2) // plan.step)
+        self.spans = list(stretches(plan.rows, PARTS, reach))
+        with one_blas_thread():
+            self.equations: NormalEquations = problem.equations(self.passes)
+
+    def parts(self, columns: Sequence[int]) -> Parts:
+        """Products of rows by parts, in units of the noise that a fit of some columns leaves."""
+        weights = noise_weights(self.equations.of_unknowns(columns), None)
+        root = np.sqrt(np.diagonal(weights))
+        size = self.drives.count + 1
+        unseen, near = np.zeros((2, PARTS, size, size))
+        first = 0
+        for every, measured in self.passes.rows(np.eye(self.drives.count)):
+            rows = np.concatenate([every, measured[..., None]], axis=2) * root[:, None, None]
+            for k, (own, beside) in enumerate(self.spans):
+                for found, span in ((unseen[k], own), (near[k], beside)):
+                    low, high = max(span.start - first, 0), max(span.stop - first, 0)
+                    some = rows[:, low:high].reshape(-1, size)
+                    found += some.T @ some
+            first += rows.shape[1]
+        return Parts(unseen, unseen.sum(axis=0) - near)
+
+    def held_out(self, parts: Parts, columns: Sequence[int]) -> HeldOut:
+        """What fits of some columns leave, channel by channel."""
+        values = np.zeros((self.drives.count, PARTS))
+        values[list(columns)] = parts.values(columns).T
+        squares, first = np.zeros(len(self.units)), 0
+        for predicted, measured in self.passes.rows(values):
+            for k, (own, _) in enumerate(self.spans):
+                low, high = max(own.start - first, 0), max(own.stop - first, 0)
+                left = measured[:, low:high] - predicted[:, low:high, k]
+                squares += (left**2).sum(axis=1)
+            first += measured.shape[1]
+        used = self.equations.used
+        residual = np.sqrt(squares / np.maximum(used, 1.0))
+        return HeldOut(self.equations.channels, self.units, self.equations.rms, residual, used)

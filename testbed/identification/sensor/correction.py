@@ -1,0 +1,90 @@
+"""A source of samples with faults of the instrument taken back, part by part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.errors import UnknownName
+from testbed.identification.sensor import clock
+from testbed.identification.sensor.catalogue import NUISANCES
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, segments_of
+from testbed.robot.tree import Tree
+
+Values = Mapping[str, Array]
+"""Numbers of nuisances, by kind."""
+
+
+class Corrected:
+    """A recording as another instrument would have made it, joints in the order of the tree.
+
+    Samples at the ends that a delay leaves without neighbours are left out.
+    """
+
+    def __init__(self, source: Source, values: Values, tree: Tree) -> None:
+        """The same samples, corrected.
+
+        Args:
+            source: As they were measured.
+            values: What is to be taken back.
+            tree: The robot.
+        """
+        self._source, self._values, self._tree = source, values, tree
+        self._ends = clock.reach(float(values["skew"][0]), source.rate) if "skew" in values else 0
+        self.names, self.rate = tree.names, source.rate
+        self.samples = source.samples - 2 * self._ends
+        self.tare, self.facts, self.signals = source.tare, source.facts, source.signals
+        self.senses_kinematics = source.senses_kinematics
+
+    names: tuple[str, ...]
+    samples: int
+    rate: float
+    tare: Array | None
+    facts: Mapping[str, Any]
+    signals: tuple[str, ...]
+    senses_kinematics: bool
+
+    @property
+    def segments(self) -> tuple[tuple[int, int], ...]:
+        """As `segments_of`."""
+        return tuple((a, b - 2 * self._ends) for a, b in segments_of(self._source))
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1, without the truth."""
+        found = self._source.part(first, last + 2 * self._ends).ordered(self._tree)
+        number = np.arange(first, last + 2 * self._ends, dtype=np.float64)
+        time = (number - (self._source.samples - 1) / 2) / self.rate
+        for nuisance in NUISANCES:
+            if nuisance.kind in self._values and nuisance.undo is not None:
+                found = nuisance.undo(found, self._values[nuisance.kind], time)
+        return found.part(self._ends, self._ends + last - first)
+
+
+def lastingly_corrected(source: Source, tree: Tree, numbers: Mapping[str, float]) -> Source:
+    """A recording with an instrument's numbers taken back that were found in another one.
+
+    Those that are of one recording only, the plate's zero and drift, stay.
+
+    Args:
+        source: The recording, of the same instrument.
+        tree: The robot.
+        numbers: By name, such as "pose/rx"; others are as they should be.
+
+    Raises:
+        UnknownName: No instrument has such a number.
+    """
+    parts = {n: n.parts(tree) for n in NUISANCES}
+    known = [part.name for own in parts.values() for part in own]
+    for name in numbers:
+        if name not in known:
+            raise UnknownName("nuisance", name, known)
+    lasting = {
+        nuisance.kind: np.array([numbers.get(part.name, part.right) for part in own])
+        for nuisance, own in parts.items()
+        if not nuisance.passing and any(part.name in numbers for part in own)
+    }
+    return Corrected(source, lasting, tree) if lasting else source
