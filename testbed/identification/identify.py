@@ -31,18 +31,8 @@ from testbed.identification.regression.windows import Plan
 from testbed.identification.ridge import shrink
 from testbed.identification.selection.term_choice import with_all_terms
 from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
-from testbed.identification.sensor.sensor_model import (
-    Side,
-    Start,
-    nuisance_covariance,
-    nuisance_diagnostics,
-    nuisance_estimates,
-    settled,
-    side,
-    trace_tests,
-)
+from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.identification.settings import Settings
-from testbed.kernel.layout import Layout
 from testbed.kernel.records import Question
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.friction import LAWS
@@ -112,38 +102,35 @@ def estimate_of(problem: Problem, doubt: CalibrationCovariance | None = None) ->
         UnseenParameters: As `identify`.
     """
     problem, choice = with_all_terms(problem)
-    said = [*_of_problem(problem)]
-    settings, names = problem.settings, problem.names
+    settings = problem.settings
     if not problem.minimal.names:
         raise SettingsError("identification.zeros leaves no parameter to estimate; name fewer")
     full = settings.joined and settings.covariance is None
 
     @stage("rows and their products")
-    def begin(source: Source) -> Start:
+    def weighted_solution(source: Source) -> LinearFit:
         passes = problem.passes(3 if settings.noise == "ar" else 2, source)
         equations = problem.equations(passes)
         weights = noise_weights(equations, settings.covariance, full)
-        return Start(passes, equations, solve(equations, weights, passes.rows))
+        return LinearFit(passes, equations, solve(equations, weights, passes.rows))
 
     with one_blas_thread():
-        beside = side(problem, doubt)
-        sensor_fit = settled(problem.source, begin, beside)
-        passes, equations, fit = sensor_fit.start
+        model = SensorModel.of(problem, doubt)
+        sensor = gauss_newton(problem.source, weighted_solution, model)
+        passes, equations, linear = sensor.solution
         if settings.noise == "ar":
-            columns = beside.beside(passes.plan, fit.values, sensor_fit.values)
-            found = generalized_least_squares(fit, passes, names, columns)
+            columns = model.columns(passes.plan, linear.values, sensor.values)
+            fit = generalized_least_squares(linear, passes, problem.names, columns)
         else:
-            found = _refined(passes.plan, fit, passes)
-        if not np.isfinite(found.covariance).all():
+            fit = _refined(passes.plan, linear, passes)
+        if not np.isfinite(fit.covariance).all():
             raise RecordingError("the recording holds numbers too large to compute with")
-        plain = _estimate(problem, equations, found)
-        with_sensor = _with_instrument(plain, problem.layout, beside, sensor_fit.values, found)
-        estimate = replace(with_sensor, choice=choice)
-        wrong = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
-    said += [*wrong, *nuisance_diagnostics(beside, sensor_fit), *quality(estimate)]
-    made = shrink(replace(estimate, diagnostics=ordered(said)), settings.ridge)
-    open_zero = {*zero_unknown(made.noise), *beside.beside_zero}
-    return made.without([name for name in made.names if name in open_zero])
+        estimate = _estimate(problem, equations, fit, model, sensor.values)
+        of_data = diagnostics(estimate, problem.tree, passes.surveyor.survey(), problem.tare)
+    every = [*_of_problem(problem), *of_data, *model.diagnostics(sensor), *quality(estimate)]
+    estimate = replace(estimate, choice=choice, diagnostics=ordered(every))
+    zero = {*zero_unknown(estimate.noise), *model.with_unknown_zero}
+    return shrink(estimate, settings.ridge).without([n for n in estimate.names if n in zero])
 
 
 def _of_problem(problem: Problem) -> Iterator[Diagnostic]:
@@ -190,40 +177,38 @@ def _refined(plan: Plan, fit: Fit, passes: Passes) -> GlsFit:
     return GlsFit(fit, values, covariance, squares)
 
 
-def _estimate(problem: Problem, equations: NormalEquations, found: GlsFit) -> Estimate:
+def _estimate(
+    problem: Problem,
+    equations: NormalEquations,
+    fit: GlsFit,
+    model: SensorModel,
+    numbers: Array,
+) -> Estimate:
+    """The fit as an estimate, with the instrument's numbers and what was tested of it."""
     square = equations.squares
+    spread, across = model.covariance(fit)
     return Estimate(
         method=problem.method,
         names=equations.unknowns,
         units=problem.units,
-        values=found.values,
-        sigma=np.sqrt(np.maximum(np.diagonal(found.covariance), 0.0)),  # but for rounding
-        covariance=found.covariance,
+        values=fit.values,
+        sigma=np.sqrt(np.maximum(np.diagonal(fit.covariance), 0.0)),  # but for rounding
+        covariance=fit.covariance,
         gravity=problem.tree.gravity,
         channels=equations.channels,
         channel_units=channel_units(problem.tree, problem.method),
-        residual=np.sqrt(found.squares / np.maximum(equations.used, 1.0)),
-        relative_residual=np.sqrt(found.squares / np.where(square > 0, square, 1.0)),
+        residual=np.sqrt(fit.squares / np.maximum(equations.used, 1.0)),
+        relative_residual=np.sqrt(fit.squares / np.where(square > 0, square, 1.0)),
         samples=tuple(int(n) for n in equations.used),
-        condition=found.fit.condition,
+        condition=fit.fit.condition,
         normal_equations=equations,
         diagnostics=(),
         minimal=problem.minimal,
         drives=problem.drives,
         joints=problem.tree.names,
-        noise=found.noise,
-    )
-
-
-def _with_instrument(
-    estimate: Estimate, rows: Layout, beside: Side, numbers: Array, found: GlsFit
-) -> Estimate:
-    """With the instrument's unknowns, and what was tested of it."""
-    spread, across = nuisance_covariance(beside, found)
-    return replace(
-        estimate,
-        nuisances=nuisance_estimates(beside, numbers, found),
+        noise=fit.noise,
+        nuisances=model.estimates(numbers, fit),
         nuisance_covariance=spread,
         nuisance_cross=across,
-        trace_tests=trace_tests(rows, beside, estimate.names, found),
+        trace_tests=model.tests(problem, fit),
     )
