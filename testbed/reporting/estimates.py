@@ -227,17 +227,13 @@ def payload_table(found: PayloadEstimate) -> Table:
 
 
 def payload_lines(found: PayloadEstimate) -> list[str]:
-    """How much is told, and the centre of mass, a sentence each.
+    """How much is identifiable, and the centre of mass, a sentence each.
 
     Args:
         found: The payload.
     """
-    whole = all(found.identifiable)
-    lines = [
-        "All ten are told."
-        if whole
-        else f"{sum(found.identifiable)} are told alone, and {plural(found.rank, 'combination')} in all."
-    ]
+    count = sum(found.identifiable)
+    lines = [f"{count} of ten are identifiable alone, {plural(found.rank, 'combination')} in all."]
     centre = found.centre
     if centre is not None:
         lines.append(f"Centre of mass: {_place(*centre)}.")

@@ -178,20 +178,10 @@ def test_values_are_frozen_and_those_with_arrays_are_themselves_alone() -> None:
 
 
 def test_what_is_promised_is_there_and_nothing_else() -> None:
-    """What type checkers see of `import testbed` is what can be had."""
-    tree = TREES[HOUSE / "__init__.py"]
-    typed = {
-        (node.module, alias.name)
-        for block in tree.body
-        if isinstance(block, ast.If)
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
-    assert typed == {(home, name) for home, names in tb._HOMES.items() for name in names}
-    assert [name for name in tb.__all__ if not getattr(tb, name).__doc__] == []
+    promised = vars(tb)["__all__"]
+    assert [name for name in promised if not getattr(tb, name).__doc__] == []
     with pytest.raises(AttributeError):
-        _ = tb.nothing
+        getattr(tb, "nothing")  # noqa: B009
 
 
 def test_nothing_names_a_machine_or_a_registry() -> None:
