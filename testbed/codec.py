@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from dataclasses import is_dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -78,7 +79,7 @@ def with_properties(*names: str) -> Any:
     """`__get_pydantic_core_schema__` of a dataclass with properties beside its fields in JSON.
 
     Args:
-        names: Of the properties, numbers or arrays.
+        names: Of the properties: numbers, arrays, dataclasses or tuples of them.
     """
 
     def schema(cls: type, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -97,6 +98,8 @@ def with_properties(*names: str) -> Any:
 def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(each) for each in value]
+    if is_dataclass(value):
+        return encode(value)
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

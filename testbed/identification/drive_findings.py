@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
+from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
 from testbed.identification.combined import Combined, combined
 from testbed.identification.drive_laws import choices, offered
@@ -34,6 +35,8 @@ class DriveFindings(Diagnosed):
     estimates: tuple[DriveEstimate, ...]
     curves: tuple[FrictionCurve, ...]
     combined: Combined
+
+    __get_pydantic_core_schema__ = with_properties("diagnostics")
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

@@ -66,7 +66,7 @@ class Validation(Diagnosed):
     spread: Array
     zero_unknown: bool = False
 
-    __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio")
+    __get_pydantic_core_schema__ = with_properties("relative_residual", "ratio", "diagnostics")
 
     def __post_init__(self) -> None:
         for name in ("signal", "residual", "mean", "noise", "spread"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -101,9 +102,10 @@ def drive_section(
         shown=3,
         caption=(
             f"Bars and bands are {BAND:g} sigma to either side. Torques over "
-            f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants."
+            f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants. "
+            "In the table, digits in brackets are one standard deviation of the last places."
         ),
-        table=drive_table(drives.estimates),
+        table=replace(drive_table(drives.estimates), title=""),
     )
 
 

@@ -50,7 +50,8 @@ COMMANDS = {
     "calibrate": (f"calibrate one.parquet {ROBOT} --zeros --known mass=20 --known gain/Fz=1+-1e-3 "
                   "--out OUT/plate.toml --json",
                   "correlation estimate known matrix matrix_sigma numbers robot"),
-    "drives": (f"drives one.parquet {ROBOT} --zeros --json", "combined curves estimates"),
+    "drives": (f"drives one.parquet {ROBOT} --zeros --json",
+               "combined curves diagnostics estimates"),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
                 "centre chance covariance joint names diagnostics rank sigma told units values"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",

@@ -43,6 +43,7 @@ from testbed.reporting.minimal_sets import (
     print_sets,
 )  # fmt: skip
 from testbed.reporting.motion import print_excitation, print_proof
+from testbed.reporting.section import Table
 from testbed.reporting.terminal import print_estimates, print_run
 from tests.helpers.pages import campaign, excitation, run_named
 from tests.helpers.paths import GOLDEN
@@ -97,6 +98,16 @@ def test_no_number_of_a_run_is_cut_and_the_first_screen_holds_it(
             lines = sum(-(-len(line) // columns) for line in short.splitlines())
             assert lines <= 40 or columns < 100
             assert short.count("warning: ") <= 1
+
+
+@given(WIDTHS)
+def test_a_table_that_is_split_keeps_its_columns_in_order(width: int) -> None:
+    """Those of one name, too, as the errors of two methods have."""
+    cells = [f"{k}.2345678" for k in range(8)]
+    table = Table(["row", *["max z"] * 8], [["one", *cells]], parts=(range(1, 5), range(5, 9)))
+    text = printed(width, output.print_tables, [table])
+    assert re.findall(r"\d\.2345678", text) == cells
+    assert max(map(len, text.splitlines())) <= width
 
 
 @given(WIDTHS, st.sampled_from([("elbow", "wrist"), (LONG, "wrist")]))
