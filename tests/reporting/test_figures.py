@@ -162,15 +162,18 @@ def test_what_is_painted_is_the_nearest_triangle(rng: np.random.Generator) -> No
     assert picture.shape == (90, 100, 4)
     at = np.stack(np.meshgrid(np.arange(100) + 0.5, np.arange(90) + 0.5), axis=-1)
     depth, sure = np.full((4, 90, 100), 1e9), np.ones((90, 100), dtype=bool)
+    steepest = 0.0
     for k, triangle in enumerate(corners):
         edges = np.vstack([triangle[:, :2].T, np.ones(3)])
         share = np.linalg.solve(edges, np.dstack([at, np.ones((90, 100))]).reshape(-1, 3).T)
-        reach = np.linalg.norm(np.linalg.inv(edges)[:, :2], axis=1)[:, None]
+        slopes = np.linalg.inv(edges)[:, :2]  # a pixel is of finer ones, whose depths differ
+        steepest = max(steepest, np.abs(triangle[:, 2] @ slopes).sum())
+        reach = np.linalg.norm(slopes, axis=1)[:, None]
         away = (share / reach).min(axis=0).reshape(90, 100)  # pixels from the edge, inwards
         depth[k][away > 0] = (triangle[:, 2] @ share).reshape(90, 100)[away > 0]
         sure &= np.abs(away) > 0.8
     order = np.sort(depth, axis=0)
-    inside = sure & (order[0] < 1e9) & (order[1] - order[0] > 3)
+    inside = sure & (order[0] < 1e9) & (order[1] - order[0] > steepest)
     assert not picture[sure & (order[0] == 1e9)].any()
     wanted = 255 * colours[depth.argmin(axis=0)]
     np.testing.assert_array_equal(picture[inside][:, :3], wanted[inside])
