@@ -53,7 +53,8 @@ COMMANDS = {
     "drives": (f"drives one.parquet {ROBOT} --zeros --json",
                "combined curves diagnostics estimates"),
     "payload": (f"payload one.parquet other.parquet {ROBOT} --json",
-                "centre chance covariance joint names diagnostics rank sigma told units values"),
+                "centre chance covariance diagnostics identifiable joint names rank sigma units "
+                "values"),
     "payload, rest": (f"payload rest.parquet rest.parquet {ROBOT} --at-rest --json",
                       "payload robot"),
     "report": ("report OUT/run --out OUT/run.html", ""),

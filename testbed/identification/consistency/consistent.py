@@ -173,7 +173,7 @@ def consistent(
         estimates: Of one recording, one a method; what each says of x counts by itself.
         prior: The bodies before the data.
         options: What is asked besides, the prior error a number; default `ConsistencyOptions()`.
-        tried: How it was chosen, if it was (`prior_choice`).
+        tried: How it was chosen, if it was (`prior_weight`).
 
     Raises:
         SettingsError: No bodies obey all that is asked; or the prior error is yet to be chosen.
