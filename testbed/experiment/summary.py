@@ -62,15 +62,15 @@ def headline(run: Run) -> str:
         return f"From {_data(run)} no estimate could be made."
     if run.score is None:
         return residual_line(run.estimates.values())
-    parts = []
+    phrases = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
         by = [f"{percent(x)} {BY[m]}" for m, x in shares.items() if x is not None]
-        parts += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
-    if not parts:
+        phrases += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
+    if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
     where = "an unseen motion of similar speed" if run.validation else "the identified motion"
-    return f"Rms prediction error on {where}: {'; '.join(parts)}{assumed(run)}."
+    return f"Rms prediction error on {where}: {'; '.join(phrases)}{assumed(run)}."
 
 
 def assumed(run: Run) -> str:
@@ -87,7 +87,7 @@ def _parameters(run: Run) -> list[str]:
     """Median error and largest error over sigma of the minimal parameters, by method."""
     if run.score is None:
         return []
-    parts = []
+    phrases = []
     for method, estimate in run.estimates.items():
         errors = run.score.errors[method]
         relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
@@ -95,8 +95,8 @@ def _parameters(run: Run) -> list[str]:
         parts = [] if middle is None else [f"median error {percent(middle)}"]
         parts += [] if most is None else [f"largest error {most:.3g} sigma"]
         if parts:
-            parts.append(f"{estimate.minimal.count} {BY[method]}, {', '.join(parts)}")
-    return [f"Parameters: {'; '.join(parts)}."] if parts else []
+            phrases.append(f"{estimate.minimal.count} {BY[method]}, {', '.join(parts)}")
+    return [f"Parameters: {'; '.join(phrases)}."] if phrases else []
 
 
 def _of_numbers(function: Callable[[Array], Any], values: Array) -> float | None:
@@ -110,7 +110,7 @@ def residual_line(estimates: Iterable[Estimate]) -> str:
     Args:
         estimates: Of one recording.
     """
-    parts = []
+    phrases = []
     for e in estimates:
         own = e.normal_equations
         rest = e.residual * np.sqrt(own.used)
@@ -119,13 +119,13 @@ def residual_line(estimates: Iterable[Estimate]) -> str:
         shares = e.base.sigma[known] / np.abs(e.base.values[known])
         half = f", half of its {len(known)} parameters known to {percent(float(np.median(shares)))}"
         signal = "the wrench" if e.method == "external" else "the joint torques"
-        parts.append(f"{percent(left)} of {signal}{half if known.any() else ''}")
-    return f"Rms residuals: {'; '.join(parts)}."
+        phrases.append(f"{percent(left)} of {signal}{half if known.any() else ''}")
+    return f"Rms residuals: {'; '.join(phrases)}."
 
 
 def _measured(run: Run) -> list[str]:
     """What is left of another motion's signals, noise among it, a sentence for all; or nothing."""
-    parts = []
+    phrases = []
     for method, found in run.validation.items():
         rows = np.sqrt(np.array(found.rows, dtype=float))
         signal, left, allowed = (
@@ -134,8 +134,8 @@ def _measured(run: Run) -> list[str]:
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:
             what = "base wrench with the weight" if method == "external" else "joint torques"
-            parts.append(f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}")
-    return [f"Rms residuals on that motion: {'; '.join(parts)}."] if parts else []
+            phrases.append(f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}")
+    return [f"Rms residuals on that motion: {'; '.join(phrases)}."] if phrases else []
 
 
 def _data(run: Run) -> str:
@@ -145,13 +145,13 @@ def _data(run: Run) -> str:
 
 
 def _found(run: Run) -> str:
-    parts = []
+    phrases = []
     for method, estimate in run.estimates.items():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
         more = f" and {terms} coefficients of the joints" if terms else ""
-        parts.append(f"{SOURCES[method]} tell {count} inertial parameters{more}")
-    parts[0] = parts[0].replace("reaction tell", "reaction tells")
-    return f"From {_data(run)}, {', '.join(parts)}."
+        phrases.append(f"{SOURCES[method]} tell {count} inertial parameters{more}")
+    phrases[0] = phrases[0].replace("reaction tell", "reaction tells")
+    return f"From {_data(run)}, {', '.join(phrases)}."
 
 
 def verdict(run: Run) -> str:
