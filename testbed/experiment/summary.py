@@ -134,7 +134,9 @@ def _measured(run: Run) -> list[str]:
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:
             what = "base wrench with the weight" if method == "external" else "joint torques"
-            phrases.append(f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}")
+            phrases.append(
+                f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}"
+            )
     return [f"Rms residuals on that motion: {'; '.join(phrases)}."] if phrases else []
 
 
