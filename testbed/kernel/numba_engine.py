@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from testbed.parameters.minimal_set import minimal_set
 from testbed.robot.inertia import NOTHING
 from testbed.robot.tree import Joint, Tree
 
+_compiling = Lock()
 _log = logging.getLogger(__name__)
 """Python writes warnings to standard error unless a program says otherwise."""
 
@@ -119,13 +121,15 @@ def _call(*arguments: object) -> None:
     Compiling means millions of Python calls; deep in a stack, where a chunk of frames happens
     to end, each of them may allocate and free one, which takes seconds in all.
     """
-    if compiled.overloads:
-        compiled(*arguments)
-    else:
-        if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
-            _log.warning("compiling the kernel once, about 13 s")
-        with ThreadPoolExecutor(1) as pool:
-            pool.submit(compiled, *arguments).result()
+    if not compiled.overloads:
+        with _compiling:  # threads ask at once
+            if not compiled.overloads:
+                if not any(Path(compiled.stats.cache_path).glob(f"*.{compiled.__name__}-*.nbi")):
+                    _log.warning("compiling the kernel once, about 13 s")
+                with ThreadPoolExecutor(1) as pool:
+                    pool.submit(compiled, *arguments).result()
+                return
+    compiled(*arguments)
 
 
 def _fixed(signals: Signals) -> Signals:
