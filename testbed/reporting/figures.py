@@ -24,7 +24,7 @@ ROW = 13.7
 """Height of a named row [points]."""
 TICK, GAP = 3.5, 3.5
 """Length of a tick, and from there to its label [points]."""
-MOST_TICKS, APART = 6, 34.0
+MOST_TICKS, BETWEEN_TICKS = 6, 34.0
 """Of a horizontal axis, and from one to the next at least [points]."""
 FONT, MIDDLE, NUMBERS, X_LABEL = 9.0, 3.2, 13.8, 27.0
 """Size of letters; from their middle, and from the horizontal axis, to their feet [points]."""
@@ -226,7 +226,7 @@ class Frame:
     @property
     def ticks(self) -> Array:
         """Of the horizontal axis: as many as there is room for their labels."""
-        return self.x.ticks(min(MOST_TICKS, int((self.right - self.left) / APART)))
+        return self.x.ticks(min(MOST_TICKS, int((self.right - self.left) / BETWEEN_TICKS)))
 
     def across(self, values: Array) -> Array:
         """From the figure's left to values [points]."""

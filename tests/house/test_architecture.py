@@ -184,6 +184,14 @@ def test_what_is_promised_is_there_and_nothing_else() -> None:
         getattr(tb, "nothing")  # noqa: B009
 
 
+def test_no_module_gives_one_name_two_meanings() -> None:
+    """If one fails, a constant silently has the value of its namesake further down."""
+    for path in MODULES:
+        targets = [t for n in TREES[path].body if isinstance(n, ast.Assign) for t in n.targets]
+        names = [x.id for t in targets for x in ast.walk(t) if isinstance(x, ast.Name)]
+        assert len(set(names)) == len(names), path
+
+
 def test_nothing_names_a_machine_or_a_registry() -> None:
     texts = [ROOT / name for name in ("README.md", "CHANGELOG.md", "pyproject.toml", ".ci/run")]
     texts += [*MODULES, *(ROOT / "docs").glob("*.md"), *(ROOT / "experiments").rglob("*.*")]
