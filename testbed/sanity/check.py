@@ -85,7 +85,8 @@ def check_recording(
         assessment = assess(tree, source, progress)
         assessment.require(align=align)
         doubts += [each for each in assessment.diagnostics if each.level != "error"]
-    offsets = time_offsets(tree, source)
+    rests = any(each.code == "robot.rest" for each in doubts)
+    offsets = [] if rests else time_offsets(tree, source)  # without a motion there is no delay
     doubts += [
         each.diagnostic(f"{in_mapping(lines)}, or import with --model and --align")
         for each, lines in _alignments(offsets, source)

@@ -21,9 +21,9 @@ from testbed.sanity.instants import Instants
 from testbed.sanity.plate import MIXED, WrenchFit
 from testbed.sanity.remedies import Remedy, in_mapping
 
-RESTS, ROUNDING = 1e-3, 1e-9
-"""Motion of joints below which they rest [rad or m]; part of a value that a filter's rounding
-changes at most."""
+RESTS, NOISE_RESTS, ROUNDING = 1e-3, 1e-2, 1e-9
+"""Motion of joints below which they rest, and below which noise is no motion [rad or m]; part of a
+value that a filter's rounding changes at most."""
 
 RARE, FEWEST, APART = 1e-3, 5, 3
 """Part of the samples, and number, that may be spikes; samples after which one is over."""
@@ -141,9 +141,11 @@ def at_rest(tree: Tree, instants: Instants) -> Iterator[Diagnostic]:
         tree: The robot.
         instants: Of the recording.
     """
-    moved = np.ptp(instants.position, axis=0)[list(own_joints(tree))].max(initial=0.0)
-    wrench = instants.wrench
-    if moved < RESTS and len(own_joints(tree)):
+    position = instants.position[:, list(own_joints(tree))]
+    moved, wrench = np.ptp(position, axis=0).max(initial=0.0), instants.wrench
+    # in a wrong unit noise may be larger: it changes from instant to instant, as no motion does
+    noise = (np.diff(position, axis=0).var(axis=0) > position.var(axis=0)).all()
+    if position.size and moved < (NOISE_RESTS if noise else RESTS):
         yield diagnose("robot.rest", "the robot", moved)
     elif wrench.size and np.ptp(wrench, axis=0).max() <= ROUNDING * np.abs(wrench).max():
         yield diagnose("plate.silent", "the plate", 0.0, wrench=components(wrench[0]))

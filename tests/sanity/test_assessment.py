@@ -285,6 +285,17 @@ def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
     assert made.tree.names[3] in rests.subject
 
 
+@pytest.mark.parametrize("unit", [1.0, np.rad2deg(1.0)])
+def test_of_a_robot_at_rest_nothing_is_said_but_that(unit: float) -> None:
+    """Else noise of its encoders, in degrees, passes for a motion and its mapping is refused."""
+    made = truth("ur5", 305, seconds=8.0, moving=())
+    noise = np.random.default_rng(1).normal(scale=2e-5, size=made.position.shape)
+    q, time = unit * (made.position + noise), np.arange(len(noise)) / RATE
+    recording = tb.Recording(made.tree.names, time, q, made.torque, made.wrench)
+    said = check_recording(made.tree, recording).diagnostics
+    assert [each.code for each in said] == ["robot.rest"]
+
+
 def of_base(size: float, order: tuple[int, ...] = (0, 1, 2, 3)) -> Spoil:
     """The pose of a base in another unit, its quaternion in another order."""
 
