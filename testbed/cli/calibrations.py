@@ -189,7 +189,7 @@ def payload(
         estimate_payload_mass,
         poses_at_rest,
     )
-    from testbed.identification.problem import in_its_gravity
+    from testbed.recordings.geometry import in_its_gravity
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal
 
@@ -201,8 +201,9 @@ def payload(
         with output.Progress("weighing"):
             alone, carrying = (poses_at_rest(tree, source) for source in sources)
             weighed = estimate_payload_mass(tree, alone, carrying, joint)
-        words = {"payload": encode(weighed), "robot": encode(estimate_mass(tree, alone))}
-        lines = shown.weighed_lines(weighed, estimate_mass(tree, alone))
+        whole = estimate_mass(tree, alone)
+        words = {"payload": encode(weighed), "robot": encode(whole)}
+        lines = shown.weighed_lines(weighed, whole)
         output.print_json(words) if as_json else output.print_lines(lines, tree.diagnostics)
         return
     estimates = []

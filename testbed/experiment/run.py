@@ -20,13 +20,13 @@ from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify
-from testbed.identification.problem import in_its_gravity
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.settings import Settings
 from testbed.identification.validate import Validation
 from testbed.recordings.coupled_gear import with_gear
+from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree

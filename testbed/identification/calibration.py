@@ -6,9 +6,8 @@ is a load of known form. What they leave open, a scale above all, has to be know
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,8 +24,7 @@ from testbed.identification.sensor.correction import lastingly_corrected
 from testbed.identification.sensor.estimates import NuisanceEstimate
 from testbed.identification.sensor.matrix import SENSITIVITIES
 from testbed.identification.settings import Settings
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree
 
 UNKNOWN = ("matrix", "bias", "skew")
@@ -79,7 +77,7 @@ class Calibration:
 
 def calibrate(
     tree: Tree,
-    recording: Recording | Source | str | Path | Iterable[Recording],
+    recording: RecordingLike,
     known: Mapping[str, float | Sequence[float]],
     *,
     gravity: ArrayLike | None = None,

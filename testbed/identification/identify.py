@@ -20,7 +20,7 @@ from testbed.identification.diagnostics.diagnosis import diagnostics, quality
 from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units
 from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
-from testbed.identification.problem import Data, Problem
+from testbed.identification.problem import Problem
 from testbed.identification.regression.covariance import ScoreSquares, bin_size, hidden, sandwich
 from testbed.identification.regression.least_squares import Fit
 from testbed.identification.regression.normal_equations import NormalEquations
@@ -34,7 +34,7 @@ from testbed.identification.sensor.calibration_covariance import CalibrationCova
 from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
 from testbed.identification.settings import Settings
 from testbed.kernel.records import Question
-from testbed.recordings.source import Source, segments_of
+from testbed.recordings.source import RecordingLike, Source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 from testbed.stages import stage
@@ -42,7 +42,7 @@ from testbed.stages import stage
 
 def identify(
     tree: Tree,
-    recording: Data,
+    recording: RecordingLike,
     method: Method = "external",
     *,
     zeros: bool | Sequence[str] | None = None,

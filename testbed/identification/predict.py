@@ -16,9 +16,10 @@ from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
 from testbed.errors import RecordingError
 from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.problem import in_its_gravity, tare_of
+from testbed.identification.problem import tare_of
 from testbed.identification.regression.filters import motion_taps
 from testbed.identification.settings import Settings
+from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import term_torque
 from testbed.robot.tree import Tree

@@ -5,10 +5,9 @@ Gravity, gear, base, samples, filters, terms and tare are settled here, once.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -35,16 +34,12 @@ from testbed.parameters.joint_terms import DriveSet
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
 from testbed.recordings.counted import counted
 from testbed.recordings.coupled_gear import is_imported, with_gear
-from testbed.recordings.geometry import check_robot
+from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.measured_base import on_its_base
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source, open_source, segments_of
+from testbed.recordings.source import RecordingLike, Source, open_source, segments_of
 from testbed.robot.friction import OFFSET, JointLaw
 from testbed.robot.tree import Tree
 from testbed.stages import stage
-
-Data = Recording | Source | str | Path | Iterable[Recording]
-"""A recording in memory, or a Parquet file's path, or parts in the order of time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +67,7 @@ class Problem:
     def of(
         cls,
         tree: Tree,
-        recording: Data,
+        recording: RecordingLike,
         method: Method,
         settings: Settings | None = None,
         *,
@@ -185,7 +180,7 @@ class Problem:
         return gather(self.layout, self.names, self.channels, sums)
 
 
-def samples_of(recording: Data, settings: Settings) -> Source:
+def samples_of(recording: RecordingLike, settings: Settings) -> Source:
     """The samples of a recording, or of several, that count.
 
     Args:
@@ -233,17 +228,6 @@ def check_source(source: Source, tree: Tree, method: Method) -> None:
     raise RecordingError(
         f"the recording has no {SIGNAL_OF[method]}, which the {method} method needs{advice}"
     )
-
-
-def in_its_gravity(tree: Tree, source: Source, gravity: ArrayLike | None = None) -> Tree:
-    """The robot under the gravity that was given, or else the recording's, or the model file's.
-
-    Args:
-        tree: The robot.
-        source: A recording; it may say its gravity.
-        gravity: (3,) [m/s^2], bedplate frame, or None.
-    """
-    return tree.with_gravity(source.facts.get("gravity") if gravity is None else gravity)
 
 
 def tare_of(tree: Tree, source: Source) -> Array:

@@ -31,11 +31,12 @@ from testbed.identification.estimate_summary import (
     corrected_by,
     summary_of,
 )
-from testbed.identification.problem import Data, Problem
+from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.settings import Settings
+from testbed.recordings.source import RecordingLike
 from testbed.robot.tree import Tree
 
 LIMIT = 2.0
@@ -116,7 +117,7 @@ class Validation(Diagnosed):
 
 def validate(
     tree: Tree,
-    recording: Data,
+    recording: RecordingLike,
     estimate: Estimate | EstimateSummary,
     *,
     gravity: ArrayLike | None = None,

@@ -1,4 +1,4 @@
-"""Of which robot a recording is: what it keeps of the robot's geometry, and the comparison."""
+"""Of which robot a recording is, and under which gravity: what it keeps, and the comparison."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from testbed.errors import RecordingError
 from testbed.robot.tree import Tree
@@ -70,3 +71,14 @@ def _same(there: Any, here: Any) -> bool:
     if np.shape(there) != np.shape(here):
         return False
     return bool(np.abs(np.subtract(there, here)).max() <= TOLERANCE)
+
+
+def in_its_gravity(tree: Tree, source: Described, gravity: ArrayLike | None = None) -> Tree:
+    """The robot under the gravity that was given, or else the recording's, or the model file's.
+
+    Args:
+        tree: The robot.
+        source: A recording; it may say its gravity.
+        gravity: (3,) [m/s^2], bedplate frame, or None.
+    """
+    return tree.with_gravity(source.facts.get("gravity") if gravity is None else gravity)

@@ -53,6 +53,10 @@ class Source(Protocol):
         """Samples `first` to `last` - 1, without the truth."""
 
 
+RecordingLike = Recording | Source | str | Path | Iterable[Recording]
+"""A recording in memory, or a Parquet file's path, or parts in the order of time."""
+
+
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """A stretch of a source, which is a source.
@@ -123,7 +127,7 @@ def segments_of(source: Source) -> tuple[tuple[int, int], ...]:
     return found
 
 
-def open_source(what: Recording | Source | str | Path | Iterable[Recording]) -> Source:
+def open_source(what: RecordingLike) -> Source:
     """Samples from memory, from a file that stays where it is, or from parts in turn.
 
     Args:

@@ -18,7 +18,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, Level, sentences
 from testbed.errors import RecordingError
-from testbed.recordings.geometry import check_robot
+from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.source import Source
 from testbed.robot.rotations import from_rpy
 from testbed.robot.tree import Tree
@@ -135,7 +135,7 @@ def assess(tree: Tree, source: Source, progress: Progress | None = None) -> Asse
         RecordingError: It is of another robot.
     """
     check_robot(source, tree)
-    tree = tree.with_gravity(source.facts.get("gravity"))
+    tree = in_its_gravity(tree, source)
     first = max(0, (source.samples - MOST_SAMPLES) // 2)
     part = source.part(first, min(source.samples, first + MOST_SAMPLES)).ordered(tree)
     odd = tuple(spikes(part))

@@ -19,7 +19,7 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.identification.regression.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
-from testbed.recordings.geometry import check_robot
+from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
@@ -125,7 +125,7 @@ def time_offsets(tree: Tree, source: Source) -> list[TimeOffset]:
         RecordingError: It is of another robot.
     """
     check_robot(source, tree)
-    tree = tree.with_gravity(source.facts.get("gravity"))
+    tree = in_its_gravity(tree, source)
     most = int(MOST_INSTANTS * max(1, source.rate / FINE))
     first = max(0, (source.samples - most) // 2)
     part = source.part(first, min(source.samples, first + most)).ordered(tree)

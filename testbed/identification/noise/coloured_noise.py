@@ -122,7 +122,7 @@ def generalized_least_squares(
     noise = replace(
         _found_noise(passes, answer, factor, back, bias),
         hidden=_large(answer.hidden[:, :m] @ units.lead.T, names),
-        noise_limited=_drowned(answer.alone, units.lead[:p], names),
+        noise_limited=_noise_limited(answer.alone, units.lead[:p], names),
         least_counts=encoders.least_counts,
         by_counts=share,
         repetition=repeated.found() if repeated else None,
@@ -257,7 +257,7 @@ def _large(part: Array, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(n for n, seen in zip(names, large.any(axis=0), strict=False) if seen)
 
 
-def _drowned(
+def _noise_limited(
     found: AttenuationCorrection | None, lead: Array, names: tuple[str, ...]
 ) -> tuple[str, ...]:
     """Parameters that noise of the encoders hides, of unknowns that make them up, (p, m)."""

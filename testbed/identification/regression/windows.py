@@ -167,13 +167,12 @@ def make_plan(source: Source, layout: Layout, tare: Array, settings: Settings) -
         source: The samples.
         layout: The robot's rows.
         tare: What is taken off the plate's wrench, (6,) [N, N m].
-        settings: How to treat the signals.
+        settings: How to treat the signals; filters fit the sampling rate (`Settings.fitted`).
 
     Raises:
         RecordingError: The recording is too short, or sampled too slowly.
     """
     rate, sensed = source.rate, source.senses_kinematics
-    settings = settings.fitted(rate)
     slow, position = settings.row_low_pass, None if sensed else settings.position_low_pass
     fast = [cutoff for cutoff in (slow, position) if cutoff is not None and cutoff >= rate / 2]
     if fast:
