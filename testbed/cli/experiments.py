@@ -56,8 +56,7 @@ def run(
     from testbed.errors import RecordingError
     from testbed.experiment.carry_out import carry_out
     from testbed.experiment.experiment import Experiment
-    from testbed.experiment.results import result_of
-    from testbed.experiment.run_folder import check_folder, default_folder
+    from testbed.experiment.results import check_folder, default_folder, result_of
     from testbed.files import check_writable
     from testbed.reporting import output, terminal
 
@@ -135,9 +134,9 @@ def warmup() -> None:
 
     Example: testbed warmup
     """
+    from testbed.experiment.assumptions import SECOND
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.experiment.trial import SECOND
     from testbed.installation import shipped
     from testbed.kernel.numba_engine import warm_up
     from testbed.reporting import output

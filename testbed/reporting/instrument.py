@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import phrase
-from testbed.experiment.matrix_errors import SAID, matrix_errors
-from testbed.experiment.run import Run
+from testbed.experiment.run import SAID, Run, matrix_errors
 from testbed.identification.calibration import Calibration
 from testbed.identification.estimate import Estimate
 from testbed.identification.estimate_text import number_with_sigma

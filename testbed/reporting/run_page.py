@@ -13,8 +13,8 @@ from testbed.errors import plural
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.predictions import predict
+from testbed.experiment.results import read_run
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import read_run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.experiment.versions import versions
 from testbed.files import replacing

@@ -15,9 +15,8 @@ from testbed.diagnostics.diagnostic import Diagnostic, sentences
 from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
 from testbed.experiment.growth import Growth
-from testbed.experiment.matrix_errors import MatrixErrors, matrix_errors
 from testbed.experiment.predictions import Predictions, predict
-from testbed.experiment.run import Run
+from testbed.experiment.run import MatrixErrors, Run, matrix_errors
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from testbed.experiment.growth import growth
+from testbed.experiment.results import read_run
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import read_run
 from testbed.viewer.log import write_rrd
 from testbed.viewer.scene import scene_of
 from testbed.viewer.show import start_viewer

@@ -12,10 +12,10 @@ import pytest
 
 import testbed as tb
 from testbed.diagnostics.diagnostic import phrase
+from testbed.experiment.carry_out import validated
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
-from testbed.experiment.unseen import validated
 from testbed.identification.estimate import METHODS
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.influence import by_influence
