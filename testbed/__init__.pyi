@@ -104,4 +104,4 @@ from .symbolic.equations import (
     equations as equations,
 )
 from .symbolic.languages import write_equations as write_equations
-from .viewer.view import view as view
+from .viewer.log import view as view

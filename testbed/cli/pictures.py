@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.consistent_files import ConsistentBodies
+from testbed.cli.identifications import ConsistentBodies
 from testbed.cli.options import (
     Lock,
     LockMimic,
@@ -123,7 +123,7 @@ def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnosti
     from testbed.experiment.evaluate import model_of
     from testbed.experiment.motions import checked_motion, obstacles_of
     from testbed.robot.visuals.appearance import load_appearance
-    from testbed.viewer.motion_log import write_motion_rrd
+    from testbed.viewer.log import write_motion_rrd
 
     found = checked_motion(file, settings)
     tree = found.rules.tree

@@ -15,7 +15,7 @@ from testbed.dynamics.motion import Motion
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError, round_significant
 from testbed.excitation.clearance import DistanceMeter
 from testbed.excitation.limits import CALM, limits_of
-from testbed.excitation.rest_posture import easiest_posture, tried_postures
+from testbed.excitation.random_motion import easiest_posture, tried_postures
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import ExcitationTable, SimulationTable

@@ -27,8 +27,7 @@ from testbed.recordings.geometry import geometry
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
 from testbed.simulation.build import build_plant
-from testbed.simulation.controller import Reference
-from testbed.simulation.drive_model import believed
+from testbed.simulation.controller import Reference, believed
 from testbed.simulation.effect import StepForces
 from testbed.simulation.plant import Plant
 from testbed.simulation.rollout import Rollout, Watch, simulate_motion

@@ -20,7 +20,7 @@ from testbed.experiment.run import MatrixErrors, Run, matrix_errors
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance
-from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
+from testbed.viewer.drives import notes_of_drives, notes_of_plate
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""

@@ -20,7 +20,7 @@ from testbed.campaign.conduct import conduct
 from testbed.campaign.summary import Summary, read_campaign, summarise
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.excitation.design import Design
-from testbed.excitation.prediction import Prediction
+from testbed.excitation.information import Prediction
 from testbed.experiment.excite import Excitation
 from testbed.experiment.motions import CheckedMotion, checked_motion
 from testbed.experiment.run import Run
