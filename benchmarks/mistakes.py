@@ -24,8 +24,7 @@ from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import SignalTable, WrenchTable
 from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
 from testbed.robot.rotations import from_vector, to_rpy
-from testbed.sanity.assessment import assess
-from testbed.sanity.check import check_recording
+from testbed.sanity.check import assess, check_recording
 from testbed.sanity.plate import PLATE_ORDERS, quarter_turns
 from testbed.sanity.plate_map import transform
 from testbed.sanity.remedies import Remedy, with_lines

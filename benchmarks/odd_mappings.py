@@ -25,9 +25,8 @@ from benchmarks.mistakes import recorded
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import RecordingError
-from testbed.recordings.importing.pieces import pieces
-from testbed.sanity.assessment import assess
-from testbed.sanity.check import import_and_check
+from testbed.recordings.joined import pieces
+from testbed.sanity.check import assess, import_and_check
 from testbed.sanity.remedies import with_lines
 from tests.helpers.paths import ROOT
 

@@ -89,7 +89,7 @@ def compare(
     from testbed.experiment.comparison import Comparison, comparison_as_json
     from testbed.experiment.comparison import compare as compared
     from testbed.reporting import output
-    from testbed.reporting.comparison import print_comparison
+    from testbed.reporting.terminal import print_comparison
 
     comparison = Comparison.load(file, settings or ())
     with output.Progress("comparing") as progress:

@@ -43,8 +43,8 @@ def write_mapping(
     from testbed.files import replacing
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
-    from testbed.sanity.hypotheses import own_joints
     from testbed.sanity.mapping_solution import missing, solve_mapping
+    from testbed.sanity.remedies import own_joints
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
@@ -132,7 +132,7 @@ def import_(
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
     from testbed.recordings.importing.import_report import ImportReport
-    from testbed.recordings.importing.pieces import pieces
+    from testbed.recordings.joined import pieces
     from testbed.reporting import output
     from testbed.sanity.check import import_and_check
 

@@ -175,7 +175,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
     """
     if path.suffix != ".toml":
         return [opened(path)], []
-    from testbed.recordings.importing.pieces import pieces
+    from testbed.recordings.joined import pieces
 
     return pieces(path)
 

@@ -25,10 +25,9 @@ from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
 from testbed.reporting.error_dots import dots_section
-from testbed.reporting.estimates import choice_lines, with_sigma
+from testbed.reporting.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma
 from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
-from testbed.reporting.instrument import instrument_tables, matrix_maps
 from testbed.reporting.portrait import portrait
 from testbed.reporting.section import Drawing
 from testbed.reporting.signals import SHOWN, seconds_shown, sections

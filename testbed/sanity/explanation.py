@@ -15,10 +15,10 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
-from testbed.sanity.hypotheses import Hypothesis, merge, own_joints
 from testbed.sanity.instants import Instants
 from testbed.sanity.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
 from testbed.sanity.prior import Prior
+from testbed.sanity.remedies import Hypothesis, merge, own_joints
 from testbed.sanity.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
 
 BRAKED = 0.1

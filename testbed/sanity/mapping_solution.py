@@ -21,17 +21,17 @@ from testbed.recordings.importing.draft import Draft, in_toml
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import Mapping as MappingFile
 from testbed.recordings.importing.mapping import empty_keys
-from testbed.recordings.importing.pieces import pieces
+from testbed.recordings.joined import pieces
 from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.source import Source
 from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
-from testbed.sanity.assessment import Assessment, assess, zero_hypothesis
+from testbed.sanity.check import Assessment, assess, zero_hypothesis
 from testbed.sanity.explanation import Explanation
-from testbed.sanity.hypotheses import in_words
 from testbed.sanity.plate import WrenchFit, frame_of
 from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
 from testbed.sanity.recording_diagnostics import CLEARLY, share
+from testbed.sanity.remedies import in_words
 from testbed.sanity.search import Progress
 from testbed.sanity.time_offset import alignment, time_offsets
 from testbed.toml_text import checked

@@ -21,7 +21,6 @@ from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, plain
 from testbed.robot.rotations import from_rpy, from_vector, to_rpy
-from testbed.sanity.hypotheses import STEPS, Hypothesis
 from testbed.sanity.instants import Instants, delay
 from testbed.sanity.plate_map import (
     LATE,
@@ -34,6 +33,7 @@ from testbed.sanity.plate_map import (
     transform,
 )
 from testbed.sanity.prior import Prior
+from testbed.sanity.remedies import STEPS, Hypothesis
 
 AS_READ = (0, 1, 2, 3, 4, 5)
 

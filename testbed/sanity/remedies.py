@@ -1,20 +1,263 @@
-"""What would make a recording right: lines of its mapping, as values."""
+"""What a mapping may say wrongly, as values, and the lines that would make it right."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from itertools import combinations, product
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.errors import few
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.importing.foreign_units import LENGTHS, factor
+from testbed.robot.free_base import FREE
 from testbed.robot.rotations import from_rpy, to_rpy
 from testbed.robot.tree import Tree
-from testbed.sanity.hypotheses import KINDS, Hypothesis
+
+Table = Literal["position", "torque", "wrench", "base"]
+
+
+class Kind(NamedTuple):
+    """A kind of hypothesis: what is wrong in words, in which table, and what it must explain more.
+
+    Of two that explain the same, the one that files hold more often comes first [nats].
+    """
+
+    words: str
+    table: Table
+    penalty: float = 0.0
+
+
+KINDS: Mapping[str, Kind] = {
+    "degrees": Kind("degrees taken for radians", "position"),
+    "radians": Kind("radians taken for degrees", "position"),
+    "position_sign": Kind("the opposite sign of the position", "position", 1.5),
+    "position_order": Kind("positions in another order of joints", "position", 1.5),
+    "zero": Kind("another zero of the position", "position", 4.0),
+    "base_unit": Kind("another unit of the base's position", "base"),
+    "quaternion_order": Kind("x, y, z, w of the base's quaternion taken for w, x, y, z", "base"),
+    "torque_sign": Kind("the opposite sign of the torque", "torque"),
+    "torque_order": Kind("torques in another order of joints", "torque"),
+    "torque_size": Kind("torques of another size", "torque"),
+    "units": Kind("other units of the plate", "wrench"),
+    "plate_order": Kind("the plate's columns in another order", "wrench", 1.0),
+    "turn": Kind("a plate's frame that is turned", "wrench"),
+    "shift": Kind("a plate's frame that lies elsewhere", "wrench"),
+    "sense": Kind("the opposite sense of the wrench", "wrench"),
+    "tare": Kind("a plate that was not zero without the robot", "wrench"),
+    "late": Kind("a clock of the plate that is off", "wrench", 4.0),
+}
+
+QUARTERS = (np.pi / 2, -np.pi / 2, np.pi)
+"""Zeros that model files and controllers put elsewhere [rad]."""
+
+SCANNED = tuple(np.deg2rad([-135, -45, 45, 135]).tolist())
+"""Other zeros to try [rad]."""
+
+BEYOND = 2 * np.pi
+"""Positions below this are no degrees taken for radians: nobody moves so little [rad]."""
+
+LITTLE = np.deg2rad(2 * BEYOND)
+"""Excursions below this may be radians that were taken for degrees [rad]."""
+
+BASE_UNITS = (1e-3, 1e-2, 1e2, 1e3)
+"""Times that a base's positions are taken too small or too large: mm or cm for m."""
+
+SCALAR_LAST = (3, 0, 1, 2)
+"""Where w, x, y, z of a quaternion stand that is x, y, z, w."""
+
+STEPS, ODD = (np.pi / 2, np.pi / 12), 2.0
+"""Steps of angles that people write [rad]; what another turn must explain more [nats]."""
+
+MOST_JOINTS = 12
+"""Joints of a robot up to which orders and zeros are tried: their number grows fast."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One thing that a mapping may say wrongly, as what must be done to the data.
+
+    Attributes:
+        kind: What is wrong, a key of `KINDS`.
+        joints: Indices of the joints that it is about.
+        values: Of zeros the angles to add, one a joint [rad]; of orders, in which column the k-th
+            joint or channel is; of units their names; of a turn the frame's roll, pitch and yaw
+            [rad]; of a shift the frame's origin [m]; of a plate that is late by how much [s]; of
+            sizes, and of a base's unit, how many times too large the numbers are.
+    """
+
+    kind: str
+    joints: tuple[int, ...] = ()
+    values: tuple[Any, ...] = ()
+
+    @property
+    def penalty(self) -> float:
+        """What it must explain more than another hypothesis [nats]."""
+        if self.kind == "turn":  # people turn by right angles, and then by what is on a protractor
+            angles = np.array(self.values)
+            odd = [np.abs(angles - np.round(angles / step) * step).max() > 1e-4 for step in STEPS]
+            return float(ODD * sum(odd))
+        odd_zeros = self.kind == "zero" and not set(self.values) <= set(QUARTERS)
+        times = len(self.joints) + odd_zeros if self.kind == "zero" else 1
+        return KINDS[self.kind].penalty * times
+
+
+def in_words(tree: Tree, hypothesis: Hypothesis) -> str:
+    """A hypothesis with the joints that it is about, and by how much zeros are off.
+
+    Args:
+        tree: The robot.
+        hypothesis: What may be wrong.
+    """
+    words = KINDS[hypothesis.kind].words
+    if len(hypothesis.joints) in (0, len(own_joints(tree))):
+        return words
+    names = few([tree.names[k] for k in hypothesis.joints])
+    by = ", ".join(f"{np.rad2deg(angle):.0f}" for angle in hypothesis.values)
+    return f"{words} ({names}{f' by {by} deg' if hypothesis.kind == 'zero' else ''})"
+
+
+def own_joints(tree: Tree) -> range:
+    """The robot's own joints: all, but for the coordinates of a free base.
+
+    Args:
+        tree: The robot.
+    """
+    return range(FREE if tree.floating else 0, tree.n)
+
+
+def position_hypotheses(
+    tree: Tree, position: Array, beside: Sequence[Hypothesis]
+) -> Iterator[Hypothesis]:
+    """Hypotheses about positions that may hold besides others.
+
+    Args:
+        tree: The robot.
+        position: (T, n) [rad or m].
+        beside: Hypotheses that hold.
+    """
+    own = own_joints(tree)
+    turning = [k for k in own if tree.joints[k].revolute]
+    before = {each.kind for each in beside}
+    if turning and not before & {"degrees", "radians"}:
+        if np.abs(position[:, turning]).max() > BEYOND:
+            yield Hypothesis("degrees", tuple(turning))
+        if np.ptp(position[:, turning], axis=0).max() < LITTLE:
+            yield Hypothesis("radians", tuple(turning))
+    if tree.floating and "base_unit" not in before:
+        yield from (Hypothesis("base_unit", (), (factor,)) for factor in BASE_UNITS)
+    if tree.floating and "quaternion_order" not in before:
+        yield Hypothesis("quaternion_order", (), SCALAR_LAST)
+    yield from (Hypothesis("position_sign", (joint,)) for joint in own)
+    if tree.n > MOST_JOINTS:
+        return
+    for joint, angle in product(_inner_joints(tree), QUARTERS):
+        yield Hypothesis("zero", (joint,), (angle,))
+    for order in _orders(tree, own):
+        moved = tuple(k for k in own if order[k] != k)
+        if all(tree.joints[k].kind == tree.joints[order[k]].kind for k in moved):
+            yield Hypothesis("position_order", moved, order)
+
+
+def rarer_hypotheses(tree: Tree, *, pairs: bool) -> Iterator[Hypothesis]:
+    """Zeros of neighbours that are wrong together, and zeros by any angle.
+
+    Args:
+        tree: The robot.
+        pairs: Whether to try neighbours.
+    """
+    turning = _inner_joints(tree) if tree.n <= MOST_JOINTS else []
+    for joint in turning:
+        for other, angles in product(tree.children(joint), product(QUARTERS, repeat=2)):
+            if pairs and other in turning:
+                yield Hypothesis("zero", (joint, other), angles)
+        yield from (Hypothesis("zero", (joint,), (angle,)) for angle in SCANNED)
+
+
+def _inner_joints(tree: Tree) -> list[int]:
+    """Joints that turn and carry others: the last one's zero only renames its body's parameters."""
+    return [k for k in own_joints(tree) if tree.joints[k].revolute and tree.children(k)]
+
+
+def _orders(tree: Tree, own: range) -> Iterator[tuple[int, ...]]:
+    """Two joints exchanged; all of them rolled or in reverse."""
+    same = list(range(tree.n))
+    for one, other in combinations(own, 2):
+        order = list(same)
+        order[one], order[other] = other, one
+        yield tuple(order)
+    if len(own) > 2:
+        base, rest = same[: own.start], np.array(own)
+        yield from ((*base, *np.roll(rest, k).tolist()) for k in range(1, len(own)))
+        if len(own) > 3:
+            yield (*base, *rest[::-1].tolist())
+
+
+def joint_map(hypothesis: Hypothesis, n: int, offset: Array) -> tuple[Array, Array]:
+    """Positions by a hypothesis are scale @ position + added: (n, n) and (n,).
+
+    Args:
+        hypothesis: About positions, but for the order of a quaternion.
+        n: Joints.
+        offset: What the mapping has added to the positions, (n,).
+    """
+    scale, added, here = np.ones(n), np.zeros(n), list(hypothesis.joints)
+    if hypothesis.kind == "position_order":
+        return np.eye(n)[list(hypothesis.values)], added
+    if hypothesis.kind == "position_sign":
+        scale[here] = -1.0
+    if hypothesis.kind == "degrees":
+        scale[here] = np.pi / 180
+    if hypothesis.kind == "radians":
+        scale[here] = 180 / np.pi
+        added[here] = ((1 - 180 / np.pi) * offset)[here]
+    if hypothesis.kind == "zero":
+        added[here] = hypothesis.values
+    if hypothesis.kind == "base_unit":
+        scale[:3] = 1 / hypothesis.values[0]
+    return np.diag(scale), added
+
+
+def position_offset(tree: Tree, mapping: Mapping[str, Any]) -> Array:
+    """What a mapping has added to the positions, in the order of the tree's joints, (n,).
+
+    Args:
+        tree: The robot.
+        mapping: What the recording's mapping file says; empty if it has none.
+    """
+    offsets = (mapping.get("position") or {}).get("offset") or ()
+    by_name = dict(zip(mapping.get("joints", tree.names), offsets, strict=False))
+    return np.array([by_name.get(name, 0.0) for name in tree.names])
+
+
+def merge(hypotheses: Sequence[Hypothesis]) -> tuple[Hypothesis, ...]:
+    """Signs and zeros of several joints, each kind as one: it is one line of a mapping.
+
+    Args:
+        hypotheses: In the order in which they are applied.
+    """
+    signs: dict[str, set[int]] = {"position_sign": set(), "torque_sign": set()}
+    zeros: dict[int, float] = {}
+    merged = []
+    for each in hypotheses:
+        if each.kind in signs:
+            signs[each.kind] ^= set(each.joints)
+            if each.kind == "position_sign":  # of what was added before, too
+                zeros |= {joint: -zeros[joint] for joint in each.joints if joint in zeros}
+        elif each.kind == "zero":
+            for joint, angle in zip(each.joints, each.values, strict=True):
+                zeros[joint] = zeros.get(joint, 0.0) + angle
+        else:
+            merged.append(each)
+    zeros = {joint: angle for joint, angle in sorted(zeros.items()) if angle}
+    merged += [Hypothesis(kind, tuple(sorted(joints))) for kind, joints in signs.items() if joints]
+    merged += [Hypothesis("zero", tuple(zeros), tuple(zeros.values()))] if zeros else []
+    return tuple(merged)
+
 
 Line: TypeAlias = tuple[str, str, Any]
 """A table of the mapping, a key of it, and the value that it should have."""

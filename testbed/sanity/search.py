@@ -20,16 +20,16 @@ from testbed.sanity.explanation import (
     HypothesisFit,
     ranked,
 )
-from testbed.sanity.hypotheses import (
+from testbed.sanity.instants import LATE, Instants, sample
+from testbed.sanity.plate import EXPLAINED, frame_of
+from testbed.sanity.prior import prior_of
+from testbed.sanity.remedies import (
     Hypothesis,
     joint_map,
     position_hypotheses,
     position_offset,
     rarer_hypotheses,
 )
-from testbed.sanity.instants import LATE, Instants, sample
-from testbed.sanity.plate import EXPLAINED, frame_of
-from testbed.sanity.prior import prior_of
 
 Progress = Callable[[int, int], None]
 

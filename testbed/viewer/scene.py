@@ -12,8 +12,8 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, sentences
-from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import poses
 from testbed.experiment.growth import Growth
 from testbed.experiment.predictions import Predictions, predict
 from testbed.experiment.run import MatrixErrors, Run, matrix_errors

@@ -12,7 +12,7 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.diagnostics.diagnostic import sentences
-from testbed.dynamics.kinematics import poses
+from testbed.dynamics.newton_euler import poses
 from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
 from testbed.excitation.collision_model import (
     CELL,

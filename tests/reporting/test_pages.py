@@ -19,8 +19,8 @@ from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import METHODS
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.influence import by_influence
+from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.figures import Panel
-from testbed.reporting.instrument import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
 from testbed.reporting.signals import sections
 from tests.helpers.approved import hold, tags

@@ -20,16 +20,17 @@ from testbed.recordings.importing.mapping import WrenchTable
 from testbed.recordings.importing.signal_maps import bedplate_wrench
 from testbed.robot.free_base import on_free_base
 from testbed.robot.rotations import to_rpy
-from testbed.sanity.hypotheses import (
+from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.sanity.recording_diagnostics import odd_sizes, out_of_range
+from testbed.sanity.remedies import (
     Hypothesis,
     joint_map,
     merge,
     position_hypotheses,
     rarer_hypotheses,
+    remedies_for,
+    with_lines,
 )
-from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
-from testbed.sanity.recording_diagnostics import odd_sizes, out_of_range
-from testbed.sanity.remedies import remedies_for, with_lines
 from testbed.sanity.time_offset import TimeOffset, alignment
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot

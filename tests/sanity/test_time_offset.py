@@ -13,8 +13,7 @@ from scipy.interpolate import make_interp_spline
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError
-from testbed.sanity.assessment import assess
-from testbed.sanity.check import check_recording, import_and_check
+from testbed.sanity.check import assess, check_recording, import_and_check
 from testbed.sanity.time_offset import time_offsets
 from tests.helpers.measured import measured, random_fourier
 from tests.helpers.robots import random_robot
