@@ -41,10 +41,10 @@ def write_mapping(
         RecordingError: The data are not of this robot.
     """
     from testbed.files import replacing
+    from testbed.plausibility.mapping_solution import missing, solve_mapping
+    from testbed.plausibility.remedies import own_joints
     from testbed.recordings.importing.guess import guessed
     from testbed.reporting import output
-    from testbed.sanity.mapping_solution import missing, solve_mapping
-    from testbed.sanity.remedies import own_joints
 
     if out is not None and out.exists():
         raise typer.BadParameter(f"--out {out} is there; a mapping is not replaced")
@@ -131,10 +131,10 @@ def import_(
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
+    from testbed.plausibility.check import import_and_check
     from testbed.recordings.importing.import_report import ImportReport
     from testbed.recordings.joined import pieces
     from testbed.reporting import output
-    from testbed.sanity.check import import_and_check
 
     _check_out(out, [*files, model], guess=guess)
     _check_page(page, [*files, model, out], said=bool(guess and model))

@@ -126,7 +126,7 @@ class Reading:
 
         if "mapping" not in source.facts:
             return ()
-        from testbed.sanity.check import check_recording
+        from testbed.plausibility.check import check_recording
 
         with Progress("looking for mistakes") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics

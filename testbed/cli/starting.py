@@ -193,8 +193,8 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     """A mapping for logs, and the recording that it makes of a robot."""
     from testbed.cli.reading import Reading
     from testbed.files import check_writable
+    from testbed.plausibility.check import import_and_check
     from testbed.reporting import output
-    from testbed.sanity.check import import_and_check
 
     made = mapping.with_suffix(".parquet")
     for path in (mapping, made):

@@ -24,9 +24,9 @@ LONG = {
     "experiment.comparison:compare": ("compare variants.toml",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
-    "recordings.importing.pieces:pieces": ("import map.toml --out x.parquet",),
+    "recordings.joined:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
-    "sanity.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
+    "plausibility.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),

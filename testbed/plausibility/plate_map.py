@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from testbed.arrays import Array, skew
-from testbed.sanity.instants import Instants, directions
+from testbed.plausibility.instants import Instants, directions
 
 SILENT = 0.02
 """Part of the mean variance of forces, or of moments, that a channel counts with at least."""

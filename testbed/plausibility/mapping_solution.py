@@ -16,6 +16,14 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import round_significant
+from testbed.plausibility.check import Assessment, assess, zero_hypothesis
+from testbed.plausibility.explanation import Explanation
+from testbed.plausibility.plate import WrenchFit, frame_of
+from testbed.plausibility.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
+from testbed.plausibility.recording_diagnostics import CLEARLY, share
+from testbed.plausibility.remedies import in_words
+from testbed.plausibility.search import Progress
+from testbed.plausibility.time_offset import alignment, time_offsets
 from testbed.recordings.importing.convert import clock_ranges
 from testbed.recordings.importing.draft import Draft, in_toml
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
@@ -26,14 +34,6 @@ from testbed.recordings.measured_base import on_its_base
 from testbed.recordings.source import Source
 from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 from testbed.robot.tree import Tree
-from testbed.sanity.check import Assessment, assess, zero_hypothesis
-from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate import WrenchFit, frame_of
-from testbed.sanity.plate_map import LATE, RATIO, SHIFT, TURN, rotation_vector
-from testbed.sanity.recording_diagnostics import CLEARLY, share
-from testbed.sanity.remedies import in_words
-from testbed.sanity.search import Progress
-from testbed.sanity.time_offset import alignment, time_offsets
 from testbed.toml_text import checked
 
 ASSUMED = "ASSUMED"

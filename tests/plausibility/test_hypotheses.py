@@ -15,14 +15,9 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
-from testbed.recordings.importing.mapping import WrenchTable
-from testbed.recordings.importing.signal_maps import bedplate_wrench
-from testbed.robot.free_base import on_free_base
-from testbed.robot.rotations import to_rpy
-from testbed.sanity.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
-from testbed.sanity.recording_diagnostics import odd_sizes, out_of_range
-from testbed.sanity.remedies import (
+from testbed.plausibility.plate import AS_READ, PLATE_ORDERS, frame_of, quarter_turns
+from testbed.plausibility.recording_diagnostics import odd_sizes, out_of_range
+from testbed.plausibility.remedies import (
     Hypothesis,
     joint_map,
     merge,
@@ -31,7 +26,12 @@ from testbed.sanity.remedies import (
     remedies_for,
     with_lines,
 )
-from testbed.sanity.time_offset import TimeOffset, alignment
+from testbed.plausibility.time_offset import TimeOffset, alignment
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
+from testbed.recordings.importing.mapping import WrenchTable
+from testbed.recordings.importing.signal_maps import bedplate_wrench
+from testbed.robot.free_base import on_free_base
+from testbed.robot.rotations import to_rpy
 from tests.helpers.foreign_files import npz, some_log
 from tests.helpers.runs import robot
 from tests.helpers.strategies import few, rngs, trees

@@ -19,12 +19,12 @@ from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
 from testbed.identification.regression.filters import motion_taps, row_weights
 from testbed.parameters.minimal_set import minimal_set
+from testbed.plausibility.instants import ENOUGH, LATE, decimate, delay, directions
+from testbed.plausibility.remedies import Line
 from testbed.recordings.geometry import check_robot, in_its_gravity
 from testbed.recordings.importing.import_report import ImportReport
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
-from testbed.sanity.instants import ENOUGH, LATE, decimate, delay, directions
-from testbed.sanity.remedies import Line
 
 ROW_CUTOFF, POSITION_CUTOFF = 5.0, 40.0
 """Of the low-pass on rows and on positions [Hz], as estimates have them; less where the

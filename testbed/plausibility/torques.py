@@ -19,8 +19,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import eigh
-from testbed.sanity.instants import Instants
-from testbed.sanity.remedies import MOST_JOINTS, Hypothesis
+from testbed.plausibility.instants import Instants
+from testbed.plausibility.remedies import MOST_JOINTS, Hypothesis
 
 FRICTION, SPREAD = (0.3, 0.3, 0.0, 0.1), 0.3
 """Viscous, dry, constant and rotor's part of a torque's rms that are expected, and their sigma."""

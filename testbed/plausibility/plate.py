@@ -19,10 +19,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.blas import eigh
-from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, plain
-from testbed.robot.rotations import from_rpy, from_vector, to_rpy
-from testbed.sanity.instants import Instants, delay
-from testbed.sanity.plate_map import (
+from testbed.plausibility.instants import Instants, delay
+from testbed.plausibility.plate_map import (
     LATE,
     RATIO,
     SHIFT,
@@ -32,8 +30,10 @@ from testbed.sanity.plate_map import (
     model_directions,
     transform,
 )
-from testbed.sanity.prior import Prior
-from testbed.sanity.remedies import STEPS, Hypothesis
+from testbed.plausibility.prior import Prior
+from testbed.plausibility.remedies import STEPS, Hypothesis
+from testbed.recordings.importing.foreign_units import FORCES, MOMENTS, plain
+from testbed.robot.rotations import from_rpy, from_vector, to_rpy
 
 AS_READ = (0, 1, 2, 3, 4, 5)
 

@@ -23,18 +23,10 @@ from testbed.diagnostics.diagnostic import (
 )
 from testbed.errors import RecordingError
 from testbed.parameters.barycentric import standard
-from testbed.recordings.geometry import check_robot, geometry, in_its_gravity
-from testbed.recordings.importing.mapping import Mapping
-from testbed.recordings.joined import pieces
-from testbed.recordings.measured_base import on_its_base
-from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
-from testbed.robot.rotations import from_rpy
-from testbed.robot.tree import Tree
-from testbed.sanity.explanation import Explanation
-from testbed.sanity.plate import WrenchFit
-from testbed.sanity.plate_map import rotation_vector
-from testbed.sanity.recording_diagnostics import (
+from testbed.plausibility.explanation import Explanation
+from testbed.plausibility.plate import WrenchFit
+from testbed.plausibility.plate_map import rotation_vector
+from testbed.plausibility.recording_diagnostics import (
     Alternatives,
     at_rest,
     negative_weight,
@@ -47,7 +39,7 @@ from testbed.sanity.recording_diagnostics import (
     unexplained_plate,
     wrong_mapping,
 )
-from testbed.sanity.remedies import (
+from testbed.plausibility.remedies import (
     Hypothesis,
     Line,
     Remedy,
@@ -56,8 +48,16 @@ from testbed.sanity.remedies import (
     remedies_for,
     with_lines,
 )
-from testbed.sanity.search import Progress, Search
-from testbed.sanity.time_offset import TimeOffset, alignment, time_offsets
+from testbed.plausibility.search import Progress, Search
+from testbed.plausibility.time_offset import TimeOffset, alignment, time_offsets
+from testbed.recordings.geometry import check_robot, geometry, in_its_gravity
+from testbed.recordings.importing.mapping import Mapping
+from testbed.recordings.joined import pieces
+from testbed.recordings.measured_base import on_its_base
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source
+from testbed.robot.rotations import from_rpy
+from testbed.robot.tree import Tree
 from testbed.toml_text import checked
 
 CERTAIN, LIKELY = 12.0, 6.0

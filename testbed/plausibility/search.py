@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 
 from testbed.errors import RecordingError
-from testbed.recordings.recording import Recording
-from testbed.robot.free_base import FREE, coordinates, poses
-from testbed.robot.tree import Tree
-from testbed.sanity.explanation import (
+from testbed.plausibility.explanation import (
     APART,
     ROUGHLY_APART,
     Explanation,
     HypothesisFit,
     ranked,
 )
-from testbed.sanity.instants import LATE, Instants, sample
-from testbed.sanity.plate import EXPLAINED, frame_of
-from testbed.sanity.prior import prior_of
-from testbed.sanity.remedies import (
+from testbed.plausibility.instants import LATE, Instants, sample
+from testbed.plausibility.plate import EXPLAINED, frame_of
+from testbed.plausibility.prior import prior_of
+from testbed.plausibility.remedies import (
     Hypothesis,
     joint_map,
     position_hypotheses,
     position_offset,
     rarer_hypotheses,
 )
+from testbed.recordings.recording import Recording
+from testbed.robot.free_base import FREE, coordinates, poses
+from testbed.robot.tree import Tree
 
 Progress = Callable[[int, int], None]
 

@@ -15,11 +15,11 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import linear
 from testbed.dynamics.motion import Motion
-from testbed.sanity.instants import Instants
-from testbed.sanity.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
-from testbed.sanity.prior import Prior
-from testbed.sanity.remedies import Hypothesis, merge, own_joints
-from testbed.sanity.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
+from testbed.plausibility.instants import Instants
+from testbed.plausibility.plate import WEIGHT, Frame, PlateEvidence, PlateExplanation
+from testbed.plausibility.prior import Prior
+from testbed.plausibility.remedies import Hypothesis, merge, own_joints
+from testbed.plausibility.torques import NO_TORQUES, TorqueAssignment, TorqueEvidence, assign
 
 BRAKED = 0.1
 """Share of a torque that the plate's parameters and friction that brakes leave at most."""

@@ -11,14 +11,14 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import components, few, round_significant
+from testbed.plausibility.explanation import Explanation
+from testbed.plausibility.instants import Instants
+from testbed.plausibility.plate import MIXED, WrenchFit
+from testbed.plausibility.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.draft import in_toml
 from testbed.recordings.recording import Recording
 from testbed.robot.tree import Tree
-from testbed.sanity.explanation import Explanation
-from testbed.sanity.instants import Instants
-from testbed.sanity.plate import MIXED, WrenchFit
-from testbed.sanity.remedies import KINDS, Hypothesis, Remedy, in_mapping, own_joints
 
 RESTS, NOISE_RESTS, ROUNDING = 1e-3, 1e-2, 1e-9
 """Motion of joints below which they rest, and below which noise is no motion [rad or m]; part of a
