@@ -32,7 +32,7 @@ from testbed.identification.ridge import shrink
 from testbed.identification.selection.term_choice import with_all_terms
 from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.records import Question
 from testbed.recordings.source import RecordingLike, Source, segments_of
 from testbed.robot.friction import LAWS
@@ -47,7 +47,7 @@ def identify(
     *,
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     doubt: CalibrationCovariance | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
@@ -66,7 +66,7 @@ def identify(
         zeros: In place of `settings.zeros`.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
-        settings: How the signals are treated; default `Settings()`.
+        settings: How the signals are treated; default those of `Settings()`.
         doubt: About the plate by which the recording was corrected: sigma counts it.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
@@ -77,7 +77,7 @@ def identify(
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
     if zeros is not None:
-        settings = replace(settings or Settings(), zeros=zeros)
+        settings = replace(settings, zeros=zeros)
     problem = Problem.of(
         tree,
         recording,

@@ -307,3 +307,7 @@ def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
     if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
         raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
     return tuple(tuple(float(x) for x in row) for row in matrix)
+
+
+DEFAULTS = Settings()
+"""What is used unless somebody asks otherwise."""

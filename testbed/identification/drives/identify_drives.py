@@ -16,7 +16,7 @@ from testbed.identification.drives.torque_constants import ChosenTerms, DriveEst
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
 from testbed.identification.regression.passes import Progress
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
@@ -50,7 +50,7 @@ def identify_drives(
     bodies: Estimate,
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     choose: bool = False,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,

@@ -39,7 +39,7 @@ from testbed.identification.regression.constraints import PAYLOAD
 from testbed.identification.regression.passes import Progress
 from testbed.identification.sensor.catalogue import NUISANCES
 from testbed.identification.sensor.identifiability import explain_nonidentifiable
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.stated_values import with_sigmas
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
@@ -73,7 +73,7 @@ def calibrate_by_payload(
     joint: str | None = None,
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Calibration:
