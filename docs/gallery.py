@@ -117,8 +117,8 @@ def of_robots(figures: dict[str, Any]) -> Iterator[str]:
         about = f"{robot.title}: drawn on its bedplate, with the force and moment at rest"
         yield from (f"### {robot.title}", "", f"![{about}](pictures/gallery/{robot.name}.svg)", "")
         yield (
-            f"{found['joints']} joints, {10 * found['joints']} parameters: joint torques tell "
-            f"**{found['dynamic']}** combinations of them, the bedplate **{found['reaction']}**. "
+            f"{found['joints']} joints, {10 * found['joints']} parameters, **{found['dynamic']}** "
+            f"base parameters from joint torques, **{found['reaction']}** from the plate. "
             f"`{robot.command}`"
         )
         yield ""
