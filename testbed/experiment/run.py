@@ -21,7 +21,7 @@ from testbed.identification.identify import identify
 from testbed.identification.predict import motion_in
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation
 from testbed.recordings.columns import AXES

@@ -18,11 +18,10 @@ from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
 from testbed.identification.regression.passes import Progress
 from testbed.identification.regression.scaled import square_root
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.sensor.catalogue import NUISANCES
-from testbed.identification.sensor.correction import lastingly_corrected
+from testbed.identification.sensor.correction import CalibrationCovariance, lastingly_corrected
 from testbed.identification.sensor.estimates import NuisanceEstimate
-from testbed.identification.sensor.matrix import SENSITIVITIES
+from testbed.identification.sensor.plate import SENSITIVITIES
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree

@@ -26,7 +26,7 @@ from testbed.identification.estimate import (
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.windows import make_plan
-from testbed.identification.selection.candidates import ALWAYS
+from testbed.identification.selection.held_out import ALWAYS
 from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted

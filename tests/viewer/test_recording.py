@@ -22,8 +22,7 @@ from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.diagnostics.diagnostic import sentences
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
-from testbed.identification.estimate import METHODS
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import METHODS, by_influence
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.campaign_log import write_campaign_rrd

@@ -1,17 +1,4 @@
-"""Noise in the columns of the equations, taken back: what statistics calls regression dilution.
-
-Least squares takes columns for exact. Noise in them adds to their squares and not to their
-products with the measurement, and draws the unknowns to zero. The longer a recording, the
-smaller is sigma, but not this error. Whitening makes it worse where slow noise of the plate
-leaves the weight to fast motion, of which the encoders' accelerations have little; so does a
-filter on rows that lets much of the accelerations' noise pass.
-
-With products of what the noise alone does to the columns, N of all and H of the noise,
-(N - H) x = b is free of it to first order, and the covariance C of N x = b becomes T C T' with
-T = (N - H)^-1 N.
-
-Source    [Ful87]
-"""
+"""Noise in the columns of the equations: the bias that it and counts of encoders make."""
 
 from __future__ import annotations
 
@@ -23,7 +10,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.identification.noise.fits import NoiseFit
-from testbed.identification.noise.lagged_products import LaggedProducts
+from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
 from testbed.identification.regression.scaled import square_root
 
 MOST = 0.5
@@ -84,3 +71,39 @@ def correct_attenuation(found: NoiseFit, made: LaggedProducts) -> AttenuationCor
         inverse=spread @ directions.T,
     )
     return AttenuationCorrection(better, directions, share)
+
+
+class QuantizationCovariance:
+    """Products of rows with replicas of what counts do to them."""
+
+    def __init__(self, found: NoiseFit, count: int) -> None:
+        """Nothing yet.
+
+        Args:
+            found: The fit; its unknowns may have constants after them.
+            count: How many unknowns.
+        """
+        self._fit, self._inverse = found, found.inverse[:count, :count]
+        self._sums, self._numbers = LaggedSums(found.weighting.order), 0
+
+    def add(self, columns: Array, made: Array) -> None:
+        """Go on with consecutive rows.
+
+        Args:
+            columns: Of the unknowns, (C, rows, m).
+            made: Replicas, (C, rows, k); none where there are no counts.
+        """
+        if not made.shape[2]:
+            return
+        self._sums.add(np.concatenate([columns, made], axis=2))
+        self._numbers += columns.shape[0] * columns.shape[1]
+
+    def found(self) -> tuple[Array, float]:
+        """Covariance of the unknowns by counts alone, (m, m), and their part of the residuals."""
+        m = len(self._inverse)
+        if not self._numbers:
+            return np.zeros((m, m)), 0.0
+        squares = self._fit.normal(self._sums.finish())
+        moved = self._inverse @ squares[:m, m:]
+        share = float(np.diagonal(squares)[m:].mean()) / self._numbers
+        return moved @ moved.T / moved.shape[1], share

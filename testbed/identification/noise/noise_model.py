@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from testbed.arrays import Array
-from testbed.identification.noise.periodic_residual import PeriodicResidual
+from testbed.identification.noise.period import PeriodicResidual
 from testbed.identification.noise.time_delay import TimeDelay
 
 COARSE = 0.05
