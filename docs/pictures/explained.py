@@ -52,9 +52,9 @@ def main() -> None:
 
 
 def save_forces() -> None:
-    """Which forces the plate feels, and which only the drives do."""
+    """Which forces act on the plate, and which only on the drives."""
     parts = []
-    for x, title in ((150, "what joint torques hold"), (530, "what the plate feels")):
+    for x, title in ((150, "what joint torques contain"), (530, "what the plate measures")):
         parts.append(words(x, 24, title, "middle", BOLD))
         parts += [line((x - 110, 330, x + 110, 330), "ink", 8)]  # the plate
         parts += [line((x, 322, x, 220), "faint", 14), line((x, 220, x + 90, 140), "faint", 12)]
@@ -76,8 +76,8 @@ def save_forces() -> None:
     parts.append(words(640, 296, "moment", "start", SMALL, "moment"))
     parts.append(words(150, 362, "bodies + friction + drives", "middle"))
     parts.append(words(530, 362, "bodies alone", "middle"))
-    save("forces", 820, 380, parts, "Motor torques hold friction and drives; in the wrench of the "
-         "plate these cancel, and only the bodies are left")  # fmt: skip
+    save("forces", 820, 380, parts, "Motor torques contain friction and drives; in the wrench of "
+         "the plate these cancel, and only the bodies are left")  # fmt: skip
 
 
 def save_augmented() -> None:
@@ -107,7 +107,7 @@ def save_augmented() -> None:
 
 
 def save_same_forces() -> None:
-    """Two robots of other masses that no motion tells apart."""
+    """Two robots of other masses that no motion distinguishes."""
     tree = tb.load_tree(MODEL)
     other = indistinguishable(tree)
     sampled = fourier(tree)
@@ -137,7 +137,7 @@ def save_same_forces() -> None:
 
 
 def save_map() -> None:
-    """What torques and plate tell of every parameter of the PUMA, its zeros taken as known."""
+    """Which parameters of the PUMA are identifiable, with known zeros."""
     tree = tb.load_tree(MODEL)
     parts: list[str] = []
     top = 24.0
@@ -147,12 +147,14 @@ def save_map() -> None:
             name: [GLYPHS[k] for k in codes]
             for name, codes in zip(tree.names, seen.standard, strict=True)
         }
-        title = f"{names[seen.instrument]}: {seen.count} combinations"
+        title = f"{names[seen.instrument]}: {seen.count} base parameters"
         parts += table(top, title, STANDARD, rows, 40)
         top += 26 + CELL * (tree.n + 1) + 12
-    parts.append(words(8, top, "#: alone; +: only in combination; ·: never", "start", "", "faint"))
-    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "What joint torques and the plate "
-         "tell of the ten parameters of each link")  # fmt: skip
+    parts.append(
+        words(8, top, "#: alone; +: in combination; ·: not identifiable", "start", "", "faint")
+    )
+    save("map", LEFT + 40 * len(STANDARD) + 8, top + 14, parts, "Which of the ten parameters "
+         "of each link are identifiable from joint torques and with the plate")  # fmt: skip
 
 
 def fourier(tree: tb.Tree) -> tb.Motion:
@@ -208,8 +210,8 @@ def save_errors() -> None:
     """Table 6 by plate and by torques."""
     run = tb.carry_out(tb.Experiment.load(EXPERIMENT))
     width, height, parts = error_dots(errors_of(run), METHODS)
-    save("errors", width, height, parts, "Relative errors of the nine parameters that both tell: "
-         "by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
+    save("errors", width, height, parts, "Relative errors of the nine parameters that both "
+         "identify: by the plate around 0.02 %, by joint torques around 7 %")  # fmt: skip
 
 
 def errors_of(run: Any) -> dict[str, dict[str, float]]:
@@ -257,8 +259,7 @@ def save_sigma() -> None:
         colour = "external" if holds else "internal"
         parts.append(line((x, middle - half * scale, x, middle + half * scale), colour, 2.5))
         parts.append(dot(x, middle, 4, colour))
-    parts.append(words(20, 320, f"{TIMES - miss} of {TIMES} hold the truth; {miss} do not, and "
-                       "nobody who measures once knows which."))  # fmt: skip
+    parts.append(words(20, 320, f"{TIMES - miss} of {TIMES} contain the true value."))
     for value in (truth - 1e-3, truth, truth + 1e-3):
         level = 290 - (value - low) * scale
         if 40 < level < 300:

@@ -45,7 +45,7 @@ def test_every_page_is_built_with_all_that_it_leads_to_and_loads_nothing(tmp_pat
     for file in (file for kind in ("css", "svg") for file in site.rglob(f"*.{kind}")):
         fetched = r"(?:url\(|@import|href=|src=)\s*[\"']?(?:https?:)?//"
         assert not re.search(fetched, file.read_text()), file
-    for name in ("api", "barycentric-parameters", "sigma"):
+    for name in ("api", "minimal-sets", "uncertainty"):
         text = re.sub(
             r"(?s)<(code|script|style)\b.*?</\1>", "", (site / f"{name}.html").read_text()
         )
