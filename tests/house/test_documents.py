@@ -72,7 +72,7 @@ def test_documents_speak_as_textbooks_do() -> None:
 
 
 def test_a_claim_names_a_file_that_checks_it() -> None:
-    rows = re.findall(r"^\| .*`.*\|$", said("docs/claims.md"), re.MULTILINE)
+    rows = re.findall(r"^\| .*`.*\|$", said("docs/claims.md").partition("## What")[0], re.MULTILINE)
     assert len(rows) > 20
     for row in rows:
         command = row.rstrip("| ").split("|")[-1]
