@@ -23,8 +23,7 @@ from testbed.identification.consistency.options import METRICS, ConsistencyOptio
 from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.parameters.barycentric import to_barycentric
-from testbed.parameters.prior import Prior, prior_of
-from testbed.parameters.pseudo_inertia import matrices, parameters
+from testbed.parameters.prior import Prior, matrices, parameters, prior_of
 from testbed.recordings.source import Source, Stretch, open_source
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured

@@ -24,7 +24,7 @@ from testbed.identification.noise.autoregression import (
     best_order,
     fit,
 )
-from testbed.identification.noise.errors_in_variables import correct_attenuation
+from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
 from testbed.identification.noise.model_average import (
@@ -33,9 +33,13 @@ from testbed.identification.noise.model_average import (
     constants,
     square_of_last,
 )
-from testbed.identification.noise.period import PeriodicResidual, PeriodicSums, period_of
-from testbed.identification.noise.regressor_noise import Quantization
-from testbed.identification.noise.time_delay import TimeDelay, lateness
+from testbed.identification.noise.noise_model import (
+    PeriodicResidual,
+    PeriodicSums,
+    TimeDelay,
+    lateness,
+    period_of,
+)
 from testbed.identification.regression.survey import Surveyor
 from testbed.identification.regression.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout

@@ -27,8 +27,7 @@ from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.estimate_summary import EstimateSummary, summary_of
 from testbed.parameters.barycentric import with_standard
-from testbed.parameters.prior import Prior
-from testbed.parameters.pseudo_inertia import matrices
+from testbed.parameters.prior import Prior, matrices
 from testbed.recordings.source import Source, Stretch
 from testbed.robot.friction import LAWS, ROTOR, JointTerm
 from testbed.robot.transmission import places

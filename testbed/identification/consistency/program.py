@@ -16,9 +16,9 @@ from testbed.identification.consistency.conic import Cone, minimise
 from testbed.identification.consistency.likelihood import Likelihood
 from testbed.identification.consistency.linear_constraints import Conditions
 from testbed.identification.consistency.options import Metric
-from testbed.parameters.prior import Prior
-from testbed.parameters.pseudo_inertia import (
+from testbed.parameters.prior import (
     OF_COORDINATES,
+    Prior,
     coordinates,
     matrices,
     of_coordinates,

@@ -16,17 +16,21 @@ from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
 from testbed.identification.noise.errors_in_variables import (
     AttenuationCorrection,
+    PositionNoise,
     QuantizationCovariance,
 )
 from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.noise.model_average import Answer, averaged_fit
-from testbed.identification.noise.noise_model import NoiseModel
-from testbed.identification.noise.period import PeriodicSums, period_of
-from testbed.identification.noise.regressor_noise import PositionNoise
+from testbed.identification.noise.noise_model import (
+    NoiseModel,
+    PeriodicSums,
+    TimeDelay,
+    lateness,
+    period_of,
+)
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.score_tests import Question, ScoreTests, Trace
-from testbed.identification.noise.time_delay import TimeDelay, lateness
 from testbed.identification.noise.whitening import (
     NOTHING,
     NuisanceColumns,

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.identification.noise.errors_in_variables import NOTHING_MADE, Made, PositionNoise
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.regressor_noise import NOTHING_MADE, Made, PositionNoise
 from testbed.identification.regression import solvers
 from testbed.identification.regression.constraints import LinearConstraints, NullSpace, free
 from testbed.identification.regression.passes import Columns, Passes
