@@ -133,7 +133,9 @@ def of_experiments(figures: dict[str, Any]) -> Iterator[str]:
         title = path.stem.replace("_", " ").capitalize()
         yield from (f"### {title}", "", prose(" ".join(found["claim"].split())), "")
         yield from (f"![{found['shows']}](pictures/gallery/{path.stem}.svg)", "")
-        yield from (f"{found['obtained']} `testbed {found['command']} experiments/{path.name}`", "")
+        obtained = found["obtained"].replace("internal to external", "torques' over plate's")
+        obtained = obtained.replace("external ", "plate's ").replace("internal ", "torques' ")
+        yield from (f"{obtained} `testbed {found['command']} experiments/{path.name}`", "")
 
 
 if __name__ == "__main__":
