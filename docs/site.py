@@ -17,6 +17,7 @@ import sys
 from pathlib import Path
 
 from docs import api, commands, keys, messages
+from docs.machines import write_for_programs
 from docs.marks import write
 
 ROOT = Path(__file__).parent.parent
@@ -50,6 +51,7 @@ def main(folder: Path = ROOT) -> Path:
     command = [sys.executable, "-m", "zensical", "build", "--clean", "--strict", "-f", str(config)]
     paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     subprocess.run(command, cwd=folder, env=os.environ | {"PYTHONPATH": paths}, check=True)
+    write_for_programs(folder / PAGES, folder / SITE, config)
     return folder / SITE / "index.html"
 
 

@@ -36,6 +36,8 @@ def test_the_gallery_is_up_to_date() -> None:
 @pytest.mark.slow
 def test_every_page_is_built_with_all_that_it_leads_to_and_loads_nothing(tmp_path: Path) -> None:
     site = built(tmp_path)
+    listed = (site / "llms.txt").read_text()
+    assert [p for p in navigation() if Path(p).with_suffix(".html").name not in listed] == []
     assert [p for p in navigation() if not (site / p).with_suffix(".html").exists()] == []
     for page in (page for page in site.rglob("*.html") if page.name != "404.html"):
         text = page.read_text()
