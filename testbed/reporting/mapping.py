@@ -57,7 +57,7 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     return {
         "title": f"Mapping {title}",
         "summary": [
-            "What the columns' names do not say was solved from the data.",
+            "The data determine what the column names do not state.",
             *(f"Warning: {line}." for line in sentences(solved.diagnostics)),
         ],
         "table": solved_table(solved.draft),
@@ -98,7 +98,7 @@ def _runner_ups(solved: MappingSolution) -> Section:
     bars = {"external": (np.full(len(shares), LEAST), shares)}
     return Section(
         id="runner-ups",
-        title="What else was tried",
+        title="Alternatives",
         says=(
             "The unexplained part of the plate's channels, on average, by the explanations "
             "that come nearest: of what was assumed, what must be said instead. The first is the "
