@@ -114,12 +114,12 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> Section | None:
         id="coverage",
         title="Coverage of 95 % confidence intervals",
         says=(
-            "Points are the share of intervals that hold the truth; bars, the coverage that so "
-            "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line."
+            "Points: share of the intervals that contain the truth. Bars: 95 % confidence "
+            "interval of that share for this number of runs; one bar in twenty may miss the line."
         ),
         legend={"measured": "95 %"} | _legend(panels),
         panels=panels,
-        caption="Bounds of Clopper and Pearson.",
+        caption="Confidence intervals by Clopper and Pearson.",
         table=Table(["parameter", "method", "runs", "coverage [%]"], rows),
     )
 
@@ -148,7 +148,7 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> Section | None:
         stairs = np.repeat(BINS, 2)[1:-1], np.repeat(share, 2)
         title = f"{LEGEND[method]}: density of {len(pooled)} errors, rms {_rms(pooled):.2f}"
         curves = {"measured": (middle, normal), method: stairs}
-        panels.append(Panel(title, curves, "error / sigma", from_zero=True))
+        panels.append(Panel(title, curves, "error / standard deviation", from_zero=True))
     if not panels:
         return None
     return Section(
@@ -157,7 +157,7 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> Section | None:
         says="Errors divided by standard deviations should follow a standard normal distribution.",
         legend={"measured": "normal distribution"} | _legend(panels),
         panels=panels,
-        caption="All parameters and runs; the table has them one by one.",
+        caption="All parameters and runs together; the table lists each parameter.",
         table=Table(["parameter", "method", "mean of z", "rms of z"], rows),
     )
 

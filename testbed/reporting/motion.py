@@ -146,8 +146,8 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
-            "predicted rms of the "
-            f"relative sigmas {found.predicted.rms:.2g}, {found.beside_random}.",
+            f"predicted rms of relative standard deviations {found.predicted.rms:.2g}, "
+            f"{found.beside_random}.",
             *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],
         "holds": proof.holds,
@@ -167,16 +167,16 @@ def _sigma_figure(found: Excitation) -> Section:
         id="sigma",
         title="Predicted standard deviations",
         says=(
-            "The standard deviation that each parameter will have from white noise of this "
-            "instrument, before anything has run: of this motion, and of the best random one."
+            "Standard deviation of each parameter for white noise of this instrument, predicted "
+            "for this motion and for the best random one."
         ),
         legend={"measured": "random motion", "external": "this motion"}
         if random is not None
         else {"external": "this motion"},
-        panels=named_panels("sigma", names, values, "sigma, part of the value [%]", log=True),
+        panels=named_panels("", names, values, "relative standard deviation [%]", log=True),
         caption=(
-            f"A recording of {found.experiment.motion.duration:g} s, its filters' ends off. "
-            "Logarithmic; further to the left is better."
+            f"A recording of {found.experiment.motion.duration:g} s, without filter transients. "
+            "Logarithmic scale."
         ),
         table=sigma_table(found, range(len(names))),
     )
@@ -223,7 +223,7 @@ def _limit_figure(found: Excitation) -> Section:
     times = _times(found)
     panels = [
         Panel(
-            f"left of {kind.label} [{kind.unit}]",
+            f"margin to {kind.label} [{kind.unit}]",
             {"external": (times, kind.left)},
             "time [s]",
             from_zero=bool((kind.left >= 0).all()),
@@ -234,8 +234,8 @@ def _limit_figure(found: Excitation) -> Section:
         id="limits",
         title="Margins to limits",
         says=(
-            "At every instant, what the nearest limit of each kind leaves of what may be used. "
-            "The table holds what is proven, between the instants too."
+            "Smallest margin to the limits of each kind over time. The table lists margins that "
+            "are proven for every instant, between the samples too."
         ),
         panels=panels,
         caption=_allowed(found),
