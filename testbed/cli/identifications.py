@@ -58,7 +58,7 @@ Write = Annotated[
     ),
 ]
 FixedLinks = Annotated[
-    Fixed, typer.Option("--fixed", help="Bodies fixed to a link: mass lumped into it, or shared.")
+    Fixed, typer.Option("--fixed", help="Write the mass of fixed bodies to their link, or to each.")
 ]
 InPlace = Annotated[
     bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
@@ -212,11 +212,11 @@ def identify(
     everything: Everything = False,
     as_json: Json = False,
 ) -> None:
-    """Identify the minimal parameters from recordings, by bedplate and by torques.
+    """Identify the base parameters from recordings, by force plate and by joint torques.
 
-    They may be larger than memory; several make one estimate. A method whose signal they lack is
-    left out. Those that were imported are held against the model first: signs, units, order,
-    zeros, clocks.
+    Several recordings are combined into one estimate; they may be larger than memory. A method
+    whose signal was not recorded is left out. Imported recordings are first checked against the
+    model: signs, units, order, encoder zeros, clocks.
 
     Example: testbed identify recording.parquet --model models/puma562.xml --zeros
 

@@ -125,9 +125,9 @@ def import_(
 ) -> None:
     """Make a recording of other programs' files: CSV, MATLAB, HDF5, ROS bags, C3D and others.
 
-    With --model, signs, units, order, zeros and clocks are held against the robot. With --guess a
-    mapping file is written, by the columns' names; with --guess and --model what these leave open,
-    the plate's frame, units, sense, zero and clock among it, is solved from the data.
+    With --model, signs, units, order, encoder zeros and clocks are checked against the robot. With
+    --guess a mapping file is written from the column names; with --guess and --model what these do
+    not state, such as the plate's frame, units, sense, zero and clock, is solved from the data.
 
     Example: testbed import examples/tx40/tx40.toml --out tx40.parquet
     """
@@ -146,6 +146,10 @@ def import_(
     if len(files) > 1:
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
     (mapping,) = files
+    if mapping.suffix.lower() != ".toml":
+        raise typer.BadParameter(
+            f"'{mapping}' is no mapping file (.toml): testbed new --recording {mapping} writes one"
+        )
     if out is None:
         raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:

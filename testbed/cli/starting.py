@@ -160,8 +160,8 @@ def new(
     """Write an experiment file for a robot, commented and ready to run.
 
     Limits and counts are the model file's; what it does not say is assumed, and marked. Bodies that
-    no matter can make are repaired ([robot.repair]). A second of it is simulated before it is
-    written. With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
+    are physically impossible are repaired ([robot.repair]). A second of it is simulated first.
+    With --recording, a mapping that turns somebody's logs into a recording; if ROBOT is
     named, what names do not state is solved from the data, and the recording is made.
 
     Example: testbed new models/puma562.xml

@@ -58,7 +58,7 @@ class Diagnostic:
     recording: str = ""
 
     def __str__(self) -> str:
-        return _sentence([self], ())
+        return ". ".join(_parts([self], ()))
 
     def explains(self, other: Diagnostic) -> bool:
         """Whether another one may be no more than a symptom of this one."""
@@ -166,7 +166,16 @@ def ordered(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
 
 
 def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
-    """As a person reads them: a line for each cause, symptoms in the line of their cause.
+    """As a person reads them in a line each: see `paragraphs`.
+
+    Args:
+        diagnostics: In order.
+    """
+    return tuple(". ".join(parts) for parts in paragraphs(diagnostics))
+
+
+def paragraphs(diagnostics: Iterable[Diagnostic]) -> tuple[tuple[str, ...], ...]:
+    """What was found, the likely causes, the remedy, the symptoms that follow; each a sentence.
 
     Args:
         diagnostics: In order.
@@ -182,7 +191,7 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> tuple[str, ...]:
             groups.setdefault(_kind(each), []).append(each)
     first = {group[0].code: group for group in reversed(groups.values())}
     return tuple(
-        _sentence(group, symptoms.get(group[0].code, ()) if first[group[0].code] is group else ())
+        _parts(group, symptoms.get(group[0].code, ()) if first[group[0].code] is group else ())
         for group in groups.values()
     )
 
@@ -282,15 +291,17 @@ def _kind(each: Diagnostic) -> tuple[str, ...]:
     return (each.code, each.recording, each.level, each.remedy, *own, *each.causes)
 
 
-def _sentence(group: list[Diagnostic], symptoms: Iterable[str]) -> str:
+def _parts(group: list[Diagnostic], symptoms: Iterable[str]) -> tuple[str, ...]:
     """Diagnostics of one kind: of many the first ones are given and all are counted."""
     first, shown = group[0], [each.text for each in group[:ALIKE]]
-    shown += [f"and {len(group) - ALIKE} more like it"] * (len(group) > ALIKE)
+    shown += [f"and {len(group) - ALIKE} similar"] * (len(group) > ALIKE)
     text = f"{first.recording}: " * bool(first.recording) + "; ".join(shown)
-    likely = f"likely {', or '.join(map(phrase, first.causes))}" * bool(first.causes)
-    explained = ", ".join(symptoms)
-    also = f"this explains {explained}" * bool(explained)
-    return "; ".join(filter(None, [text, likely, first.remedy, also]))
+    labels = {
+        "Likely cause": ", or ".join(map(phrase, first.causes)),
+        "Remedy": first.remedy,
+        "It also explains": ", ".join(symptoms),
+    }
+    return (text, *(f"{label}: {said}" for label, said in labels.items() if said))
 
 
 def _significance(each: Diagnostic) -> float:

@@ -392,7 +392,7 @@ def _torque_constants(tree: Tree) -> list[str]:
 
 def _further(assumed: Assumptions, needs: Needs) -> list[str]:
     """More faults, the simulation, the identification."""
-    usual = "s; half of it is twice as exact and half as fast"
+    usual = "s; half of it halves the error and doubles the time"
     small = "s; ASSUMED: the robot is too light or rubs too much for a larger one"
     rotors = [
         f"rotor/{name}" for name, values in assumed.joints.items() if "rotor_inertia" in values

@@ -60,9 +60,7 @@ def headline(run: Run) -> str:
         phrases += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
     if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
-    where = (
-        "a held-out motion of similar speed" if run.validation else "the motion used for the fit"
-    )
+    where = "a held-out motion" if run.validation else "the motion used for the fit"
     return f"Rms prediction error on {where}: {'; '.join(phrases)}{assumed(run)}."
 
 
@@ -127,9 +125,13 @@ def _measured(run: Run) -> list[str]:
         )
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:
-            what = "base wrench with the weight" if method == "external" else "joint torques"
+            what = "base wrench" if method == "external" else "joint torques"
             phrases.append(f"{what} {percent(share)}, expected {percent(usual)}")
-    return [f"Rms residuals there, noise included: {'; '.join(phrases)}."] if phrases else []
+    return (
+        [f"Rms residuals on that motion (noise and weight included): {'; '.join(phrases)}."]
+        if phrases
+        else []
+    )
 
 
 def _data(run: Run) -> str:

@@ -17,7 +17,7 @@ from rich.progress import Progress as Bar
 from rich.table import Table as RichTable
 
 from testbed.codec import json_text
-from testbed.diagnostics.diagnostic import Diagnostic, ordered, sentences
+from testbed.diagnostics.diagnostic import Diagnostic, ordered, paragraphs
 from testbed.errors import plural, printable
 from testbed.stages import stage, stages
 
@@ -146,21 +146,23 @@ def print_lines(lines: Sequence[str], diagnostics: Iterable[Diagnostic]) -> None
 def print_diagnostics(
     out: Console, diagnostics: Iterable[Diagnostic], most: int | None = None
 ) -> None:
-    """Print diagnostics, a line each cause, in order.
+    """Print diagnostics in order: what was found, below it causes and remedy.
 
     Args:
         out: Where to.
         diagnostics: What a careful reader should know.
-        most: Lines that are printed; more are counted. Default all.
+        most: How many are printed; more are counted. Default all.
     """
     every = ordered(diagnostics)
-    lines = [("warning", line) for line in sentences(d for d in every if d.level != "info")]
-    lines += [("note", line) for line in sentences(d for d in every if d.level == "info")]
-    for kind, line in lines[:most]:
+    said = [("warning", each) for each in paragraphs(d for d in every if d.level != "info")]
+    said += [("note", each) for each in paragraphs(d for d in every if d.level == "info")]
+    for kind, (text, *more) in said[:most]:
         style = "yellow" if kind == "warning" else None
-        out.print(f"{kind}: {printable(line)}", style=style, soft_wrap=True)
-    if most is not None and len(lines) > most:
-        out.print(f"(--all prints {plural(len(lines) - most, 'more warning')})", soft_wrap=True)
+        out.print(f"{kind}: {printable(text)}", style=style, soft_wrap=True)
+        for line in more:
+            out.print(f"    {printable(line)}", style=style, soft_wrap=True)
+    if most is not None and len(said) > most:
+        out.print(f"(--all prints {plural(len(said) - most, 'more warning')})", soft_wrap=True)
 
 
 def print_tables(out: Console, *layouts: Sequence[Table]) -> None:
