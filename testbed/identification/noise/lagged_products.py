@@ -80,8 +80,8 @@ class LaggedProducts:
         """
         if count == self.unknowns:
             return self
-        which = [*range(count), *range(self.unknowns, self.products.shape[2])]
-        products = self.products[:, :, which][..., which]
+        which = np.r_[:count, self.unknowns : self.products.shape[2]]
+        products = self.products[..., which[:, None], which]
         first, last = self.first[..., which], self.last[..., which]
         return replace(self, products=products, first=first, last=last)
 
@@ -152,15 +152,14 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        which = [*range(m), *[size - 1] * count, *range(m, size)]
-        share = np.ones((len(directions), len(which)))
-        share[:, m : m + count] = directions
-        return replace(
-            self,
-            products=self.products[:, :, which][..., which] * (share[:, :, None] * share[:, None]),
-            first=self.first[..., which] * share[:, None],
-            last=self.last[..., which] * share[:, None],
-        )
+        which, own = np.r_[:m, [size - 1] * count, m:size], slice(m, m + count)
+        products = self.products[..., which[:, None], which]
+        products[..., own, :] *= directions[:, :, None]
+        products[..., own] *= directions[:, None]
+        first, last = self.first[..., which], self.last[..., which]
+        first[..., own] *= directions[:, None]
+        last[..., own] *= directions[:, None]
+        return replace(self, products=products, first=first, last=last)
 
 
 class Whitened:
