@@ -20,7 +20,7 @@ from testbed.parameters.rules import Model
 from testbed.recordings.recording import Recording
 
 EXACT = tb.Settings(position_cutoff="off", cutoff="off", deadband=0.0, terms=(), noise="white")
-REPEATS = {"arm3": 200, "puma6": 200, "tree30": 16}
+REPEATS = {"arm3": 200, "puma6": 200, "tree30": 64}
 """How many times the samples of a case make a long recording."""
 
 LOOP = {"arm3": 16_000, "puma6": 16_000, "tree30": 1600}
