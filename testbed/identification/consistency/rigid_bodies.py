@@ -3,8 +3,8 @@
 The standard parameters of a body are those of rigid matter if and only if its pseudo-inertia
 matrix J = [[S, h], [h', m]] is positive semidefinite, S the second moments, h the first, m the
 mass [WKS18]. Minimal parameters are linear in them: those of possible robots form a convex
-cone. The distance of an estimate from it, in its own sigmas, is that from the furthest plane through
-zero which has all robots on its other side: a conic program, with few numbers in each body's rows.
+cone. The distance of an estimate from it, in its own sigmas, is that from the furthest plane
+through zero beyond which all robots are: a conic program, few numbers of it in a body's rows.
 """
 
 from __future__ import annotations

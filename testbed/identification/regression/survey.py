@@ -125,9 +125,9 @@ def _repeats(position: Array, measured: Array) -> Repeats:
     moved = (position[1:] != position[:-1]) @ any_joint
     same = measured[1:] == measured[:-1]
     same = same[moved & (same @ any_channel)]
-    channels = np.count_nonzero(same, axis=0).astype(np.float64)
-    together = len(same) - np.count_nonzero(~same @ any_channel)
-    return Repeats(np.count_nonzero(moved), channels, together)
+    channels = same.sum(axis=0).astype(np.float64)
+    together = len(same) - int(np.sum(~same @ any_channel))
+    return Repeats(int(np.sum(moved)), channels, together)
 
 
 def _each(number: Callable[[Array], float], position: Array) -> Array:
