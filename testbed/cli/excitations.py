@@ -41,20 +41,21 @@ def excite(
     settings: Set = None,
     prior: Annotated[
         Path | None,
-        typer.Option(help="What is known: a run folder, or what identify --json printed."),
+        typer.Option(help="Earlier estimate: a run folder, or the output of identify --json."),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Design nothing: prove the motion of a file.")
+        bool, typer.Option("--check", help="Only verify the motion of a file against the limits.")
     ] = False,
     trajectory: Annotated[
         Path | None,
-        typer.Option(help="Samples for a controller, .csv or .parquet, from rest to rest."),
+        typer.Option(help="Samples for a controller (.csv, .parquet), from rest to rest."),
     ] = None,
-    rate: Annotated[float, typer.Option(min=1e-3, help="Of those [Hz].")] = 1000.0,
+    rate: Annotated[float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")] = 1000.0,
     page: Annotated[
         Path | None,
         typer.Option(
-            callback=ending(".html", ".htm"), help="Picture of motion, limits and sigma (HTML)."
+            callback=ending(".html", ".htm"),
+            help="HTML page of motion, limits and standard deviations.",
         ),
     ] = None,
     everything: Annotated[
@@ -71,8 +72,7 @@ def excite(
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
     from testbed.experiment.excite import excite as excited
-    from testbed.experiment.trajectory_file import check_ending, write_trajectory
-    from testbed.experiment.write_motion import write_motion
+    from testbed.experiment.write_motion import check_ending, write_motion, write_trajectory
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.motion import print_excitation
@@ -138,7 +138,9 @@ class _Searching:
         if self._steps == TIMED and not sys.stderr.isatty():  # a terminal has the bar
             note([self._budget(most)])
         self._progress.say(
-            done, total, f"searching, at most {most:.0f} s, best sigma so far {best:.3g}"
+            done,
+            total,
+            f"searching, at most {most:.0f} s, best standard deviation so far {best:.3g}",
         )
 
 
@@ -175,7 +177,9 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
     """Of a design, where there is none."""
     said = [name for name, value in options.items() if value is not None]
     if said:
-        raise typer.BadParameter(f"--check designs nothing: leave out {', '.join(said)}")
+        raise typer.BadParameter(
+            f"--check designs nothing; it cannot be combined with {', '.join(said)}"
+        )
 
 
 def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:
@@ -198,7 +202,6 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
 
 def _covariance(prior: Path, experiment: Experiment) -> Array:
     """Of the minimal parameters, from an earlier estimate."""
-    from testbed.experiment.earlier_estimate import prior_covariance
-    from testbed.experiment.read_result import read_result
+    from testbed.experiment.read_result import prior_covariance, read_result
 
     return prior_covariance(read_result(prior), experiment)

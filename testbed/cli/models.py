@@ -1,8 +1,9 @@
-"""Commands about models: minimal, equations."""
+"""Commands about models: minimal, equations; and lists of the faults and effects there are."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,20 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import (
-    Gravity,
-    Json,
-    Lock,
-    LockMimic,
-    Model,
-    Weld,
-    Zero,
-    Zeros,
-    app,
-)
+from testbed.cli.options import Gravity, Json, Lock, LockMimic, Model, Weld, Zero, Zeros, app
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
+    from testbed.kind_table import Entry
     from testbed.parameters.identifiability import Visibility
     from testbed.reporting.minimal_sets import Findings
     from testbed.robot.tree import Tree
@@ -59,28 +51,26 @@ def minimal(
     zero: Zero = None,
     gravity: Gravity = None,
     tared: Annotated[
-        bool, typer.Option("--tared", help="The bedplate's static wrench has been taken off.")
+        bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
     ] = False,
     show_map: Annotated[
-        bool, typer.Option("--map", help="Show what each instrument tells of each parameter.")
+        bool, typer.Option("--map", help="Show which parameters each sensor identifies.")
     ] = False,
     check: Annotated[
-        bool, typer.Option("--verify", help="Hold the sets against two other witnesses.")
+        bool, typer.Option("--verify", help="Verify the sets by two independent methods.")
     ] = False,
-    numbers: Annotated[
-        bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
-    ] = False,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Print lengths as numbers.")] = False,
     as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
     terms: Annotated[
         list[str] | None,
         typer.Option(
             metavar="TERM",
-            help="A term of the joints' own torques, as rotor or offset; again for more.",
+            help="A joint term, e.g. rotor or offset; repeatable.",
         ),
     ] = None,
     matrices: Annotated[
         bool | None,
-        typer.Option("--matrices/--no-matrices", help="With --json: the sets as matrices, too."),
+        typer.Option("--matrices/--no-matrices", help="With --json: include the matrices."),
     ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
@@ -137,12 +127,10 @@ def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
 @app.command()
 def equations(
     model: Model,
-    what: Annotated[
-        list[_What] | None, typer.Option(help="Which equations; again for more.")
-    ] = None,
+    what: Annotated[list[_What] | None, typer.Option(help="Which equations; repeatable.")] = None,
     form: Annotated[
         _Form,
-        typer.Option(help="All parameters; minimal ones; these with auxiliary variables."),
+        typer.Option(help="All parameters, base parameters, or recursive form."),
     ] = _Form.full,
     language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
     zeros: Zeros = False,
@@ -153,15 +141,15 @@ def equations(
     ] = False,
     square: Annotated[
         bool,
-        typer.Option("--right-angles", help="Take turns of almost a right angle for one."),
+        typer.Option("--right-angles", help="Round almost right angles."),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
     against: Annotated[
         Path | None,
-        typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
+        typer.Option(exists=True, dir_okay=False, help="Listing to compare with."),
     ] = None,
     max_terms: Annotated[
-        int | None, typer.Option(min=1, help="Refuse what takes more terms; default 150000.")
+        int | None, typer.Option(min=1, help="Largest number of terms; default 150000.")
     ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
@@ -241,3 +229,50 @@ def _compare(
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")
     raise typer.Exit(1 if any(found.values()) else 0)
+
+
+Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
+
+
+@app.command()
+def faults(kind: Kind = None) -> None:
+    """List what may be wrong with encoders, drives and plate in an experiment.
+
+    Example: testbed faults plate_pose
+    """
+    from testbed.instruments.faults import KINDS, fault_named
+    from testbed.kind_table import in_words
+
+    if kind is None:
+        _list(map(in_words, KINDS.values()), "faults")
+    else:
+        _describe(in_words(fault_named(kind)), "[measurement] fault")
+
+
+@app.command()
+def effects(kind: Kind = None) -> None:
+    """List what else may be in the plant of an experiment: friction, rotors, payload, supports.
+
+    Example: testbed effects lugre_friction
+    """
+    from testbed.kind_table import in_words
+    from testbed.simulation.effects import EFFECTS, effect_named
+
+    if kind is None:
+        _list(map(in_words, EFFECTS), "effects")
+    else:
+        _describe(in_words(effect_named(kind)), "[simulation] effect")
+
+
+def _list(entries: Iterable[Entry], command: str) -> None:
+    for entry in entries:
+        typer.echo(f"{entry.kind:26s}{entry.summary}")
+    typer.echo(f"\nOne of them, with its keys: testbed {command} KIND")
+
+
+def _describe(entry: Entry, key: str) -> None:
+    typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
+    for name, default, meaning in entry.keys:
+        typer.echo(f"  {name} = {default}: {meaning}")
+    typer.echo(f"Source of the size: {entry.source}")
+    typer.echo(f"In an experiment: {key} = [{entry.example}]")

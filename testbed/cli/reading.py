@@ -15,7 +15,7 @@ from testbed.stages import stage
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
-    from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+    from testbed.identification.sensor.correction import CalibrationCovariance
     from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
     from testbed.robot.tree import Tree
@@ -107,7 +107,7 @@ class Reading:
         sources: list[Source] = []
         said: list[Diagnostic] = []
         for path in paths:
-            with output.Progress("holding the recording against the robot"):
+            with output.Progress("checking the recording against the robot"):
                 pieces, cuts = opened_pieces(path)
                 made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
                 longest = max(made, key=lambda source: source.samples)
@@ -126,9 +126,9 @@ class Reading:
 
         if "mapping" not in source.facts:
             return ()
-        from testbed.sanity.check import check_recording
+        from testbed.plausibility.check import check_recording
 
-        with Progress("looking for mistakes") as bar:
+        with Progress("searching for the cause") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
     def doubt(self, tree: Tree) -> CalibrationCovariance | None:
@@ -175,7 +175,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
     """
     if path.suffix != ".toml":
         return [opened(path)], []
-    from testbed.recordings.importing.pieces import pieces
+    from testbed.recordings.joined import pieces
 
     return pieces(path)
 

@@ -15,10 +15,9 @@ from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import information_of, models_of
-from testbed.excitation.prediction import Pipeline, Prediction, predict
+from testbed.excitation.information import Pipeline, Prediction, information_of, models_of, predict
 from testbed.excitation.proof import Rules
-from testbed.excitation.sampled_rows import SampledRows
+from testbed.excitation.samples import SampledRows
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import motion_of, plate_noise_of, rules_of
@@ -77,7 +76,7 @@ class Excitation(Diagnosed):
     def gain(self) -> float | None:
         """How many times smaller the rms of relative sigmas is than the random motion's.
 
-        None where there is no random motion, or one that does not tell all parameters.
+        None where there is no random motion, or one that does not identify all parameters.
         """
         if self.random_predicted is None or not np.isfinite(self.random_predicted.rms):
             return None
@@ -88,9 +87,9 @@ class Excitation(Diagnosed):
         """The gain in words."""
         origin = f"the best of {self.experiment.motion.candidates} random motions"
         if self.random_predicted is None:
-            return "no random motion could be proven, to compare with"
+            return "no random motion within the limits was found for comparison"
         if self.gain is None:
-            return f"{origin} does not tell all parameters"
+            return f"{origin} does not identify all parameters"
         theirs = self.random_predicted.rms
         return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.3g})"
 

@@ -15,9 +15,8 @@ from testbed.identification.estimate import Method
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.reporting.drives import BAND
 from testbed.robot.tree import Tree
-from testbed.viewer.constant_bars import TALL
-from testbed.viewer.heat_map import CELL, TITLES
-from testbed.viewer.overview import learned, scale_of
+from testbed.viewer.curves import learned, scale_of
+from testbed.viewer.drives import CELL, TALL, TITLES
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import Scene, root, safe
 
@@ -86,7 +85,7 @@ def motion_blueprint(
         period: Of the motion [s].
     """
     seen = (0.0, period)
-    left = [_plot(f"/left/{k}", f"left of {kind}", seen, False) for k, kind in enumerate(kinds)]
+    left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
     joints = [
         rrb.Horizontal(
             *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)

@@ -30,13 +30,12 @@ from testbed.identification.calibration import Calibration, calibrate
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
+from testbed.plausibility.mapping_solution import solve_mapping
 from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.pieces import pieces
-from testbed.recordings.joined import Joined
+from testbed.recordings.joined import Joined, pieces
 from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import on_free_base
-from testbed.sanity.mapping_solution import solve_mapping
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured
@@ -222,7 +221,7 @@ def _bodies() -> Run:
     return with_consistent(run_of(robot("puma"), asked=asked))
 
 
-def run(tree: tb.Tree, recording: tb.Recording, settings: Settings | None = None) -> Run:
+def run(tree: tb.Tree, recording: tb.Recording, settings: Settings = DEFAULTS) -> Run:
     """What both methods say."""
     return assemble_run(tree, recording, name="scenario", settings=settings)
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from testbed.errors import SettingsError, UnknownName
-from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
+from testbed.identification.settings import finite_number, stated_values, with_sigmas
 
 Metric = Literal["log-det", "frobenius"]
 
@@ -80,7 +80,7 @@ class ConsistencyOptions:
         if together - total > SURE * spread:
             raise SettingsError(
                 f"known masses: {' + '.join(parts)} make {together:g} kg, more than the {total:g} "
-                f"kg that '{MASS}' says of all bodies together"
+                f"kg of '{MASS}', the mass of all bodies"
             )
 
 
