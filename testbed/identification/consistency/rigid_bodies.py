@@ -62,7 +62,7 @@ def rigid_body_test(
     """Whether an estimate's minimal parameters can be those of rigid bodies.
 
     Args:
-        estimate: Of either method. Rotors that are told together with a body's inertia may
+        estimate: Of either method. Rotors that are identifiable together with a body's inertia may
             have any inertia that is not negative.
         sigmas: An estimate is called impossible beyond a distance that noise exceeds as rarely
             as this.
@@ -97,7 +97,7 @@ def sizes(values: Array, units: Sequence[str]) -> Array:
 
 
 def _rotors(estimate: Estimate) -> Array:
-    """What a unit of each rotor that is told with a body adds to the parameters, (N, rotors)."""
+    """What a unit of each rotor identified with a body adds to the parameters, (N, rotors)."""
     regrouped = {} if estimate.drives is None else estimate.drives.regrouped
     columns = [column[: estimate.minimal.count] for column in regrouped.values()]
     return np.array(columns).reshape(len(columns), estimate.minimal.count).T
@@ -123,7 +123,7 @@ def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Arra
         wanted: The parameters, (N,).
         root: R, (N, N), their covariance R R'.
     """
-    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # numbers near one
+    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
     length = np.vstack([np.zeros(len(wanted)), -root.T])
     return minimise(
         -wanted / size,
