@@ -3,8 +3,8 @@
 The standard parameters of a body are those of rigid matter if and only if its pseudo-inertia
 matrix J = [[S, h], [h', m]] is positive semidefinite, S the second moments, h the first, m the
 mass [WKS18]. Minimal parameters are linear in them: those of possible robots form a convex
-cone. The distance of an estimate from it, in its own sigmas, is a conic program; the bound
-that its dual solution gives holds for every robot.
+cone. The distance of an estimate from it, in its own sigmas, is that from the furthest plane
+through zero beyond which all robots are: a conic program, few numbers of it in a body's rows.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
-from scipy.linalg import block_diag
 
 from testbed.arrays import Array
-from testbed.blas import eigh
 from testbed.identification.consistency.conic import Cone, minimise
 from testbed.identification.estimate import Estimate
+from testbed.identification.regression.scaled import square_root
 from testbed.parameters.prior import standard_of_coordinates
 
 SIGMAS = 5.0
@@ -72,13 +71,13 @@ def rigid_body_test(
     base = estimate.base
     scale = sizes(base.values, base.units)
     covariance = base.covariance + np.diag((model_error * scale) ** 2)
-    spread, axes = eigh(covariance)
-    spread = np.maximum(spread, max(np.finfo(float).eps * spread[-1], np.finfo(float).tiny))
-    white = (axes / np.sqrt(spread)).T
+    unit = 1 / np.sqrt(np.maximum(np.diagonal(covariance), np.finfo(float).tiny))
     limit = float(np.sqrt(special.chdtri(len(scale), 2 * special.ndtr(-sigmas))))
-    forms = white @ _of_bodies(estimate.minimal.standard_matrix)
-    distance, rest = _nearest(forms, white @ _rotors(estimate), white @ base.values)
-    gap = (axes * np.sqrt(spread)) @ rest
+    forms, rotors = _of_bodies(estimate.minimal.standard_matrix), _rotors(estimate)
+    root = square_root(covariance * np.outer(unit, unit))
+    normal = _separating(unit[:, None] * forms, unit[:, None] * rotors, unit * base.values, root)
+    distance = max(0.0, float(normal @ (unit * base.values)))
+    gap = -distance * (covariance @ (unit * normal))
     relative = np.abs(gap) / np.where(scale > 0, scale, 1.0)
     return RigidBodyTest(distance, limit, base.values + gap, relative)
 
@@ -115,27 +114,22 @@ def _of_bodies(standard: Array) -> Array:
     return np.asarray(by_body.reshape(len(standard), -1))
 
 
-def _nearest(forms: Array, rotors: Array, wanted: Array) -> tuple[float, Array]:
-    """A lower bound of the distance to any robot, and what is left at the nearest, (N,).
+def _separating(forms: Array, rotors: Array, wanted: Array, root: Array) -> Array:
+    """The normal of the furthest plane between parameters and all robots, one sigma long, (N,).
 
     Args:
         forms: Of the coordinates of every body's J, (N, 10 n).
         rotors: Of every rotor's inertia, (N, m).
-        wanted: (N,).
+        wanted: The parameters, (N,).
+        root: R, (N, N), their covariance R R'.
     """
-    both = np.hstack([forms, rotors])
-    free = both.shape[1]
-    size = float(np.linalg.norm(wanted)) or 1.0  # the solver needs numbers near one
-    # unknowns: the distance, J of every body, the rotors
-    matrices = np.eye(free, 1 + free, 1)
-    rest = matrices[forms.shape[1] :]
-    matrices = matrices[: forms.shape[1]]
-    found = minimise(
-        np.eye(1, 1 + free)[0],
+    size = float(np.linalg.norm(np.linalg.solve(root, wanted))) or 1.0  # for the solver: near one
+    length = np.vstack([np.zeros(len(wanted)), -root.T])
+    return minimise(
+        -wanted / size,
         [
-            Cone("norm", -block_diag(1.0, both), np.concatenate([[0.0], -wanted / size])),
-            Cone("matrices", -matrices, np.zeros(len(matrices))),
-            Cone("positive", -rest, np.zeros(len(rest))),
+            Cone("norm", length, np.eye(1, len(length))[0]),
+            Cone("matrices", forms.T, np.zeros(forms.shape[1])),
+            Cone("positive", rotors.T, np.zeros(rotors.shape[1])),
         ],
-    )
-    return max(0.0, size * found.bound), both @ (size * found.x[1:]) - wanted
+    ).x

@@ -80,8 +80,8 @@ class LaggedProducts:
         """
         if count == self.unknowns:
             return self
-        which = [*range(count), *range(self.unknowns, self.products.shape[2])]
-        products = self.products[:, :, which][..., which]
+        which = np.r_[:count, self.unknowns : self.products.shape[2]]
+        products = self.products[..., which[:, None], which]
         first, last = self.first[..., which], self.last[..., which]
         return replace(self, products=products, first=first, last=last)
 
@@ -131,8 +131,9 @@ class LaggedProducts:
             order: P, at most K.
         """
         whole = self.traces(inner)[..., : order + 1]
-        matrices = inner[:, None, None]
-        first, last = (each @ matrices @ each.swapaxes(2, 3) for each in (self.first, self.last))
+        first, last = (
+            _times(each[None], inner) @ each.swapaxes(2, 3) for each in (self.first, self.last)
+        )
         found, size = np.zeros((*whole.shape, order + 1)), self.last.shape[2]
         for i in range(order + 1):
             for j in range(i, order + 1):
@@ -152,15 +153,14 @@ class LaggedProducts:
         m, count, size = self.unknowns, directions.shape[1], self.products.shape[2]
         if not count:
             return self
-        which = [*range(m), *[size - 1] * count, *range(m, size)]
-        share = np.ones((len(directions), len(which)))
-        share[:, m : m + count] = directions
-        return replace(
-            self,
-            products=self.products[:, :, which][..., which] * (share[:, :, None] * share[:, None]),
-            first=self.first[..., which] * share[:, None],
-            last=self.last[..., which] * share[:, None],
-        )
+        which, own = np.r_[:m, [size - 1] * count, m:size], slice(m, m + count)
+        products = self.products[..., which[:, None], which]
+        products[..., own, :] *= directions[:, :, None]
+        products[..., own] *= directions[:, None]
+        first, last = self.first[..., which], self.last[..., which]
+        first[..., own] *= directions[:, None]
+        last[..., own] *= directions[:, None]
+        return replace(self, products=products, first=first, last=last)
 
 
 class Whitened:
@@ -210,7 +210,7 @@ class Whitened:
         Args:
             inner: The matrices, symmetric, (R, q, q).
         """
-        edges = (self._edges @ inner[:, None, None]) * self._edges
+        edges = _times(self._edges, inner) * self._edges
         whole = (self._share * self._given.traces(inner)).sum(axis=2)
         return np.asarray(whole - edges.sum(axis=(1, 3, 4)))
 
@@ -220,7 +220,7 @@ class Whitened:
         Args:
             combinations: (R, q).
         """
-        edges = (self._edges @ combinations[:, None, None, :, None])[..., 0]
+        edges = _times(self._edges, combinations[..., None])[..., 0]
         whole = (self._share * self._given.squares(combinations)).sum(axis=2)
         return np.asarray(whole - (edges**2).sum(axis=(1, 3)))
 
@@ -235,6 +235,17 @@ def _edges(given: LaggedProducts, alpha: Array) -> Array:
         found[..., i:order, :] += share * given.first[:, :, : order - i]
         found[..., order : order + i, :] += share * given.last[:, :, size - i :]
     return found
+
+
+def _times(rows: Array, matrices: Array) -> Array:
+    """Each response's rows times its matrix: one product for all of them, (R, S, C, k, r).
+
+    Args:
+        rows: (R, S, C, k, q), or (1, S, C, k, q) where they are the same.
+        matrices: (R, q, r).
+    """
+    found = rows.reshape(len(rows), -1, rows.shape[-1]) @ matrices
+    return np.asarray(found.reshape(len(matrices), *rows.shape[1:-1], matrices.shape[-1]))
 
 
 def _together(now: Array, before: Array) -> Array:

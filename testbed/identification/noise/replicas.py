@@ -80,21 +80,16 @@ class Replicas:
         made, known, across = self._noise.finish(), self._known, self._across
         lags, channels, count, _ = across.shape
         m, own, size = count - 1, slice(count - 1, -1), count + REPLICAS
-        products = np.zeros((lags, channels, size, size))
-        products[..., :m, :m], products[..., -1, -1] = (
-            known.products[..., :m, :m],
-            known.products[..., -1, -1],
-        )
-        products[..., :m, -1], products[..., -1, :m] = (
-            known.products[..., :m, -1],
-            known.products[..., -1, :m],
-        )
-        products[..., :m, own], products[..., -1, own] = across[..., :m, :], across[..., m, :]
-        products[..., own, :m] = across[..., :m, :].swapaxes(2, 3)
-        products[..., own, -1], products[..., own, own] = across[..., m, :], made.products
-        for each in products:
-            each += each.swapaxes(1, 2)
-            each /= 2
+        rest = [*range(m), -1]  # columns and ones
+        products = np.empty((lags, channels, size, size))
+        for lag in range(lags):
+            for channel, each in enumerate(products[lag]):  # one by one: they fit into a cache
+                before, beside = known.products[lag, channel], across[lag, channel]
+                each[:m, :m] = _alike(before[:m, :m])
+                each[:m, -1] = each[-1, :m] = (before[:m, -1] + before[-1, :m]) / 2
+                each[-1, -1] = before[-1, -1]
+                each[rest, own], each[own, rest] = beside, beside.T
+                each[own, own] = _alike(made.products[lag, channel])
         first, last = (
             np.concatenate([old[..., :m], new, old[..., -1:]], axis=3)
             for old, new in ((known.first, made.first), (known.last, made.last))
@@ -111,6 +106,11 @@ class Replicas:
         """
         squares = [_squares(found, lead) for found in fits(self.products, self._order)]
         return max(1.0, float(np.sqrt(np.mean(squares))))
+
+
+def _alike(products: Array) -> Array:
+    """Half of what a lag's products are and of their transpose."""
+    return (products + products.T) / 2
 
 
 def _squares(found: NoiseFit, lead: Array) -> Array:

@@ -93,7 +93,7 @@ class Passes:
         self.progress = progress
         self.checked = False
         self.done = 0
-        self.surveyor = Surveyor(plan.source.samples)
+        self.surveyor, self._looked_at = Surveyor(plan.source.samples), plan.looked_at
         self._rooms: SimpleQueue[Any] = SimpleQueue()
         self._kept: dict[int, list[Block]] = {}
         thinned = not self.compiled or len(plan.weights) > 1  # else made again as fast as read
@@ -168,7 +168,8 @@ class Passes:
         signals = self.plan.signals(part, window)
         found = self._answer(signals, window, question)
         if check:
-            self.surveyor.look(signals, window.first, self.plan.own(window))
+            closely = window.row in self._looked_at
+            self.surveyor.look(signals, window.first, self.plan.own(window), closely)
         if check and not found.squares[0] < LARGEST**2:  # what is no number is not
             check_values(part.columns(), "the recording", window.first)
         return found

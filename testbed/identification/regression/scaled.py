@@ -48,15 +48,15 @@ def inverse_and_solution(matrix: Array, right: Array) -> tuple[Array, Array]:
         matrix: Symmetric and positive definite, (m, m).
         right: (m,).
     """
-    unit, scale, factor = _factor(matrix)
+    factor = _clear_factor(matrix)
     if factor is None:
-        root = _inverse_root(unit, scale)
+        root = _inverse_root(matrix)
         return root @ root.T, root @ (root.T @ right)
-    solution, _ = linalg.lapack.dpotrs(factor, scale * right, lower=True)
+    solution, _ = linalg.lapack.dpotrs(factor, right, lower=True)
     lower, _ = linalg.lapack.dpotri(factor, lower=True)
     inverse = lower + lower.T
     np.fill_diagonal(inverse, np.diagonal(lower))
-    return inverse * np.outer(scale, scale), scale * solution
+    return inverse, solution
 
 
 def square_root(matrix: Array) -> Array:
@@ -79,24 +79,23 @@ def inverse_root(matrix: Array) -> Array:
     Args:
         matrix: Symmetric and positive definite, (m, m).
     """
-    unit, scale, factor = _factor(matrix)
+    factor = _clear_factor(matrix)
     if factor is None:
-        return _inverse_root(unit, scale)
+        return _inverse_root(matrix)
     inverse, _ = linalg.lapack.dtrtri(factor, lower=True)
-    return np.asarray(scale[:, None] * inverse.T)
+    return np.asarray(inverse.T)
 
 
-def _factor(matrix: Array) -> tuple[Array, Array, Array | None]:
-    """The matrix with a diagonal of ones, what makes it so, and its Cholesky factor if clear."""
+def _clear_factor(matrix: Array) -> Array | None:
+    """Cholesky's factor, whose rounding does not depend on units; None if it is not clear."""
+    factor, failed = linalg.lapack.dpotrf(matrix.T, lower=True, clean=True)
+    own = np.diagonal(factor) ** 2
+    return None if failed or (own <= CLEAR * np.diagonal(matrix)).any() else factor
+
+
+def _inverse_root(matrix: Array) -> Array:
+    """By eigenvalues of the matrix with a diagonal of ones, where no factor is clear."""
     diagonal = np.diagonal(matrix)
     scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    unit = matrix * np.outer(scale, scale)
-    factor, failed = linalg.lapack.dpotrf(unit, lower=True, clean=True)
-    clear = not failed and np.diagonal(factor).min(initial=1.0) ** 2 > CLEAR
-    return unit, scale, factor if clear else None
-
-
-def _inverse_root(unit: Array, scale: Array) -> Array:
-    """By eigenvalues, where Cholesky's factor is not clear."""
-    size, axes = eigh(unit)
+    size, axes = eigh(matrix * np.outer(scale, scale))
     return np.asarray(scale[:, None] * axes / np.sqrt(np.maximum(size, ROUNDING)))
