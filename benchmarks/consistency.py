@@ -14,8 +14,8 @@ import numpy as np
 import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import UnseenParameters
+from testbed.experiment.consistent_run import wrong_bodies
 from testbed.experiment.score import relative_errors, root_mean_square
-from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.consistency.consistent import Consistent, consistent, robot_of
 from testbed.identification.consistency.options import ConsistencyOptions, Metric
 from testbed.identification.estimate import METHODS, Estimate

@@ -19,16 +19,15 @@ import testbed as tb
 from benchmarks.inverse_recordings import RATE, Truth, truth
 from testbed.arrays import Array
 from testbed.errors import RecordingError
+from testbed.plausibility.check import assess, check_recording
+from testbed.plausibility.plate import PLATE_ORDERS, quarter_turns
+from testbed.plausibility.plate_map import transform
+from testbed.plausibility.remedies import Remedy, with_lines
 from testbed.recordings.columns import AXES
 from testbed.recordings.importing.foreign_units import FORCES, MOMENTS
 from testbed.recordings.importing.mapping import SignalTable, WrenchTable
 from testbed.recordings.importing.signal_maps import bedplate_wrench, joint_signal
 from testbed.robot.rotations import from_vector, to_rpy
-from testbed.sanity.assessment import assess
-from testbed.sanity.check import check_recording
-from testbed.sanity.plate import PLATE_ORDERS, quarter_turns
-from testbed.sanity.plate_map import transform
-from testbed.sanity.remedies import Remedy, with_lines
 
 ARMS = ("puma562", "ur5", "xarm7", "panda")
 """Of the robots."""

@@ -25,10 +25,9 @@ from benchmarks.mistakes import recorded
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import RecordingError
-from testbed.recordings.importing.pieces import pieces
-from testbed.sanity.assessment import assess
-from testbed.sanity.check import import_and_check
-from testbed.sanity.remedies import with_lines
+from testbed.plausibility.check import assess, import_and_check
+from testbed.plausibility.remedies import with_lines
+from testbed.recordings.joined import pieces
 from tests.helpers.paths import ROOT
 
 ROBOT = "ur5"

@@ -14,8 +14,7 @@ from testbed.arrays import Array
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.limits import limits_of
 from testbed.excitation.random_motion import random_motion
-from testbed.experiment.motion_file import read_motion
-from testbed.experiment.motions import motion_of
+from testbed.experiment.motions import motion_of, read_motion
 from testbed.instruments.chain import Instrument, measure
 from testbed.instruments.fault import Fault
 from testbed.instruments.plate_noise import PlateColouredNoise, PlatePinkNoise

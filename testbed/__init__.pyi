@@ -78,7 +78,7 @@ from .recordings.recording import (
 from .recordings.recording import (
     import_recording as import_recording,
 )
-from .recordings.stored import StoredRecording as StoredRecording
+from .recordings.source import StoredRecording as StoredRecording
 from .reporting.plot import plot as plot
 from .reporting.run_page import report as report
 from .robot.inertia import Inertia as Inertia
@@ -104,4 +104,4 @@ from .symbolic.equations import (
     equations as equations,
 )
 from .symbolic.languages import write_equations as write_equations
-from .viewer.view import view as view
+from .viewer.log import view as view

@@ -16,8 +16,8 @@ from typing import Any
 
 import testbed as tb
 from testbed.experiment.evaluate import evaluate
+from testbed.experiment.results import write_run
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import write_run
 from testbed.files import NEST
 from testbed.recordings.recording import Recording
 from testbed.reporting.run_page import write_report

@@ -97,7 +97,7 @@ def _limit_memory() -> None:
 
 LIBRARIES = (
     "cli.commands", "experiment.carry_out", "experiment.evaluate", "reporting.html", "viewer.log",
-    "reporting.minimal_tables", "robot.formats.mjcf", "robot.formats.urdf", "symbolic.compare",
+    "reporting.minimal_sets", "robot.formats.mjcf", "robot.formats.urdf", "symbolic.compare",
     "symbolic.languages",
 )  # fmt: skip
 """What commands import when they are called."""

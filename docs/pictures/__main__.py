@@ -73,7 +73,7 @@ def shown(run: Path, tab: str, picture: str, folder: Path) -> None:
         folder: For files on the way.
     """
     from testbed.experiment.growth import growth
-    from testbed.experiment.run_folder import read_run
+    from testbed.experiment.results import read_run
     from testbed.viewer.log import write_rrd
     from testbed.viewer.scene import scene_of
     from tests.helpers.viewer import headless_viewer

@@ -190,8 +190,8 @@ def _outcome(
     run: str, experiment: Experiment, recording: Recording | Exception, bundle: Bundle
 ) -> Outcome:
     """What comes of a simulated run."""
+    from testbed.experiment.carry_out import with_payload_metrics
     from testbed.experiment.evaluate import evaluate
-    from testbed.experiment.payload_score import with_payload_metrics
 
     if isinstance(recording, Exception):
         return _failed(run, recording)

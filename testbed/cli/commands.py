@@ -5,7 +5,6 @@ from __future__ import annotations
 from testbed.cli import (
     calibrations,
     campaigns,
-    catalogues,
     excitations,
     experiments,
     identifications,
@@ -20,7 +19,6 @@ __all__ = [
     "app",
     "calibrations",
     "campaigns",
-    "catalogues",
     "excitations",
     "experiments",
     "identifications",

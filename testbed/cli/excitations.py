@@ -71,8 +71,7 @@ def excite(
     Example: testbed excite models/puma562.xml --out motion.toml --set motion.duration=20
     """
     from testbed.experiment.excite import excite as excited
-    from testbed.experiment.trajectory_file import check_ending, write_trajectory
-    from testbed.experiment.write_motion import write_motion
+    from testbed.experiment.write_motion import check_ending, write_motion, write_trajectory
     from testbed.files import check_writable
     from testbed.reporting import output
     from testbed.reporting.motion import print_excitation
@@ -198,7 +197,6 @@ def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) 
 
 def _covariance(prior: Path, experiment: Experiment) -> Array:
     """Of the minimal parameters, from an earlier estimate."""
-    from testbed.experiment.earlier_estimate import prior_covariance
-    from testbed.experiment.read_result import read_result
+    from testbed.experiment.read_result import prior_covariance, read_result
 
     return prior_covariance(read_result(prior), experiment)

@@ -56,8 +56,7 @@ def run(
     from testbed.errors import RecordingError
     from testbed.experiment.carry_out import carry_out
     from testbed.experiment.experiment import Experiment
-    from testbed.experiment.results import result_of
-    from testbed.experiment.run_folder import check_folder, default_folder
+    from testbed.experiment.results import check_folder, default_folder, result_of
     from testbed.files import check_writable
     from testbed.reporting import output, terminal
 
@@ -90,7 +89,7 @@ def compare(
     from testbed.experiment.comparison import Comparison, comparison_as_json
     from testbed.experiment.comparison import compare as compared
     from testbed.reporting import output
-    from testbed.reporting.comparison import print_comparison
+    from testbed.reporting.terminal import print_comparison
 
     comparison = Comparison.load(file, settings or ())
     with output.Progress("comparing") as progress:
@@ -135,9 +134,9 @@ def warmup() -> None:
 
     Example: testbed warmup
     """
+    from testbed.experiment.assumptions import SECOND
     from testbed.experiment.experiment import Experiment
     from testbed.experiment.simulate import simulate as simulated
-    from testbed.experiment.trial import SECOND
     from testbed.installation import shipped
     from testbed.kernel.numba_engine import warm_up
     from testbed.reporting import output

@@ -1,8 +1,9 @@
-"""Commands about models: minimal, equations."""
+"""Commands about models: minimal, equations; and lists of the faults and effects there are."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -10,20 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from testbed.cli.options import (
-    Gravity,
-    Json,
-    Lock,
-    LockMimic,
-    Model,
-    Weld,
-    Zero,
-    Zeros,
-    app,
-)
+from testbed.cli.options import Gravity, Json, Lock, LockMimic, Model, Weld, Zero, Zeros, app
 from testbed.cli.reading import Reading
 
 if TYPE_CHECKING:
+    from testbed.kind_table import Entry
     from testbed.parameters.identifiability import Visibility
     from testbed.reporting.minimal_sets import Findings
     from testbed.robot.tree import Tree
@@ -241,3 +233,50 @@ def _compare(
         same = "equal" if not difference else f"the listing less the robot: {line(difference)}"
         sys.stdout.write(f"{name}: {same}\n")
     raise typer.Exit(1 if any(found.values()) else 0)
+
+
+Kind = Annotated[str | None, typer.Argument(metavar="KIND", help="One of them, with its keys.")]
+
+
+@app.command()
+def faults(kind: Kind = None) -> None:
+    """List what may be wrong with encoders, drives and plate in an experiment.
+
+    Example: testbed faults plate_pose
+    """
+    from testbed.instruments.faults import KINDS, fault_named
+    from testbed.kind_table import in_words
+
+    if kind is None:
+        _list(map(in_words, KINDS.values()), "faults")
+    else:
+        _describe(in_words(fault_named(kind)), "[measurement] fault")
+
+
+@app.command()
+def effects(kind: Kind = None) -> None:
+    """List what else may be in the plant of an experiment: friction, rotors, payload, supports.
+
+    Example: testbed effects lugre_friction
+    """
+    from testbed.kind_table import in_words
+    from testbed.simulation.effects import EFFECTS, effect_named
+
+    if kind is None:
+        _list(map(in_words, EFFECTS), "effects")
+    else:
+        _describe(in_words(effect_named(kind)), "[simulation] effect")
+
+
+def _list(entries: Iterable[Entry], command: str) -> None:
+    for entry in entries:
+        typer.echo(f"{entry.kind:26s}{entry.summary}")
+    typer.echo(f"\nOne of them, with its keys: testbed {command} KIND")
+
+
+def _describe(entry: Entry, key: str) -> None:
+    typer.echo("\n".join(filter(None, (entry.summary, entry.details))))
+    for name, default, meaning in entry.keys:
+        typer.echo(f"  {name} = {default}: {meaning}")
+    typer.echo(f"Source of the size: {entry.source}")
+    typer.echo(f"In an experiment: {key} = [{entry.example}]")

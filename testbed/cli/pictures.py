@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from testbed.cli.consistent_files import ConsistentBodies
+from testbed.cli.identifications import ConsistentBodies
 from testbed.cli.options import (
     Lock,
     LockMimic,
@@ -123,7 +123,7 @@ def _write_motion(file: Path, settings: list[str], path: Path) -> list[Diagnosti
     from testbed.experiment.evaluate import model_of
     from testbed.experiment.motions import checked_motion, obstacles_of
     from testbed.robot.visuals.appearance import load_appearance
-    from testbed.viewer.motion_log import write_motion_rrd
+    from testbed.viewer.log import write_motion_rrd
 
     found = checked_motion(file, settings)
     tree = found.rules.tree
@@ -185,8 +185,7 @@ def report(
         if validate is not None:
             done = _judged_on(done, validate, reading, unchecked=unchecked)
         elif done.unseen is None:
-            from testbed.experiment.payload_score import with_payload_metrics
-            from testbed.experiment.unseen import on_unseen_motion
+            from testbed.experiment.carry_out import on_unseen_motion, with_payload_metrics
 
             progress.say(0, 0, "simulating an unseen motion")
             done = on_unseen_motion(with_payload_metrics(done, progress), progress)
@@ -224,8 +223,8 @@ def _check_said(
 def _run_at(path: Path, model: Path | None, reading: Reading, *, unchecked: bool) -> Run:
     """A run folder's run, or a recording's with what can be identified from it."""
     from testbed.errors import ExperimentError
+    from testbed.experiment.results import read_run
     from testbed.experiment.run import assemble_run
-    from testbed.experiment.run_folder import read_run
 
     if not path.exists():
         raise ExperimentError(f"there is no run folder or recording '{path}'{_alike(path)}")
@@ -279,7 +278,7 @@ def _loaded(
 
 def _judged_on(run: Run, path: Path, reading: Reading, *, unchecked: bool) -> Run:
     """A run with its estimates held against another recording."""
-    from testbed.experiment.unseen import validated
+    from testbed.experiment.carry_out import validated
 
     other, doubted = _loaded(path, run.tree, reading, unchecked=unchecked)
     said = (*of_recording(other.facts), *doubted)

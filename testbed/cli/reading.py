@@ -126,7 +126,7 @@ class Reading:
 
         if "mapping" not in source.facts:
             return ()
-        from testbed.sanity.check import check_recording
+        from testbed.plausibility.check import check_recording
 
         with Progress("looking for mistakes") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
@@ -175,7 +175,7 @@ def opened_pieces(path: Path) -> tuple[Sequence[Source], list[Diagnostic]]:
     """
     if path.suffix != ".toml":
         return [opened(path)], []
-    from testbed.recordings.importing.pieces import pieces
+    from testbed.recordings.joined import pieces
 
     return pieces(path)
 

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
-from testbed.dynamics.algebra import NUMBERS
-from testbed.dynamics.kinematics import kinematics
 from testbed.dynamics.motion import Motion
-from testbed.dynamics.newton_euler import transmitted
+from testbed.dynamics.newton_euler import NUMBERS, kinematics, transmitted
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import few
-from testbed.excitation.approach import levers
-from testbed.excitation.collision_model import CELL, CollisionModel
+from testbed.excitation.collision_model import CELL, CollisionModel, levers
 from testbed.excitation.limits import Limits
 from testbed.excitation.samples import Instants, Samples
 

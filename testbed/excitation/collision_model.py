@@ -1,9 +1,4 @@
-"""The robot's shapes as a MuJoCo model: who may come near whom.
-
-Shapes come from the model file, MJCF or URDF alike (`robot.visuals`); a mesh counts as its convex
-hull, which never leaves anything out. Bodies are placed by the tree's own joints. Pairs of bodies
-that a joint joins always touch and are left out.
-"""
+"""The robot's shapes as a MuJoCo model: who may come near whom, and how fast at most."""
 
 from __future__ import annotations
 
@@ -17,6 +12,7 @@ from numpy.typing import NDArray
 
 from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
+from testbed.excitation.limits import Limits
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.shapes import Shape
 
@@ -201,3 +197,42 @@ def _hull(vertices: Array) -> tuple[Array, NDArray[np.int64]] | None:
     number = np.zeros(len(vertices), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))
     return vertices[hull.vertices], number[hull.simplices]
+
+
+def levers(collision: CollisionModel, limits: Limits) -> Array:
+    """Bounds of how distances of pairs change with the joints' positions, (k, n) [m/rad or 1].
+
+    Seen from the last body that carries both, a point of either moves by no more than each joint's
+    own movement times how far from that joint it can be.
+
+    Args:
+        collision: Shapes, and the pairs.
+        limits: Of the joints' positions.
+    """
+    tree, size = collision.tree, _sizes(collision)
+    travel = np.maximum(np.abs(limits.low), np.abs(limits.high))
+    found = np.zeros((len(collision.pairs), tree.n))
+    for k, (a, b) in enumerate(collision.pairs):
+        both = set(tree.chain(a)) & set(tree.chain(b))
+        for body in (a, b):
+            away = size.get(body, 0.0)
+            for j in reversed(tree.chain(body)):
+                if j in both:
+                    break
+                joint = tree.joints[j]
+                found[k, j] = away if joint.revolute else 1.0
+                away += float(np.linalg.norm(joint.offset))
+                away += 0.0 if joint.revolute else float(travel[j])
+    return found
+
+
+def _sizes(collision: CollisionModel) -> dict[int, float]:
+    """How far from a moving body's origin its shapes reach [m]."""
+    model = collision.model
+    found: dict[int, float] = {}
+    for (a, b), geoms in zip(collision.pairs, collision.geoms, strict=True):
+        for body, own in zip((a, b), geoms, strict=True):
+            reach = np.linalg.norm(model.geom_pos[own], axis=1) + model.geom_rbound[own]
+            if body >= 0:
+                found[body] = max(found.get(body, 0.0), float(reach.max()))
+    return found

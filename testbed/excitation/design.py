@@ -22,13 +22,10 @@ from testbed.excitation.clearance import ClearanceTerm
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import Information
 from testbed.excitation.limit_terms import LimitTerm
-from testbed.excitation.problem import Problem
+from testbed.excitation.problem import Problem, Series
 from testbed.excitation.proof import Proof, Rules, prove
-from testbed.excitation.random_motion import sample
-from testbed.excitation.rest_posture import rest_posture
-from testbed.excitation.sampled_rows import SampledRows
-from testbed.excitation.series import Series
-from testbed.excitation.stencil import stencil
+from testbed.excitation.random_motion import rest_posture, sample
+from testbed.excitation.samples import SampledRows, stencil
 from testbed.parameters.rules import Model
 
 DRAWS = 60

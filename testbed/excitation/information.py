@@ -1,24 +1,57 @@
-"""How much a motion tells: the information matrix of the unknowns, and its derivatives.
-
-Unknowns are the minimal parameters, as shares of their values, and what joints have of their
-own: dry and viscous friction, which are nuisances. A nuisance is estimated and not counted.
-"""
+"""The information matrix of the unknowns: criteria, derivatives by the motion, predicted sigma."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.excitation.criteria import CRITERIA, CriterionName
-from testbed.excitation.sampled_rows import SampledRows
-from testbed.excitation.samples import Samples
+from testbed.blas import eigh
+from testbed.codec import with_properties
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.samples import SampledRows, Samples
 from testbed.parameters.minimal_set import MinimalSet, selection
 from testbed.parameters.rules import Model
 from testbed.robot.tree import Tree
+
+Criterion: TypeAlias = Callable[[Array], tuple[float, Array]]
+"""Of C, (N, N): the value, and its derivative by C, (N, N)."""
+
+CriterionName = Literal["a", "d", "e"]
+
+POWER = 8
+"""Of the norm that stands for the largest eigenvalue."""
+
+
+def a_optimal(covariance: Array) -> tuple[float, Array]:
+    """Log of the mean variance, and its derivative."""
+    count, trace = len(covariance), float(np.trace(covariance))
+    return float(np.log(trace / count)), np.eye(count) / trace
+
+
+def d_optimal(covariance: Array) -> tuple[float, Array]:
+    """Log of the geometric mean of the variances along the axes, and its derivative."""
+    count = len(covariance)
+    size = float(np.linalg.slogdet(covariance)[1])
+    return size / count, np.linalg.inv(covariance) / count
+
+
+def e_optimal(covariance: Array) -> tuple[float, Array]:
+    """Log of a smooth stand-in for the largest variance along an axis, and its derivative."""
+    values, axes = eigh(covariance)
+    share = np.maximum(values, 0.0) / values[-1]
+    total = float(np.sum(share**POWER))
+    value = float(np.log(values[-1]) + np.log(total / len(values)) / POWER)
+    return value, (axes * (share ** (POWER - 1) / (total * values[-1]))) @ axes.T
+
+
+CRITERIA: dict[CriterionName, Criterion] = {"a": a_optimal, "d": d_optimal, "e": e_optimal}
+"""By name."""
+
 
 Instrument = Literal["plate", "joints", "both"]
 """Whose rows count: the bedplate's wrench, the joints' torques, or all."""
@@ -229,3 +262,94 @@ def _inverse(matrix: Array) -> Array | None:
     except np.linalg.LinAlgError:
         return None
     return np.asarray(half.T @ half / np.outer(size, size))
+
+
+DENSITY = 24
+"""Samples of a period for each harmonic: those of the rows are at most four times the motion's."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pipeline:
+    """What an estimate makes of a recording.
+
+    Attributes:
+        rate: Samples a second [Hz].
+        span: Time that its filters leave of the recording [s].
+        band: What is faster in the rows does not count [Hz]; infinite for all.
+        resting: Rows of a joint do not count while it is slower, nor near it [rad/s or m/s].
+        reach: So near [s].
+    """
+
+    rate: float
+    span: float
+    band: float
+    resting: float
+    reach: float
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """What a motion promises.
+
+    Attributes:
+        names: Of the minimal parameters.
+        sigma: Of each, (N,) [kg, kg m, kg m^2].
+        relative: The same as shares of the values, small ones counted as larger, (N,).
+        condition: Condition number of the rows on relative parameters.
+    """
+
+    names: tuple[str, ...]
+    sigma: Array
+    relative: Array
+    condition: float
+
+    __get_pydantic_core_schema__ = with_properties("rms")
+
+    @property
+    def rms(self) -> float:
+        """Of the relative sigmas."""
+        return float(np.sqrt(np.mean(self.relative**2)))
+
+
+def predict(
+    information: Information,
+    rows: Mapping[Model, SampledRows],
+    motion: Fourier,
+    pipeline: Pipeline,
+    names: tuple[str, ...],
+) -> Prediction:
+    """The sigma of white noise alone.
+
+    Args:
+        information: What is asked; its prior is a share of one sample.
+        rows: Of the models that it looks at.
+        motion: The motion, repeated.
+        pipeline: What an estimate makes of it.
+        names: Of the minimal parameters.
+    """
+    count = max(DENSITY * motion.harmonics, 200)
+    times = np.arange(count) * motion.period / count
+    at = motion.at(times)
+    samples = Samples(at.q, at.qd, at.qdd, rows, None)
+    counted = moving(motion, count, pipeline)
+    keep = int(pipeline.band * motion.period) if np.isfinite(pipeline.band) else count
+    matrix = information.matrix(samples, counted=counted, harmonics=keep)
+    matrix = (matrix / count + information.prior) * pipeline.rate * pipeline.span
+    covariance = information.covariance(matrix)
+    if covariance is None:
+        relative = np.full(information.counted, np.inf)
+        return Prediction(names, relative * information.scale, relative, np.inf)
+    relative = np.sqrt(np.diag(covariance))
+    spread = np.linalg.eigvalsh(covariance)
+    condition = float(np.sqrt(spread[-1] / spread[0]))
+    return Prediction(names, relative * information.scale, relative, condition)
+
+
+def moving(motion: Fourier, count: int, pipeline: Pipeline) -> NDArray[np.bool_]:
+    """Whether each joint's rows count at samples of a period, (count, n)."""
+    times = np.arange(count) * motion.period / count
+    found = np.abs(motion.derivative(times, 1)) > pipeline.resting
+    near = round(pipeline.reach * count / motion.period)
+    return np.asarray(
+        np.all([np.roll(found, shift, axis=0) for shift in range(-near, near + 1)], axis=0)
+    )

@@ -1,13 +1,4 @@
-"""Proof that a periodic motion respects its limits at every moment, not only at samples.
-
-    positions, velocities, accelerations    trigonometric polynomials: [EZ64], see `series`
-    efforts, wrench, centre of pressure     between samples h apart, f is at most the larger end
-                                            and h^2/8 sup|f''|; that bound comes from jets
-    clearance                               conservative advancement: at a distance d, bodies that
-                                            approach at no more than L cannot meet before d/L
-
-Source    conservative advancement: [Mirtich96]
-"""
+"""Proof that a periodic motion respects its limits at every moment; margins over time."""
 
 from __future__ import annotations
 
@@ -21,12 +12,10 @@ from testbed.arrays import Array
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.motion import Motion
-from testbed.excitation.approach import levers
 from testbed.excitation.clearance import FAR, DistanceMeter
-from testbed.excitation.collision_model import CollisionModel
+from testbed.excitation.collision_model import CollisionModel, levers
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.jets import force_bounds
-from testbed.excitation.limit_terms import SmoothTerm
+from testbed.excitation.limit_terms import SmoothTerm, force_bounds
 from testbed.excitation.limits import Limits
 from testbed.excitation.samples import Computed
 from testbed.robot.tree import Tree
@@ -298,3 +287,45 @@ def _distances(motion: Fourier, rules: Rules) -> tuple[list[Margin], int]:
         if d < far
     ]
     return margins, postures
+
+
+@dataclass(frozen=True, eq=False)
+class Slack:
+    """What the nearest limit of a kind leaves of what may be used.
+
+    Attributes:
+        label: The kind, as "velocity limits".
+        unit: "%" or "mm".
+        left: At each instant, (M,).
+    """
+
+    label: str
+    unit: str
+    left: Array
+
+
+def slack(motion: Fourier, rules: Rules, times: Array) -> list[Slack]:
+    """What is left of every kind of limit; of clearances, where anything comes nearer than FAR.
+
+    Args:
+        motion: The motion.
+        rules: What it must respect.
+        times: (M,) [s].
+    """
+    here, limits = Computed(rules.tree, motion.at(times)), rules.limits
+    shares = {
+        "position": np.abs(here.q - limits.middle) / limits.half,
+        "velocity": np.abs(here.qd) / limits.velocity,
+        "acceleration": np.abs(here.qdd) / limits.acceleration,
+    }
+    left = {kind: rules.margin - used.max(axis=1) for kind, used in shares.items()}
+    left |= {term.labels[0].split()[0]: -term.values(here).max(axis=0) for term in rules.terms}
+    found = [Slack(f"{kind} limits", "%", 100 * values) for kind, values in left.items()]
+    if rules.collision is not None and rules.collision.pairs:
+        meter = DistanceMeter(rules.collision)
+        wanted = rules.clearance.max()
+        whole = rules.clearance == wanted  # others are built nearer, and would hide all else
+        nearest = meter.measure(here.q).values[:, whole].min(axis=1)
+        if (nearest < FAR).any():  # else nothing ever comes near
+            found.append(Slack("clearances", "mm", 1000 * (nearest - wanted)))
+    return found

@@ -1,8 +1,4 @@
-"""Feasible random motions, and the best of a few.
-
-The score is the predicted relative standard deviation of the reaction parameters: the
-covariance that plate noise alone would give, weighed by the values of an a-priori model.
-"""
+"""Feasible random motions about postures that a robot can hold, and the best of a few."""
 
 from __future__ import annotations
 
@@ -13,15 +9,71 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import regressor
+from testbed.dynamics.motion import Motion
 from testbed.errors import InfeasibleMotion
+from testbed.excitation.clearance import POSTURES, ClearanceTerm
 from testbed.excitation.fourier import Fourier
 from testbed.excitation.information import relative_scale
+from testbed.excitation.limit_terms import LimitTerm
 from testbed.excitation.limits import Limits, limits_of, motor_efforts
 from testbed.excitation.proof import Proof, Rules, prove, seems_to_hold
-from testbed.excitation.rest_posture import easiest_posture, rest_posture
+from testbed.excitation.samples import Computed
 from testbed.parameters.barycentric import barycentric
 from testbed.parameters.minimal_set import MinimalSet
 from testbed.robot.tree import Tree
+
+
+def rest_posture(rules: Rules) -> Array:
+    """The posture of zeros where it keeps all limits at rest, else the best of random ones.
+
+    Args:
+        rules: Limits of efforts, plate and clearance.
+
+    Returns:
+        (n,) [rad or m]; where no posture keeps all limits, the one that exceeds them least.
+    """
+    terms: list[LimitTerm] = list(rules.terms)
+    if rules.collision is not None and rules.collision.pairs:
+        terms.append(ClearanceTerm(rules.collision, rules.limits, rules.clearance))
+
+    def excess(postures: Array) -> Array:
+        still = Computed(rules.tree, _still(postures))
+        found = [term.values(still).max(axis=0) for term in terms]
+        return np.asarray(np.max(found, axis=0, initial=-np.inf))
+
+    home = rules.limits.home
+    if not terms or excess(home[None])[0] < 0:
+        return home
+    postures = tried_postures(rules.limits)
+    return np.asarray(postures[excess(postures).argmin()])
+
+
+def easiest_posture(tree: Tree, limits: Limits) -> Array:
+    """The posture that asks least of its motors, of the zeros and random ones, (n,) [rad or m].
+
+    Args:
+        tree: The robot.
+        limits: Of its joints.
+    """
+    postures = tried_postures(limits)
+    share = np.abs(motor_efforts(tree, _still(postures))) / limits.effort
+    return np.asarray(postures[share.max(axis=1).argmin()])
+
+
+def tried_postures(limits: Limits) -> Array:
+    """The posture of zeros and random ones, the same every time, (POSTURES + 1, n) [rad or m].
+
+    Args:
+        limits: Of the joints.
+    """
+    random = np.random.default_rng(0).uniform(limits.low, limits.high, (POSTURES, len(limits.low)))
+    return np.vstack([limits.home, random])
+
+
+def _still(postures: Array) -> Motion:
+    nothing = np.zeros_like(postures)
+    return Motion(np.arange(float(len(postures))), postures, nothing, nothing)
+
 
 MARGIN = 0.95
 """Share of every limit that a motion may use: the rest is for the controller."""

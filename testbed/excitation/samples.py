@@ -1,21 +1,128 @@
-"""A motion at some instants: where the joints are, and what forces that takes."""
+"""A motion at some instants: positions, forces, rows of a model, with exact derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from testbed.arrays import Array
+from testbed.arrays import Array, readonly
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.dynamics.motion import Motion
-from testbed.excitation.sampled_rows import SampledRows
-from testbed.excitation.stencil import Stencil
+from testbed.kernel.layout import Layout, layout
+from testbed.kernel.records import Work, sensed
+from testbed.parameters.barycentric import barycentric
+from testbed.parameters.minimal_set import MinimalSet
 from testbed.parameters.rules import Model
-from testbed.robot.tree import Tree
+from testbed.robot.tree import Joint, Tree
+
+_NEAR, _FAR = np.pi / 4, 3 * np.pi / 4
+_OF_NEAR, _OF_FAR = (1 / (8 * np.sin(shift / 2) ** 2) for shift in (_NEAR, _FAR))
+
+
+@dataclass(frozen=True, eq=False)
+class Stencil:
+    """Where to look around a motion, and how much each look counts.
+
+    Attributes:
+        shifts: Of (q, qd, qdd), (E, 3, n); the first is none.
+        weights: Derivatives by q, then qd, then qdd, of what is seen there, (3 n, E).
+    """
+
+    shifts: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        shifts = readonly(self.shifts, (None, 3, None), "shifts")
+        object.__setattr__(self, "shifts", shifts)
+        shape = (3 * shifts.shape[2], len(shifts))
+        object.__setattr__(self, "weights", readonly(self.weights, shape, "weights"))
+
+    def around(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+        """All looks at a motion, one after the other, (E M, n) each, of (M, n) each."""
+        moved = np.stack([q, qd, qdd]) + self.shifts[:, :, None, :]  # (E, 3, M, n)
+        flat = moved.transpose(1, 0, 2, 3).reshape(3, -1, q.shape[1])
+        return flat[0], flat[1], flat[2]
+
+
+def stencil(tree: Tree) -> Stencil:
+    """The stencil of a robot's rows.
+
+    Args:
+        tree: The robot.
+    """
+    n = tree.n
+    places: list[tuple[int, int, float]] = [(0, 0, 0.0)]
+    weights: list[tuple[int, int, float]] = []  # derivative, look, weight
+    for j, joint in enumerate(tree.joints):
+        for kind, parts in enumerate((_position(joint), ((1.0, 0.5), (-1.0, -0.5)))):
+            for shift, weight in parts:
+                weights.append((kind * n + j, len(places), weight))
+                places.append((kind, j, shift))
+        weights += [(2 * n + j, len(places), 1.0), (2 * n + j, 0, -1.0)]
+        places.append((2, j, 1.0))
+    shifts, table = np.zeros((len(places), 3, n)), np.zeros((3 * n, len(places)))
+    for look, (kind, j, shift) in enumerate(places):
+        shifts[look, kind, j] = shift
+    for derivative, look, weight in weights:
+        table[derivative, look] += weight
+    return Stencil(shifts, table)
+
+
+def _position(joint: Joint) -> tuple[tuple[float, float], ...]:
+    """Shifts of a position and their weights."""
+    if not joint.revolute:
+        return (1.0, 0.5), (-1.0, -0.5)
+    return (_NEAR, _OF_NEAR), (-_NEAR, -_OF_NEAR), (_FAR, -_OF_FAR), (-_FAR, _OF_FAR)
+
+
+class SampledRows:
+    """Slots of one model's rows: what each is worth, the layout says.
+
+    The compiled kernel is used whatever the size: a search asks for the same few hundred
+    samples thousands of times.
+    """
+
+    def __init__(self, tree: Tree, minimal: MinimalSet) -> None:
+        """Lay the rows out.
+
+        Args:
+            tree: The robot, its inertias an a-priori model.
+            minimal: delta_d for rows of the joints, delta_r for those of the bedplate.
+        """
+        self.minimal = minimal
+        self.layout: Layout = layout(tree, minimal)
+        self.delta = minimal.values(barycentric(tree))
+        self._width = len(self.layout.channels)
+
+    def slots(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """All slots, (slots, M), of a motion of M samples, (M, n) each."""
+        from testbed.kernel import numba_engine  # a second to import: random motions do not need it
+
+        signals = sensed(q, qd, qdd, self._width)
+        if self._room is None:
+            self._room = numba_engine.workspace(self.layout, signals)
+        made = numba_engine.rows(self.layout, signals, self._room)
+        return np.concatenate([block.rows for block in made], axis=1)
+
+    _room: Work | None = None
+
+    def channels(self) -> Iterator[tuple[slice, Array]]:
+        """Slots of each channel, and what they have of each minimal parameter, (s, N)."""
+        rows = self.layout.rows
+        for start, columns in zip(rows.start, self.layout.channels, strict=True):
+            yield slice(int(start), int(start) + len(columns)), self.layout.basis[columns]
+
+    @cached_property
+    def model(self) -> Array:
+        """What slots are worth by the a-priori model, (channels, slots): forces or wrench."""
+        found = np.zeros((self._width, self.layout.rows.slots))
+        for c, (part, lead) in enumerate(self.channels()):
+            found[c, part] = lead @ self.delta
+        return found
 
 
 class Instants(Protocol):

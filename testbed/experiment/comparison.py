@@ -18,10 +18,9 @@ from testbed.diagnostics.diagnostic import messages, ordered
 from testbed.errors import ExperimentError, UnknownName
 from testbed.experiment.evaluate import evaluate
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import Expectations, Table
+from testbed.experiment.experiment_tables import Expectations, Table, VariedTables
 from testbed.experiment.run import Run
 from testbed.experiment.simulate import simulate
-from testbed.experiment.varied_tables import VariedTables
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.regression.passes import Progress
 from testbed.instruments.chain import measured_again

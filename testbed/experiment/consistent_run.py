@@ -12,7 +12,6 @@ from testbed.errors import TestbedError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, root_mean_square
-from testbed.experiment.wrong_prior import wrong_bodies
 from testbed.identification.consistency.consistent import Consistent
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.consistency.prior_weight import consistent_by_held_out
@@ -24,10 +23,35 @@ from testbed.parameters.barycentric import standard
 from testbed.parameters.minimal_set import minimal_set
 from testbed.parameters.prior import Prior, prior_of
 from testbed.recordings.source import Source
+from testbed.robot.inertia import Inertia, upper_root
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.robot.visuals.appearance import load_shapes
 from testbed.robot.visuals.shapes import extents
+
+
+def wrong_bodies(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
+    """The robot with other possible bodies.
+
+    J = U U' becomes U G G' U', G a matrix that differs from one by random numbers: mass, centre
+    and inertia change together, each by about the same part of itself. Bodies whose J has no
+    such root (rods, plates, none) stay.
+
+    Args:
+        tree: The robot with its true bodies.
+        error: Standard deviation of every coordinate of J, in parts of the body.
+        rng: Draws the numbers.
+    """
+    return replace(tree, inertias=tuple(_wrong(body, error, rng) for body in tree.inertias))
+
+
+def _wrong(body: Inertia, error: float, rng: np.random.Generator) -> Inertia:
+    change = np.eye(4) + error / 2 * rng.normal(size=(4, 4))
+    try:
+        root = upper_root(body.pseudo) @ change
+    except np.linalg.LinAlgError:
+        return body
+    return Inertia.of_pseudo(root @ root.T)
 
 
 def prior_from(tree: Tree, model: ModelFile | None, *, shapes: bool) -> Prior:

@@ -1,24 +1,56 @@
-"""From an experiment's recording to its run: no simulation needed."""
+"""From an experiment's recording to its run, and the error that a coarse step leaves."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from testbed.diagnostics.diagnostic import Diagnostic
-from testbed.errors import ExperimentError
+from testbed.errors import ExperimentError, TestbedError
 from testbed.experiment.consistent_run import with_consistent
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.experiment_tables import BodyTable
+from testbed.experiment.experiment_tables import BodyTable, SimulationTable
 from testbed.experiment.run import Run, assemble_run
-from testbed.experiment.step_floor import with_floor
+from testbed.experiment.score import root_mean_square, shared_errors
 from testbed.identification.estimate import METHODS, Method
+from testbed.identification.identify import identify
 from testbed.identification.regression.passes import Progress
+from testbed.instruments.chain import Instrument, measured_again
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile, mimic_joints, nearest_bodies
 from testbed.robot.transmission import with_rotor_spin
 from testbed.robot.tree import Tree
 from testbed.simulation.effect import Effect
+
+FINE = SimulationTable().step
+"""Step up to which the floor is not looked for [s]: it is below what instruments leave."""
+
+
+def with_floor(run: Run) -> Run:
+    """A run with the metric `external_floor`, where its step is coarse.
+
+    Args:
+        run: Of an experiment.
+    """
+    experiment = run.experiment
+    if experiment is None or run.score is None or "external" not in run.estimates:
+        return run
+    if experiment.simulation.step <= FINE * (1 + 1e-9):
+        return run
+    asked = experiment.measurement
+    perfect = Instrument(rate=asked.rate, averaged=asked.averaged)
+    seen = replace(measured_again(run.recording, perfect, experiment.seed).blind(), tare=None)
+    plain = replace(run.settings, noise="white", nuisances=(), known={}, weights="channels")
+    try:
+        estimate = identify(run.tree, seen, "external", settings=plain, threads=1)
+    except TestbedError:
+        return run
+    floor = root_mean_square(shared_errors(run.tree, estimate.base.values, plain.zeros))
+    if floor is None:
+        return run
+    metrics = {**run.score.metrics, "external_floor": floor}
+    return replace(run, score=replace(run.score, metrics=metrics))
 
 
 def evaluate(

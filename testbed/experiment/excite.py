@@ -15,10 +15,9 @@ from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.errors import ExperimentError, TestbedError, few
 from testbed.excitation.design import Design, Watch, Wish, design
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import information_of, models_of
-from testbed.excitation.prediction import Pipeline, Prediction, predict
+from testbed.excitation.information import Pipeline, Prediction, information_of, models_of, predict
 from testbed.excitation.proof import Rules
-from testbed.excitation.sampled_rows import SampledRows
+from testbed.excitation.samples import SampledRows
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.motions import motion_of, plate_noise_of, rules_of

@@ -1,8 +1,4 @@
-"""The tables of an experiment file: settings with units, defaults and bounds, each in one place.
-
-Two tables are the very values that act: `measurement` is `instruments.chain.Instrument`, and
-`identification` is `identification.settings.Settings`.
-"""
+"""The tables of an experiment file: settings with units, defaults and bounds, each in one place."""
 
 from __future__ import annotations
 
@@ -12,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, Field, model_validator
 
 from testbed.errors import UnknownName
+from testbed.identification.estimate import METHODS, Method
 from testbed.kind_table import AsTable
 from testbed.robot.free_base import on_free_base
 from testbed.robot.inertia import Inertia
@@ -292,3 +289,18 @@ Expectations = Annotated[dict[str, Bound], AfterValidator(_known)]
 
 RunName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)]
 """Letters, digits, dot, dash, underscore."""
+
+
+class VariedTables(Table):
+    """What a file says that varies one experiment: a comparison, a campaign."""
+
+    name: RunName
+    """Of the comparison or campaign."""
+    claim: str = ""
+    """What it shows, in a sentence."""
+    experiment: str
+    """Experiment file, relative to this one; its own claims do not count."""
+    set: tuple[str, ...] = ()
+    """What is different from it throughout: "key = value" as `--set` takes it."""
+    methods: Annotated[tuple[Method, ...], Field(min_length=1)] = METHODS
+    """Which estimates are made."""

@@ -11,8 +11,7 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.motion import Motion
-from testbed.experiment.run import Run
-from testbed.experiment.shown_motion import shown_motion
+from testbed.experiment.run import Run, shown_motion
 from testbed.identification.estimate import Method
 from testbed.identification.estimate_summary import corrected_by, summary_of
 from testbed.identification.predict import friction, predictions

@@ -1,8 +1,4 @@
-"""Estimates read back from what `identify --json` printed or from a run folder, formats 1 and 2.
-
-Nothing in such a file is trusted: only the parts that a validation needs are taken, each
-checked, and a path in it is opened as a model file if that has the SHA-256 that stands there.
-"""
+"""Estimates read from `identify --json` or a run folder: for validation, for a design."""
 
 from __future__ import annotations
 
@@ -20,11 +16,13 @@ from testbed.errors import ExperimentError, plural
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import Experiment, RecordingTables
 from testbed.experiment.experiment_tables import Table
-from testbed.experiment.run_folder import EXPERIMENT, RESULT
+from testbed.experiment.results import EXPERIMENT, RESULT
 from testbed.files import fingerprint, read_text
 from testbed.identification.estimate import METHODS, Method, channels_of
 from testbed.identification.estimate_summary import EstimateSummary
 from testbed.identification.settings import Settings
+from testbed.parameters.minimal_set import minimal_set
+from testbed.parameters.rules import Model
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
 from testbed.toml_text import Finite, checked, override
@@ -204,3 +202,28 @@ def _checked_model(place: Path, sha256: object, path: Path) -> Path:
     if fingerprint(place) != sha256:
         raise ExperimentError(f"'{place}' is not the model of {path}: its SHA-256 is another")
     return place
+
+
+def prior_covariance(kept: KeptResult, experiment: Experiment) -> Array:
+    """The covariance of an earlier estimate in the order of an experiment's parameters, (N, N).
+
+    Args:
+        kept: The estimates of a file.
+        experiment: Says which parameters are wanted.
+
+    Raises:
+        ExperimentError: The file's estimates are of other parameters.
+    """
+    joints = experiment.excitation.instrument == "joints"
+    wanted = "internal" if joints else "external"
+    model: Model = "dynamic" if joints else "reaction"
+    zeros = experiment.identification.zeros
+    names = minimal_set(robot_of(experiment), model, zeros=zeros).names
+    for estimate in kept.estimates:
+        if estimate.method == wanted and set(names) <= set(estimate.names):
+            order = [estimate.names.index(name) for name in names]
+            return np.array(estimate.covariance)[np.ix_(order, order)]
+    raise ExperimentError(
+        f"the earlier result has no {wanted} estimate of {', '.join(names)}: it must be of the "
+        "same robot, with the same identification.zeros"
+    )

@@ -1,35 +1,148 @@
-"""A run: one recording of one robot, what was identified from it, and how well.
-
-The value that terminal, report and viewer take, whether a simulation made the recording or
-somebody's own instruments.
-"""
+"""A run: a recording of one robot, what was identified from it, how well, with what doubts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, ordered
-from testbed.errors import RecordingError, TestbedError, UnseenParameters
-from testbed.experiment.drive_score import drive_metrics
+import numpy as np
+
+from testbed.arrays import Array, readonly
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose, of_recording, ordered
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError, TestbedError, UnseenParameters, plural
 from testbed.experiment.experiment import Experiment
-from testbed.experiment.run_diagnostics import diagnostics_of_run
-from testbed.experiment.score import Score, score
-from testbed.experiment.shown_motion import shown_motion
+from testbed.experiment.score import Errors, Score, drive_metrics, score
 from testbed.identification.consistency.consistent import Consistent
+from testbed.identification.diagnostics.cross_check import diagnostics_of
 from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.identify import identify
+from testbed.identification.predict import motion_in
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
 from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.settings import Settings
 from testbed.identification.validate import Validation
+from testbed.recordings.columns import AXES
 from testbed.recordings.coupled_gear import with_gear
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.robot.model_file import ModelFile
 from testbed.robot.tree import Tree
+
+
+def shown_motion(recording: Recording, settings: Settings) -> tuple[Motion, slice]:
+    """A recording's motion, and the samples it covers; unfiltered where filters do not fit.
+
+    Args:
+        recording: Two samples or more.
+        settings: Whose filter on positions to use.
+    """
+    try:
+        return motion_in(recording, settings)
+    except RecordingError:
+        step = 1 / recording.rate
+        speed = np.gradient(recording.position, step, axis=0)
+        rates = speed, np.gradient(speed, step, axis=0)
+        return Motion(recording.time, recording.position, *rates), slice(0, recording.samples)
+
+
+CLOSE = 0.9
+"""Correlation above which two parameters are named."""
+
+MOST_PAIRS = 5
+"""Pairs that are named."""
+
+FAR = 5.0
+"""Errors in sigmas that noise does not make."""
+
+CAUSES: Mapping[Method, tuple[str, ...]] = {
+    "internal": ("torque-constant", "friction-law", "rotor"),
+    "external": ("plate-errors", "encoder_delays"),
+}
+"""Of errors that sigma does not count."""
+
+EXACT = 1e-6
+"""Relative error that is of no matter, however small sigma is."""
+
+
+def diagnostics_of_run(
+    tree: Tree,
+    recording: Recording,
+    estimates: Mapping[Method, Estimate],
+    failures: Mapping[Method, str],
+    errors: Mapping[Method, Errors],
+) -> tuple[Diagnostic, ...]:
+    """What to know of the model, the recording and the estimates.
+
+    Args:
+        tree: The robot.
+        recording: What was measured.
+        estimates: By method.
+        failures: Why a method has no estimate.
+        errors: Of the estimates, where the truth is known.
+    """
+    missing = [diagnose("estimate.missing", m, reason=reason) for m, reason in failures.items()]
+    found = [*diagnostics_of(estimates.values())]
+    for method in errors:
+        found += systematic_errors(estimates[method], errors[method])
+    for estimate in estimates.values():
+        found += correlated(estimate)
+    return ordered([*missing, *tree.diagnostics, *of_recording(recording.facts), *found])
+
+
+def correlated(estimate: Estimate) -> Iterator[Diagnostic]:
+    """Parameters of large correlation, the largest first.
+
+    Args:
+        estimate: Of one method.
+    """
+    scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 1e-300))
+    correlation = estimate.covariance / np.outer(scale, scale)
+    pairs = np.argwhere(np.triu(np.abs(correlation) > CLOSE, 1)).tolist()
+    pairs.sort(key=lambda pair: -abs(correlation[pair[0], pair[1]]))
+    if not pairs:
+        return
+    named = [
+        f"{estimate.names[a]} and {estimate.names[b]} (correlation {correlation[a, b]:.2f})"
+        for a, b in pairs[:MOST_PAIRS]
+    ]
+    more = len(pairs) - len(named)
+    yield diagnose(
+        "estimate.correlated",
+        f"the {estimate.method} estimate",
+        correlation[pairs[0][0], pairs[0][1]],
+        method=estimate.method,
+        pairs=", ".join(named) + (f" and {more} more pairs" if more else ""),
+    )
+
+
+def systematic_errors(estimate: Estimate, errors: Errors) -> Iterator[Diagnostic]:
+    """Errors that sigma does not explain.
+
+    Args:
+        estimate: Of one method.
+        errors: Of its values.
+    """
+    gap = np.abs(estimate.values - errors.truth)
+    rounding = EXACT * np.abs(errors.truth).max(initial=0.0)  # where nothing has a scale
+    exact = np.where(np.isnan(errors.relative), gap < rounding, np.abs(errors.relative) < EXACT)
+    off = (np.abs(errors.z) > FAR) & ~exact
+    if not off.any():
+        return
+    far = np.where(off, np.abs(errors.z), 0.0)
+    worst = int(far.argmax())
+    others = int(off.sum()) - 1
+    more = f" and of {plural(others, 'more parameter')}" if others else ""
+    yield diagnose(
+        "estimate.bias",
+        f"the {estimate.method} estimate of {estimate.names[worst]}{more}",
+        float(far[worst]),
+        method=estimate.method,
+        causes=CAUSES[estimate.method],
+        limit=FAR,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,3 +321,50 @@ def _drives(
     except TestbedError as error:
         return None, (diagnose("drives.missing", "the drives", reason=error),)
     return found, found.diagnostics
+
+
+SAID = "of what the channel (row) reaches, by what the component (column) reaches [%]"
+"""What the numbers are parts of."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixErrors:
+    """In parts of what the channel reaches, by what the component reaches [%].
+
+    Attributes:
+        error: Of the plate as it is, (6, 6): what calibration takes away.
+        sigma: Of the calibration, (6, 6): what it leaves.
+    """
+
+    error: Array
+    sigma: Array
+
+    def __post_init__(self) -> None:
+        for name in ("error", "sigma"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (6, 6), name))
+
+    @property
+    def most(self) -> float:
+        """The largest of all, without sign [%]."""
+        return float(max(np.abs(self.error).max(), self.sigma.max()))
+
+
+def matrix_errors(run: Run) -> MatrixErrors | None:
+    """Of a run in which the plate's matrix was estimated; else None.
+
+    Args:
+        run: The run.
+    """
+    external = run.estimates.get("external")
+    found = {n.name: n for n in external.nuisances} if external is not None else {}
+    if not any(name.startswith("crosstalk/") for name in found) or run.recording.wrench is None:
+        return None
+    error, sigma = np.zeros((2, 6, 6))
+    for i, shown in enumerate(AXES):
+        for j, felt in enumerate(AXES):
+            number = found.get(f"gain/{shown}" if i == j else f"crosstalk/{shown}/{felt}")
+            if number is not None:
+                error[i, j], sigma[i, j] = number.value - (i == j), number.sigma
+    reach = np.abs(run.recording.wrench).max(axis=0)
+    share = 100 * np.outer(1 / np.where(reach > 0, reach, 1.0), reach)
+    return MatrixErrors(error * share, sigma * share)

@@ -1,21 +1,120 @@
-"""The judge: estimates against the truth in the model file."""
+"""The judge: estimates and drives against the truth in the model file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import regressor
 from testbed.dynamics.motion import Motion
-from testbed.experiment.accuracy import Accuracy, accuracies
+from testbed.experiment.experiment import Experiment
+from testbed.identification.drives.friction_curves import FrictionCurve
+from testbed.identification.drives.identify_drives import DriveFindings
+from testbed.identification.drives.torque_constants import DriveEstimate
 from testbed.identification.estimate import Estimate, Method
+from testbed.instruments.drives import TorqueConstantError
+from testbed.kind_table import each_joint
 from testbed.parameters.barycentric import barycentric
-from testbed.parameters.minimal_set import minimal_set, selection
-from testbed.robot.friction import term_torque
+from testbed.parameters.minimal_set import MinimalSet, minimal_set, selection
+from testbed.recordings.columns import PLATE_UNITS
+from testbed.recordings.recording import Recording, Truth
+from testbed.robot.friction import COULOMB, ROTOR, JointLaw, term_torque
 from testbed.robot.transmission import shares
 from testbed.robot.tree import Tree
+
+INSTANTS = 400
+"""Of a motion on which predictions are held against the truth, about."""
+
+NOTHING = 1e-12
+"""Signals below this are none [N, N m]."""
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """What one estimate predicts beside what its robot does, without noise.
+
+    Attributes:
+        wrench: Rms error of the base wrench over its rms, both about their means, which are the
+            weight and the plate's zero; of forces and moments the larger. None for an estimate
+            that does not tell it, as that of joint torques.
+        torque: Rms error of the joint torques that the bodies need, friction apart, over their
+            rms; of rotary and of sliding joints the larger. None where they need none.
+    """
+
+    wrench: float | None
+    torque: float | None
+
+
+def accuracies(
+    tree: Tree,
+    estimates: Mapping[Method, Estimate],
+    zeros: bool | Sequence[str],
+    motion: Motion,
+) -> dict[Method, Accuracy]:
+    """How well estimates predict a motion, by method.
+
+    Args:
+        tree: The robot with its true inertias, under the recording's gravity.
+        estimates: By method.
+        zeros: Which zeros were taken as known, as in `minimal_set`.
+        motion: What the robot does, M samples.
+    """
+    some = motion[:: max(1, motion.samples // INSTANTS)]
+    dynamic = minimal_set(tree, "dynamic", zeros=zeros)
+    units = ["N m" if joint.revolute else "N" for joint in tree.joints]
+    found: dict[Method, Accuracy] = {}
+    for method, estimate in estimates.items():
+        own, values = estimate.minimal, estimate.base.values
+        wrench = None
+        if method == "external":
+            wrench = _share(tree, some, own, values, PLATE_UNITS, about_mean=True)
+            try:
+                values = selection(dynamic, own) @ values
+            except ValueError:  # a plate that tells changes only
+                found[method] = Accuracy(wrench, None)
+                continue
+        torque = _share(tree, some, dynamic, values, units, about_mean=False)
+        found[method] = Accuracy(wrench, torque)
+    return found
+
+
+def _share(
+    tree: Tree,
+    motion: Motion,
+    minimal: MinimalSet,
+    values: Array,
+    units: Sequence[str],
+    *,
+    about_mean: bool,
+) -> float | None:
+    """Rms error of what parameters predict over the rms of what is true, for the worse unit."""
+    columns = regressor(tree, motion, minimal)
+    truth = minimal.values(barycentric(tree))
+    signal, error = columns @ truth, columns @ (values - truth)
+    if about_mean:
+        signal, error = (each - each.mean(axis=0) for each in (signal, error))
+    return share_of_signal(np.linalg.norm(error, axis=0), np.linalg.norm(signal, axis=0), units)
+
+
+def share_of_signal(error: Array, signal: Array, units: Sequence[str]) -> float | None:
+    """Rms error over the signal's rms; of channels of several units the worst, None without signal.
+
+    Args:
+        error: Root of the sum of squares of each channel, (C,) [N, N m].
+        signal: The same of what they should be, (C,).
+        units: One a channel.
+    """
+    shares = []
+    for unit in dict.fromkeys(units):
+        same = np.array([each == unit for each in units])
+        size = float(np.linalg.norm(signal[same]))
+        if size > NOTHING:
+            shares.append(float(np.linalg.norm(error[same])) / size)
+    return max(shares, default=None)
+
 
 SMALL = 0.01
 """A parameter below this share of the largest of its unit is small: its error is relative to that
@@ -25,7 +124,6 @@ FAINT = 0.1
 """A joint's term that makes less than this share of the joint's rms torque is faint: its error is
 relative to that share."""
 
-NOTHING = 1e-12
 """A unit whose true values are all below this share of the largest of any unit has no scale."""
 
 
@@ -224,3 +322,107 @@ def root_mean_square(errors: Array) -> float | None:
 def _largest(errors: Array) -> float | None:
     there = np.abs(errors[~np.isnan(errors)])
     return float(there.max()) if there.size else None
+
+
+NEAR = 0.1
+"""Relative distance from a speed that is near it."""
+
+FEW = 10
+"""Samples that are needed there."""
+
+
+def drive_metrics(
+    tree: Tree, experiment: Experiment, recording: Recording, found: DriveFindings
+) -> dict[str, float]:
+    """Figures of merit by name (docs/experiments.md); those that make no sense are absent.
+
+    Args:
+        tree: The robot with its true inertias, friction and rotors.
+        experiment: What was carried out.
+        recording: What it recorded, columns in the order of `tree.names`.
+        found: What the plate says of the drives.
+    """
+    constants = true_constants(experiment, recording)
+    estimates = found.estimates
+    errors = np.array([each.constant for each in estimates]) / constants - 1
+    sigmas = np.array([each.sigma for each in estimates]) / constants
+    metrics = {
+        "torque_constant_max_error": float(np.abs(errors).max()),
+        "torque_constant_max_z": float(np.abs(errors / np.maximum(sigmas, 1e-300)).max()),
+        **_bodies(tree, experiment, found),
+    }
+    for law, name in ((COULOMB, "coulomb"), (ROTOR, "rotor")):
+        off = list(_relative(tree, law, estimates))
+        if off:
+            metrics[f"{name}_max_relative_error"] = max(off)
+    if recording.truth is not None:
+        least = experiment.identification.deadband
+        metrics["friction_curve_rms"] = _rms(_curve_errors(found.curves, recording.truth, least))
+    return metrics
+
+
+def true_constants(experiment: Experiment, recording: Recording) -> Array:
+    """What each drive reports over what its torque is, (n,).
+
+    Args:
+        experiment: What was carried out.
+        recording: What it recorded.
+    """
+    shown = np.ones(len(recording.names))
+    instrument = experiment.measurement
+    stages = instrument.installed(recording.names, recording.position, experiment.seed)
+    for fault in stages["torque"]:
+        if isinstance(fault, TorqueConstantError):
+            shown = shown * (1 + each_joint(fault.error))
+    return shown
+
+
+def _relative(tree: Tree, law: JointLaw, drives: Iterable[DriveEstimate]) -> Iterator[float]:
+    """Relative errors of one law's coefficients, where the robot has them."""
+    for true, drive in zip(law.coefficients(tree), drives, strict=True):
+        for term in drive.terms:
+            if term.law == law and true:
+                yield abs(term.value / float(true) - 1)
+
+
+def _curve_errors(curves: Iterable[FrictionCurve], truth: Truth, least: float) -> Iterator[Array]:
+    """Of every joint at its nodes: against true friction near the nodes' speeds."""
+    for j, curve in enumerate(curves):
+        there = [
+            true_friction(truth, j, float(speed)) if abs(speed) > least else np.nan
+            for speed in curve.speed
+        ]
+        errors = curve.torque - np.array(there)
+        yield errors[np.isfinite(errors)]
+
+
+def true_friction(truth: Truth, joint: int, speed: float) -> float:
+    """What friction took near a speed, by a straight line; not a number without data.
+
+    Args:
+        truth: What happened.
+        joint: Index.
+        speed: [rad/s or m/s].
+    """
+    away = truth.velocity[:, joint] - speed
+    near = np.abs(away) < NEAR * abs(speed)
+    if near.sum() < FEW:
+        return float("nan")
+    line = np.polynomial.polynomial.polyfit(away[near], truth.friction[near, joint], 1)
+    return float(line[0])
+
+
+def _rms(errors: Iterator[Array]) -> float:
+    every = np.concatenate([*errors, np.zeros(0)])
+    return float(np.sqrt(np.mean(every**2))) if every.size else float("nan")
+
+
+def _bodies(tree: Tree, experiment: Experiment, found: DriveFindings) -> dict[str, float]:
+    """The estimate of plate and torques together."""
+    zeros, both = experiment.identification.zeros, found.combined
+    truth = minimal_set(tree, "reaction", zeros=zeros).values(barycentric(tree))
+    uncertain = both.sigma > 0  # what is known beforehand has no error in sigmas
+    z = (both.values - truth)[uncertain] / both.sigma[uncertain]
+    rms = root_mean_square(shared_errors(tree, both.values, zeros))
+    metrics = {} if rms is None else {"combined_rms_relative_error": rms}
+    return metrics | {"combined_max_z": float(np.abs(z).max(initial=0.0))}

@@ -9,7 +9,7 @@ import numpy as np
 
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural, round_significant
-from testbed.experiment.accuracy import share_of_signal
+from testbed.experiment.score import share_of_signal
 from testbed.identification.estimate import Method
 
 if TYPE_CHECKING:

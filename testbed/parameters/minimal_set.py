@@ -16,10 +16,16 @@ from testbed.arrays import Array, readonly
 from testbed.codec import named
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import barycentric, on_standard, parameter_names
-from testbed.parameters.elimination import Elimination, eliminate
-from testbed.parameters.entries import BEDPLATE, Entry, dense_rows, dynamic_first, list_entries
-from testbed.parameters.formulas import Lengths, Namer
-from testbed.parameters.regroup import Body, regroup
+from testbed.parameters.elimination import (
+    BEDPLATE,
+    Elimination,
+    Entry,
+    dense_rows,
+    dynamic_first,
+    eliminate,
+    list_entries,
+)
+from testbed.parameters.regroup import Body, Lengths, Namer, regroup
 from testbed.parameters.rules import Model, Triad, across
 from testbed.parameters.symbols import Formula, Label
 from testbed.robot.free_base import FREE

@@ -1,24 +1,22 @@
-"""Several recordings of one robot as one source, with gaps between them.
-
-They lie on one axis of samples. What lies in a gap is nobody's: rows that would reach across one
-are not made (`identification.windows`).
-"""
+"""Several recordings of one robot as one source, with gaps between them; those of a mapping."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.diagnostics.diagnostic import of_recording
+from testbed.diagnostics.diagnostic import Diagnostic, of_recording
 from testbed.errors import RecordingError
-from testbed.recordings.checks import COUNTED
-from testbed.recordings.counted import counted
+from testbed.recordings.checks import COUNTED, check_columns
+from testbed.recordings.importing.convert import converted_pieces
+from testbed.recordings.importing.mapping import Mapping, read_mapping
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import Source
+from testbed.recordings.source import Source, counted
 
 SAME_RATE = 1e-3
 """Relative difference of sampling rates that are one."""
@@ -63,7 +61,7 @@ class Joined:
         self.segments, self.samples = tuple(found), at - gap
         said = dict.fromkeys(each for part in self._parts for each in of_recording(part.facts))
         facts = {k: fact for k, fact in first.facts.items() if k not in (COUNTED, "warnings")}
-        self.facts: Mapping[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
+        self.facts: dict[str, Any] = {**facts, "diagnostics": [d.as_dict() for d in said]}
 
     names: tuple[str, ...]
     samples: int
@@ -120,3 +118,23 @@ def _check_alike(parts: Sequence[Source]) -> None:
             raise RecordingError(
                 f"recording {k} and the first do not both say what of the wrench is the pedestal's"
             )
+
+
+def pieces(
+    path: Path, mapping: Mapping | None = None
+) -> tuple[tuple[Recording, ...], list[Diagnostic]]:
+    """The recordings that a mapping file makes, in the order of time, and where it was cut.
+
+    Args:
+        path: The mapping file.
+        mapping: What it says; default what is in it.
+
+    Raises:
+        ExperimentError: The mapping is not understood.
+        RecordingError: A file is missing or damaged, or does not hold what the mapping says.
+    """
+    found, said = converted_pieces(mapping or read_mapping(path), path.parent)
+    made = [Recording.from_columns(each.columns, each.metadata, str(path)) for each in found]
+    for recording in made:
+        check_columns(recording.columns(), str(path))
+    return tuple(made), said

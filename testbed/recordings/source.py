@@ -1,9 +1,10 @@
-"""Where samples come from: memory, memory maps, files, or a stream of parts."""
+"""Where samples come from: memory, memory maps, files, parts of a stream; and which count."""
 
 from __future__ import annotations
 
+import math
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,9 +13,92 @@ from typing import IO, Any, Protocol, runtime_checkable
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.recordings.columns import SIGNALS
-from testbed.recordings.parts import alike
+from testbed.errors import RecordingError
+from testbed.recordings.checks import COUNTED, check_sampling_time
+from testbed.recordings.columns import SIGNALS, joints_in, signal_of
+from testbed.recordings.formats import open_table
+from testbed.recordings.formats.parquet import write_table
 from testbed.recordings.recording import Recording
+
+
+def alike(parts: Iterable[Recording]) -> Iterator[Recording]:
+    """The parts of one recording, as long as they belong together.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    layout: tuple[object, ...] = ()
+    for part in parts:
+        here = (part.names, part.signals, part.truth is None)
+        if layout and here != layout:
+            raise RecordingError("the parts of the recording have different channels")
+        layout = here
+        yield part
+    if not layout:
+        raise RecordingError("the recording has no parts")
+
+
+class StoredRecording:
+    """A recording that stays in its file; parts are read as they are asked for.
+
+    Attributes:
+        names: Joint names.
+        samples: Number of samples.
+        rate: Samples a second [Hz].
+        tare: As `Recording.tare`.
+        facts: As `Recording.facts`.
+        signals: As `Recording.signals`.
+        senses_kinematics: Whether velocities and accelerations were sensed, both.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a file; reads its ends only.
+
+        Raises:
+            RecordingError: The file is missing or damaged, a channel is missing, or its times
+                are no times of samples.
+        """
+        self._path = Path(path)
+        self._table = open_table(self._path)
+        self._wanted = [c for c in self._table.columns if signal_of(c) in SIGNALS]
+        self.names = joints_in(self._wanted)
+        self.samples = self._table.samples
+        start = self.part(0, min(1, self.samples))
+        self.tare, self.facts = start.tare, start.facts
+        self.signals, self.senses_kinematics = start.signals, start.senses_kinematics
+        self.rate = 0.0
+        if self.samples > 1:
+            last = self._table.read(["time"], self.samples - 1, self.samples)["time"]
+            length = float(last[0] - start.time[0])
+            if 0 < length < math.inf:  # else the part says so in which it happens
+                check_sampling_time(length / (self.samples - 1), str(path))
+                self.rate = (self.samples - 1) / length
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples `first` to `last` - 1; cheap where parts are asked for in their order.
+
+        Raises:
+            RecordingError: The file is damaged there.
+        """
+        columns = self._table.read(self._wanted, first, last)
+        return Recording.from_columns(columns, self._table.metadata, str(self._path))
+
+
+def write_parts(parts: Iterable[Recording], path: Path) -> None:
+    """Write parts of one recording to a Parquet file, in the order of time, one at a time.
+
+    Raises:
+        RecordingError: There are none, or their channels differ.
+    """
+    whole = iter(alike(parts))
+    first = next(whole)
+
+    def columns() -> Iterator[dict[str, Array]]:
+        yield first.columns() | first.true_columns()
+        for part in whole:
+            yield part.columns() | part.true_columns()
+
+    write_table(path, first.units(), first.metadata, columns())
 
 
 @runtime_checkable
@@ -137,8 +221,6 @@ def open_source(what: RecordingLike) -> Source:
         RecordingError: The file is no recording, or the parts do not belong together.
     """
     if isinstance(what, str | Path):
-        from testbed.recordings.stored import StoredRecording
-
         return StoredRecording(what)
     if isinstance(what, Recording | Source):  # asked as a Source, it is asked for its rate
         return what
@@ -177,3 +259,31 @@ def _mapped(file: IO[bytes], like: Recording, name: str) -> Array:
         return np.zeros((0, *shape[1:]))
     found: Array = np.memmap(file, dtype=np.float64, mode="r").reshape(shape)
     return found
+
+
+def counted(source: Source, span: Sequence[float] | None = None) -> Source:
+    """The samples of a recording that count.
+
+    Args:
+        source: One recording.
+        span: From the first to before the second time [s]; default what the recording says, as one
+            from rest to rest does, else all.
+
+    Raises:
+        RecordingError: None of its samples is in that time.
+    """
+    span = span or source.facts.get(COUNTED)
+    if span is None or source.samples < 2:
+        return source
+    begin = float(source.part(0, 1).time[0])
+    first, last = (
+        int(np.clip(np.ceil((time - begin) * source.rate - 1e-6), 0, source.samples))
+        for time in span
+    )
+    if first == last:
+        end = begin + (source.samples - 1) / source.rate
+        raise RecordingError(
+            f"the recording goes from {begin:g} to {end:g} s: it has nothing from {span[0]:g} to "
+            f"{span[1]:g} s, which is to be counted (identification.span)"
+        )
+    return source if last - first == source.samples else Stretch(source, first, last)

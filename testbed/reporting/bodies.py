@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from testbed.arrays import Array
-from testbed.dynamics.kinematics import poses
+from testbed.dynamics.newton_euler import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
 from testbed.identification.estimate_text import number_with_sigma

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from testbed.diagnostics.diagnostic import sentences
+from testbed.plausibility.mapping_solution import MappingSolution, table_of
+from testbed.plausibility.plate import WrenchFit
 from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.recordings.importing.draft import Draft
 from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.html import write_page
 from testbed.reporting.section import Section, Table
-from testbed.sanity.mapping_solution import MappingSolution, table_of
-from testbed.sanity.plate import WrenchFit
 
 LEAST = 1e-4
 """Where bars begin [%]."""

@@ -13,8 +13,7 @@ from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural
 from testbed.excitation.clearance import FAR
-from testbed.excitation.proof import Margin, Proof
-from testbed.excitation.slack import slack
+from testbed.excitation.proof import Margin, Proof, slack
 from testbed.experiment.excite import Excitation
 from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.html import write_page

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
-from testbed.dynamics.kinematics import poses
+from testbed.dynamics.newton_euler import poses
 from testbed.errors import round_significant
 from testbed.robot.visuals.appearance import Appearance
 from testbed.robot.visuals.shapes import triangles

@@ -13,8 +13,8 @@ from testbed.errors import plural
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.experiment_tables import MotionTable
 from testbed.experiment.predictions import predict
+from testbed.experiment.results import read_run
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import read_run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.experiment.versions import versions
 from testbed.files import replacing
@@ -25,10 +25,9 @@ from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
 from testbed.reporting.error_dots import dots_section
-from testbed.reporting.estimates import choice_lines, with_sigma
+from testbed.reporting.estimates import choice_lines, instrument_tables, matrix_maps, with_sigma
 from testbed.reporting.figures import Panel
 from testbed.reporting.html import rendered
-from testbed.reporting.instrument import instrument_tables, matrix_maps
 from testbed.reporting.portrait import portrait
 from testbed.reporting.section import Drawing
 from testbed.reporting.signals import SHOWN, seconds_shown, sections

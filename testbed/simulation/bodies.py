@@ -11,8 +11,8 @@ import numpy as np
 
 from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import base_wrench
-from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import poses
 from testbed.errors import SettingsError, UnknownName
 from testbed.kind_table import PerJoint, each_joint, key
 from testbed.robot.formats.mjcf_compile import no_mujoco_warnings

@@ -1,12 +1,8 @@
-"""The robot's own controller: computed torque, as a well-tuned drive would deliver it.
-
-Torque = model along the reference + friction expected there + M(q_ref) times a
-proportional and derivative action. M decouples the joints, so that one bandwidth serves
-heavy and light ones alike; it is taken from the a-priori model once for a period.
-"""
+"""The robot's own controller: computed torque, by what a drive believes of its robot."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -16,7 +12,42 @@ from testbed.arrays import Array
 from testbed.dynamics.inverse_dynamics import joint_forces
 from testbed.dynamics.motion import Motion
 from testbed.robot.friction import ROTOR, drive_torque
-from testbed.robot.tree import Tree
+from testbed.robot.inertia import Inertia
+from testbed.robot.tree import Joint, Tree
+
+
+def believed(tree: Tree, error: float, rng: np.random.Generator) -> Tree:
+    """A robot whose bodies and joints are all wrong by one relative size.
+
+    Each body keeps its shape and mass centre and is too heavy or too light; each coefficient
+    of friction and each rotor is too large or too small.
+
+    Args:
+        tree: The robot.
+        error: Relative size of every error, less than 1.
+        rng: Decides the signs.
+    """
+
+    def off() -> float:
+        return float(1 + error * rng.choice([-1.0, 1.0]))
+
+    def heavier(body: Inertia, factor: float) -> Inertia:
+        return Inertia(factor * body.mass, factor * body.first_moment, factor * body.tensor)
+
+    def rubbing(joint: Joint) -> Joint:
+        return replace(
+            joint,
+            coulomb=off() * joint.coulomb,
+            viscous=off() * joint.viscous,
+            rotor_inertia=off() * joint.rotor_inertia,
+        )
+
+    return replace(
+        tree,
+        inertias=tuple(heavier(body, off()) for body in tree.inertias),
+        joints=tuple(rubbing(joint) for joint in tree.joints),
+    )
+
 
 DAMPING = 0.9
 """Damping ratio of the position loop."""

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from testbed.arrays import AnyArray, Array
-from testbed.dynamics.kinematics import kinematics
-from testbed.dynamics.newton_euler import transmitted
+from testbed.dynamics.newton_euler import kinematics, transmitted
 from testbed.errors import UnknownName
 from testbed.parameters.barycentric import UNITS, parameter_symbols
 from testbed.parameters.minimal_set import MinimalSet, known_zeros, minimal_set

@@ -21,8 +21,8 @@ import numpy as np
 
 from testbed.arrays import AnyArray, Array
 from testbed.parameters.barycentric import UPPER, component_symbol, parameter_names, point_mass
-from testbed.parameters.formulas import length_symbol
 from testbed.parameters.minimal_set import MinimalSet
+from testbed.parameters.regroup import length_symbol
 from testbed.parameters.symbols import Label
 from testbed.robot.tree import Tree
 from testbed.symbolic.expression import (

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
-from testbed.experiment.matrix_errors import MatrixErrors
+from testbed.experiment.run import MatrixErrors
 from testbed.recordings.columns import AXES
 from testbed.viewer.colours import COLOURS, Colour
 

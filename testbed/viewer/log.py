@@ -1,20 +1,117 @@
-"""A run as Rerun's viewer takes it: everything in columns, nothing sample by sample."""
+"""Runs and motions as Rerun's viewer takes them: everything in columns, nothing by sample."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import rerun as rr
 
+from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import sentences
+from testbed.errors import plural
+from testbed.excitation.collision_model import Obstacle
+from testbed.excitation.fourier import Fourier
+from testbed.excitation.proof import Proof, Rules, Slack, slack
+from testbed.experiment.growth import growth
+from testbed.experiment.results import read_run
+from testbed.experiment.run import Run
 from testbed.files import replacing
-from testbed.viewer.blueprint import blueprint
-from testbed.viewer.constant_bars import log_constants
-from testbed.viewer.curves import log_friction, log_growth, log_signals
+from testbed.robot.visuals.appearance import Appearance
+from testbed.viewer.blueprint import RATES, blueprint, motion_blueprint
+from testbed.viewer.colours import COLOURS
+from testbed.viewer.curves import log_friction, log_growth, log_overview, log_signals, series
+from testbed.viewer.drives import log_constants
 from testbed.viewer.heat_map import log_matrix
-from testbed.viewer.overview import log_overview
-from testbed.viewer.robot_drawing import log_bodies, log_reaction, log_robot
-from testbed.viewer.scene import Scene, root
+from testbed.viewer.robot_drawing import (
+    log_appearance,
+    log_bodies,
+    log_paths,
+    log_reaction,
+    log_robot,
+    send_poses,
+)
+from testbed.viewer.scene import POSES, Scene, plain, root, safe, scene_of, span_of
+from testbed.viewer.show import start_viewer
+
+
+def write_motion_rrd(
+    path: Path,
+    motion: Fourier,
+    rules: Rules,
+    proof: Proof,
+    look: Appearance,
+    obstacles: tuple[Obstacle, ...] = (),
+) -> None:
+    """Write one period of a motion: robot, paths of its tips, boxes around it, slack of limits.
+
+    Args:
+        path: The .rrd file; appears whole or not at all.
+        motion: The motion.
+        rules: What it must respect.
+        proof: What it is proven to leave.
+        look: What the robot looks like.
+        obstacles: Boxes of its cell.
+    """
+    tree = rules.tree
+    times = np.linspace(0, motion.period, max(2, round(POSES * motion.period)) + 1)
+    left = slack(motion, rules, times)
+    kinds = [f"{kind.label} [{kind.unit}]" for kind in left]
+    postures = motion.at(times).q
+    size = span_of(look, postures)
+    with replacing(path) as fresh:
+        stream = rr.RecordingStream("testbed", recording_id=path.stem, send_properties=False)
+        arranged = motion_blueprint(path.stem, tree, size, kinds, motion.period)
+        stream.save(fresh, default_blueprint=arranged)
+        log_appearance(stream, look, "/world")
+        log_paths(stream, look, send_poses(stream, look, times, postures, "/world"), "/world")
+        _log_obstacles(stream, obstacles)
+        _log_curves(stream, rules, motion, times, left)
+        notes = rr.TextDocument(_notes(path.stem, rules, proof), media_type=rr.MediaType.MARKDOWN)
+        stream.log("/notes", notes, static=True)
+        stream.flush()
+        stream.disconnect()
+
+
+def _log_obstacles(stream: rr.RecordingStream, obstacles: tuple[Obstacle, ...]) -> None:
+    if not obstacles:
+        return
+    boxes = rr.Boxes3D(
+        centers=[box.centre for box in obstacles],
+        half_sizes=[box.half for box in obstacles],
+        colors=[COLOURS["force"]] * len(obstacles),
+    )
+    stream.log("/world/obstacles", boxes, static=True)
+
+
+def _log_curves(
+    stream: rr.RecordingStream, rules: Rules, motion: Fourier, times: Array, left: list[Slack]
+) -> None:
+    for k, kind in enumerate(left):
+        colours = [COLOURS["external"]]
+        series(stream, f"/left/{k}", times, kind.left[:, None], [kind.label], colours)
+    for order, (rate, colour) in enumerate(
+        zip(RATES, ("path", "external", "internal"), strict=True)
+    ):
+        values = motion.derivative(times, order)
+        for j, name in enumerate(rules.tree.names):
+            column = values[:, j : j + 1]
+            series(stream, f"/{rate}/{safe(name)}", times, column, [rate], [COLOURS[colour]])
+
+
+def _notes(name: str, rules: Rules, proof: Proof) -> str:
+    said = (
+        "Proven at every moment." if proof.holds else f"**Not proven:** {plain(proof.worst.words)}"
+    )
+    lines = [f"# {plain(name)}", f"{plural(len(proof.margins), 'limit')}. {said}"]
+    nearest = sorted(proof.margins, key=lambda margin: (margin.holds, margin.left))
+    lines.append("\n".join(f"- {plain(margin.words)}" for margin in nearest[:20]))
+    if rules.diagnostics:
+        known = sentences(rules.diagnostics)
+        lines += ["## Notes", "\n".join(f"- {plain(line)}" for line in known)]
+    return "\n\n".join(lines)
 
 
 def write_rrd(scenes: Sequence[Scene], path: Path, tab: str = "overview") -> None:
@@ -55,3 +152,30 @@ def log_scene(stream: rr.RecordingStream, scene: Scene, at: str = "") -> None:
         log_matrix(stream, scene.matrix, f"{at}/plate")
     notes = rr.TextDocument(scene.notes, media_type=rr.MediaType.MARKDOWN)
     stream.log(f"{at}/notes", notes, static=True)
+
+
+Shown = Run | str | Path
+
+
+def view(runs: Shown | Sequence[Shown], path: str | Path | None = None) -> Path:
+    """Show runs in Rerun's viewer: robot, reaction, predictions, friction, estimates.
+
+    Args:
+        runs: One or several, or folders of runs.
+        path: The .rrd file to write, and nothing is opened; default a temporary one, which the
+            viewer shows while Python goes on.
+
+    Returns:
+        The file.
+
+    Raises:
+        ExperimentError: A folder holds no run.
+        ViewerError: There is no viewer, or no screen for it.
+    """
+    several = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
+    shown = [each if isinstance(each, Run) else read_run(Path(each)) for each in several]
+    place = Path(tempfile.mkdtemp()) / f"{shown[0].name}.rrd" if path is None else Path(path)
+    write_rrd([scene_of(run, growth(run)) for run in shown], place)
+    if path is None:
+        start_viewer(place)
+    return place

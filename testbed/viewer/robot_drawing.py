@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from testbed.arrays import Array
-from testbed.dynamics.kinematics import poses
+from testbed.dynamics.newton_euler import poses
 from testbed.identification.consistency.consistent import robot_of
 from testbed.parameters.barycentric import with_standard
 from testbed.robot.visuals.appearance import Appearance

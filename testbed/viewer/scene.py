@@ -12,16 +12,15 @@ import rerun as rr
 
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import Diagnostic, sentences
-from testbed.dynamics.kinematics import poses
 from testbed.dynamics.motion import Motion
+from testbed.dynamics.newton_euler import poses
 from testbed.experiment.growth import Growth
-from testbed.experiment.matrix_errors import MatrixErrors, matrix_errors
 from testbed.experiment.predictions import Predictions, predict
-from testbed.experiment.run import Run
+from testbed.experiment.run import MatrixErrors, Run, matrix_errors
 from testbed.experiment.summary import summary, verdict
 from testbed.identification.estimate import Method
 from testbed.robot.visuals.appearance import Appearance, load_appearance
-from testbed.viewer.drive_notes import notes_of_drives, notes_of_plate
+from testbed.viewer.drives import notes_of_drives, notes_of_plate
 
 PRESSED = 0.05
 """Part of the largest force that must press for there to be a centre of pressure."""

@@ -31,7 +31,7 @@ from testbed.campaign.summary import (
     write_summary,
 )
 from testbed.errors import ExperimentError, TestbedError
-from testbed.experiment import evaluate, prepare
+from testbed.experiment import evaluate, simulate
 from testbed.simulation.rollout import simulate_motion
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up, real
 from tests.helpers.refusals import refuses
@@ -248,13 +248,13 @@ def test_a_run_that_fails_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (second.status, "seed" in second.error) == ("failed", True)
     for error, status in ((ZeroDivisionError("so"), "failed"), (MemoryError("so"), "killed")):
         said = f"{type(error).__name__}: so"
-        for module, name in ((evaluate, "evaluate"), (prepare, "simulate_motion")):
+        for module, name in ((evaluate, "evaluate"), (simulate, "simulate_motion")):
             with monkeypatch.context() as patch:
                 patch.setattr(module, name, Mock(side_effect=error))
                 outcomes, _ = carry_out_bundle(bundle)
             assert {(each.status, each.error) for each in outcomes} == {(status, said)}
     simulated = Mock(side_effect=simulate_motion)
-    monkeypatch.setattr(prepare, "simulate_motion", simulated)
+    monkeypatch.setattr(simulate, "simulate_motion", simulated)
     carry_out_bundle(bundle)
     assert simulated.call_count == 1  # both runs move alike, and differ in noise
 

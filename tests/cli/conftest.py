@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
+from testbed.experiment.results import write_run
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import write_run
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.command import command_line
 from tests.helpers.foreign_files import csv, some_log

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from testbed.cli import checkup
+from testbed.cli import starting
 from testbed.errors import TestbedError
 from testbed.reporting.output import Progress
 from tests.helpers.command import command_line
@@ -24,9 +24,9 @@ LONG = {
     "experiment.comparison:compare": ("compare variants.toml",),
     "experiment.new_experiment:new_experiment": ("new two.urdf",),
     "experiment.run:assemble_run": (f"report {PUMA}",),
-    "recordings.importing.pieces:pieces": ("import map.toml --out x.parquet",),
+    "recordings.joined:pieces": ("import map.toml --out x.parquet",),
     "recordings.importing.guess:guessed": ("import --guess log.csv",),
-    "sanity.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
+    "plausibility.check:import_and_check": ("import map.toml --out x.parquet --model two.urdf",),
     "identification.identify:identify": (
         f"identify {PUMA}", f"drives {PUMA}", "payload one.parquet " + PUMA,
     ),
@@ -74,8 +74,8 @@ def test_the_doctor_finds_this_installation_well(tmp_path: Path) -> None:
 def test_what_is_missing_or_old_is_said_with_its_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only of what is not fine; what only some need is marked apart."""
     asked = ["numpy>=99", "not-there-at-all", "pytest>=1", "h5py>=99; extra == 'import'"]
-    monkeypatch.setattr(checkup, "requires", lambda name: asked)
-    found = {each.name: each for each in checkup.checkup()}
+    monkeypatch.setattr(starting, "requires", lambda name: asked)
+    found = {each.name: each for each in starting.checkup()}
     for name, fine, needed, cure in (
         ("numpy", False, True, "pip install 'numpy>=99'"),
         ("not-there-at-all", False, True, "pip install 'not-there-at-all'"),

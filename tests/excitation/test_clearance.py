@@ -12,10 +12,16 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.diagnostics.diagnostic import sentences
-from testbed.dynamics.kinematics import poses
-from testbed.excitation.approach import levers
+from testbed.dynamics.newton_euler import poses
 from testbed.excitation.clearance import FAR, ClearanceTerm, DistanceMeter, watched
-from testbed.excitation.collision_model import CELL, FLOOR, STANDING, Obstacle, collision_model
+from testbed.excitation.collision_model import (
+    CELL,
+    FLOOR,
+    STANDING,
+    Obstacle,
+    collision_model,
+    levers,
+)
 from testbed.excitation.limits import limits_of
 from testbed.excitation.samples import Samples
 from testbed.robot.rotations import about

@@ -13,17 +13,25 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion
 from testbed.excitation.barrier_search import Inside, Point, minimise
-from testbed.excitation.criteria import CRITERIA, CriterionName
 from testbed.excitation.design import Wish, _start, criterion, design
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.information import Instrument, _inverse, information_of, relative_scale
+from testbed.excitation.information import (
+    CRITERIA,
+    CriterionName,
+    Instrument,
+    Pipeline,
+    _inverse,
+    information_of,
+    moving,
+    predict,
+    relative_scale,
+)
 from testbed.excitation.limit_terms import EffortTerm, PlateRange, PlateTerm, SmoothTerm
 from testbed.excitation.limits import limits_of, motor_efforts
-from testbed.excitation.prediction import Pipeline, moving, predict
 from testbed.excitation.problem import BlockJacobian
 from testbed.excitation.proof import Proof, Rules, prove
 from testbed.excitation.random_motion import random_motion
-from testbed.excitation.sampled_rows import SampledRows
+from testbed.excitation.samples import SampledRows
 from testbed.parameters.rules import Model
 from tests.helpers.refusals import refuses
 from tests.helpers.runs import robot

@@ -16,14 +16,19 @@ from testbed.arrays import Array
 from testbed.errors import InfeasibleMotion, UnknownName
 from testbed.excitation.collision_model import collision_model
 from testbed.excitation.fourier import Fourier
-from testbed.excitation.jets import ForceBounds, force_bounds
-from testbed.excitation.limit_terms import PRESSURE, EffortTerm, PlateRange, PlateTerm
+from testbed.excitation.limit_terms import (
+    PRESSURE,
+    EffortTerm,
+    ForceBounds,
+    PlateRange,
+    PlateTerm,
+    force_bounds,
+)
 from testbed.excitation.limits import Limits, limits_of, motor_efforts
-from testbed.excitation.proof import SPANS, Rules, prove, seems_to_hold, spans_of, suprema
+from testbed.excitation.proof import SPANS, Rules, prove, seems_to_hold, slack, spans_of, suprema
 from testbed.excitation.random_motion import MARGIN, best_motion, random_motion, relative_sigma
 from testbed.excitation.rest_to_rest import RestToRest, Start, start_of
 from testbed.excitation.samples import Computed
-from testbed.excitation.slack import slack
 from tests.helpers.chains import Z, chain
 from tests.helpers.refusals import refuses
 from tests.helpers.robots import random_robot

@@ -15,7 +15,7 @@ from testbed.errors import ExperimentError
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import ExperimentTables
 from testbed.experiment.experiment_tables import Bound, JointTable
-from testbed.experiment.run_folder import default_folder
+from testbed.experiment.results import default_folder
 from testbed.toml_text import LARGEST_FILE, override
 from tests.helpers.paths import ROOT
 from tests.helpers.refusals import refuses

@@ -16,8 +16,7 @@ from testbed.experiment.assumptions import DRY, assumptions
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.experiment import run_name
 from testbed.experiment.motions import motion_of
-from testbed.experiment.new_experiment import new_experiment
-from testbed.experiment.robot_found import find_robot
+from testbed.experiment.new_experiment import find_robot, new_experiment
 from testbed.robot.model_file import mimic_joints, nearest_bodies
 from tests.helpers.paths import REAL
 from tests.helpers.refusals import refuses

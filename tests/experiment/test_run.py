@@ -20,19 +20,17 @@ from testbed.codec import json_text
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.dynamics.inverse_dynamics import base_wrench, joint_forces
 from testbed.excitation.fourier import Fourier
-from testbed.experiment import unseen as module
-from testbed.experiment.accuracy import accuracies
+from testbed.experiment import carry_out as module
+from testbed.experiment.carry_out import unseen, validated
 from testbed.experiment.consistent_run import with_consistent, wrong_prior
 from testbed.experiment.experiment_tables import ALWAYS_JUDGED, Bound, PriorTable
 from testbed.experiment.growth import growing_errors, growth
 from testbed.experiment.motions import another_motion, motion_of
 from testbed.experiment.predictions import predict
 from testbed.experiment.results import result_of
-from testbed.experiment.run import Run, assemble_run
-from testbed.experiment.run_diagnostics import correlated, systematic_errors
-from testbed.experiment.score import relative_errors
+from testbed.experiment.run import Run, assemble_run, correlated, systematic_errors
+from testbed.experiment.score import accuracies, relative_errors
 from testbed.experiment.summary import headline
-from testbed.experiment.unseen import unseen, validated
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, SIGNAL_OF
 from testbed.identification.regression.filters import row_weights

@@ -21,19 +21,23 @@ from testbed.codec import json_text
 from testbed.errors import ExperimentError, InfeasibleMotion, TestbedError
 from testbed.excitation.limit_terms import PlateTerm
 from testbed.excitation.proof import prove
-from testbed.experiment.earlier_estimate import prior_covariance
 from testbed.experiment.evaluate import robot_of
 from testbed.experiment.excite import Excitation, excite, frequencies_of
 from testbed.experiment.experiment import RecordingTables
-from testbed.experiment.motion_file import read_motion
-from testbed.experiment.motions import motion_of, rules_of
-from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, read_result
+from testbed.experiment.motions import motion_of, read_motion, rules_of
+from testbed.experiment.read_result import LARGEST_RESULT, KeptResult, prior_covariance, read_result
+from testbed.experiment.results import (
+    check_folder,
+    read_estimates,
+    read_run,
+    result_of,
+    write_estimates,
+    write_recorded,
+    write_run,
+)
 from testbed.experiment.results import identified as identified_result
-from testbed.experiment.results import read_estimates, result_of, write_estimates
 from testbed.experiment.run import Run
-from testbed.experiment.run_folder import check_folder, read_run, write_recorded, write_run
-from testbed.experiment.trajectory_file import write_trajectory
-from testbed.experiment.write_motion import write_motion
+from testbed.experiment.write_motion import write_motion, write_trajectory
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.estimate_summary import EstimateSummary
 from testbed.identification.validate import validate

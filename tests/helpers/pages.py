@@ -20,18 +20,18 @@ from testbed.campaign.conduct import conduct
 from testbed.campaign.summary import Summary, read_campaign, summarise
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.excitation.design import Design
-from testbed.excitation.prediction import Prediction
+from testbed.excitation.information import Prediction
 from testbed.experiment.excite import Excitation
 from testbed.experiment.motions import CheckedMotion, checked_motion
 from testbed.experiment.run import Run
 from testbed.identification.sensor.estimates import NuisanceEstimate
+from testbed.plausibility.mapping_solution import KNOWN, MappingSolution
+from testbed.plausibility.plate import WrenchFit
 from testbed.recordings.importing.draft import Draft
 from testbed.reporting.campaign import write_campaign_page
 from testbed.reporting.mapping import write_mapping_page
 from testbed.reporting.motion import write_motion_page
 from testbed.reporting.run_page import write_report
-from testbed.sanity.mapping_solution import KNOWN, MappingSolution
-from testbed.sanity.plate import WrenchFit
 from tests.helpers.campaigns import NOISES, Odd, campaign_file, made_up
 from tests.helpers.ideal import ideal
 from tests.helpers.paths import ROOT

@@ -40,11 +40,11 @@ PLAN = {
         "instruments": f"{BASE} kind_table robot recordings",
         "simulation": f"{BASE} kind_table robot dynamics kernel excitation recordings",
         "identification": f"{ROBOT} kernel recordings stages",
-        "sanity": f"{ROBOT} toml_text recordings identification",
+        "plausibility": f"{ROBOT} toml_text recordings identification",
         "experiment": f"{ROBOT} kind_table installation toml_text excitation recordings "
         "instruments simulation identification",
         "campaign": f"{BASE} toml_text robot recordings identification experiment",
-        "reporting": f"{DATA} sanity stages",
+        "reporting": f"{DATA} plausibility stages",
         "viewer": f"{DATA} stages reporting",
     }.items()
 }

@@ -13,7 +13,7 @@ from scipy import stats
 
 import testbed as tb
 from testbed.arrays import Array
-from testbed.experiment.wrong_prior import wrong_bodies
+from testbed.experiment.consistent_run import wrong_bodies
 from testbed.identification.consistency.consistent import consistent, robot_of
 from testbed.identification.consistency.options import METRICS, ConsistencyOptions, Metric
 from testbed.identification.consistency.prior_weight import consistent_by_held_out

@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 
 import testbed as tb
 from testbed.arrays import AnyArray, Array
-from testbed.dynamics.algebra import NUMBERS
-from testbed.dynamics.kinematics import kinematics
-from testbed.dynamics.newton_euler import transmitted
+from testbed.dynamics.newton_euler import NUMBERS, kinematics, transmitted
 from testbed.errors import RecordingError, UnknownName, UnseenParameters
 from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
 from testbed.identification.predict import motion_in, own_torque, predictions

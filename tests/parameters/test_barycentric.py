@@ -17,7 +17,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.dynamics.witnesses import sampled_regressor
 from testbed.parameters.barycentric import on_standard, to_barycentric, to_standard
-from testbed.parameters.entries import dense_rows, static_entries
+from testbed.parameters.elimination import dense_rows, static_entries
 from testbed.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
 from testbed.parameters.prior import THINNEST, Prior, prior_of
 from testbed.parameters.pseudo_inertia import matrices

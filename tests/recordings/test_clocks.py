@@ -18,12 +18,11 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.diagnostics.diagnostic import of_recording
 from testbed.errors import RecordingError
+from testbed.recordings.importing.convert import low_pass_reach, onto_grid
 from testbed.recordings.importing.foreign_units import TIMES
-from testbed.recordings.importing.held_samples import held_share, slow_device
 from testbed.recordings.importing.mapping import SourceTable
-from testbed.recordings.importing.pieces import pieces
-from testbed.recordings.importing.resampling import low_pass_reach, onto_grid
-from testbed.recordings.importing.source_clock import sample_times
+from testbed.recordings.importing.source_clock import held_share, sample_times, slow_device
+from testbed.recordings.joined import pieces
 from tests.helpers.foreign_files import imported, mapping
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import rngs

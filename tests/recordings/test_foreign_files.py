@@ -28,7 +28,7 @@ from testbed.recordings.importing.foreign_table import ForeignTable
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.importing.readers import open_foreign
-from testbed.recordings.importing.readers.ros_messages import numbers_of
+from testbed.recordings.importing.readers.ros_bag import numbers_of
 from tests.helpers.foreign_files import EPOCH, FORMATS, JOINTS, some_log, write_c3d
 from tests.helpers.refusals import refuses
 from tests.helpers.strategies import few, rngs

@@ -23,8 +23,7 @@ from testbed.recordings.geometry import TOLERANCE, check_robot, geometry
 from testbed.recordings.joined import Joined
 from testbed.recordings.measured_base import NAMES, on_its_base, with_base_joints
 from testbed.recordings.recording import Recording
-from testbed.recordings.source import gathered, open_source
-from testbed.recordings.stored import write_parts
+from testbed.recordings.source import gathered, open_source, write_parts
 from testbed.robot.free_base import on_free_base
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured

@@ -12,15 +12,15 @@ import pytest
 
 import testbed as tb
 from testbed.diagnostics.diagnostic import phrase
+from testbed.experiment.carry_out import validated
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
-from testbed.experiment.unseen import validated
 from testbed.identification.estimate import METHODS
 from testbed.identification.estimate_text import number_with_sigma
 from testbed.identification.influence import by_influence
+from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.figures import Panel
-from testbed.reporting.instrument import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
 from testbed.reporting.signals import sections
 from tests.helpers.approved import hold, tags

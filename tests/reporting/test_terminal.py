@@ -29,8 +29,14 @@ from testbed.parameters.identifiability import identifiability
 from testbed.parameters.joint_terms import with_joint_terms
 from testbed.parameters.symbols import summands
 from testbed.reporting import output
-from testbed.reporting.campaign import SHOWN, Throughput, print_changes, print_summary
-from testbed.reporting.campaign_figures import marginal_figure, score_figure
+from testbed.reporting.campaign import (
+    SHOWN,
+    Throughput,
+    marginal_figure,
+    print_changes,
+    print_summary,
+    score_figure,
+)
 from testbed.reporting.estimates import validation_table
 from testbed.reporting.figures import Panel
 from testbed.reporting.minimal_sets import (

@@ -14,7 +14,7 @@ from hypothesis import given
 
 import testbed as tb
 from testbed.diagnostics.diagnostic import sentences
-from testbed.dynamics.kinematics import poses
+from testbed.dynamics.newton_euler import poses
 from testbed.robot.model_file import ModelFile
 from testbed.robot.visuals.appearance import load_appearance, load_shapes
 from testbed.robot.visuals.shapes import (

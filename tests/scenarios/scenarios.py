@@ -31,12 +31,11 @@ from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload
 from testbed.identification.settings import Settings
+from testbed.plausibility.mapping_solution import solve_mapping
 from testbed.recordings.importing.guess import guessed
-from testbed.recordings.importing.pieces import pieces
-from testbed.recordings.joined import Joined
+from testbed.recordings.joined import Joined, pieces
 from testbed.recordings.measured_base import with_base_joints
 from testbed.robot.free_base import on_free_base
-from testbed.sanity.mapping_solution import solve_mapping
 from tests.helpers.campaigns import NOISES, campaign_file
 from tests.helpers.humanoid import humanoid
 from tests.helpers.measured import clean, measured

@@ -18,8 +18,7 @@ from testbed.recordings.recording import Truth
 from testbed.robot.model_file import ModelFile
 from testbed.simulation.build import build_plant
 from testbed.simulation.compiled_loop import motor_torque
-from testbed.simulation.controller import Controller, computed_torque, mass_matrices
-from testbed.simulation.drive_model import believed
+from testbed.simulation.controller import Controller, believed, computed_torque, mass_matrices
 from testbed.simulation.rollout import SimulationDiverged, simulate_motion
 from testbed.simulation.sampled_loop import Sampling
 from tests.helpers.paths import ROOT

@@ -27,12 +27,10 @@ from testbed.identification.influence import by_influence
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.campaign_log import write_campaign_rrd
-from testbed.viewer.constant_bars import TALL, largest
-from testbed.viewer.curves import BINS, FEW, thinned, tick
+from testbed.viewer.curves import BINS, FEW, MOST, Learned, learned, scale_of, thinned, tick
+from testbed.viewer.drives import TALL, largest
 from testbed.viewer.heat_map import CELL, picture
-from testbed.viewer.log import write_rrd
-from testbed.viewer.motion_log import write_motion_rrd
-from testbed.viewer.overview import MOST, Learned, learned, scale_of
+from testbed.viewer.log import write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of
 from tests.helpers.approved import hold

@@ -1,4 +1,4 @@
-"""When the samples of a source were taken, and what is odd about its clock."""
+"""When the samples of a source were taken: its clock, its silences, its repetitions."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from testbed.arrays import Array
+from testbed.diagnostics.diagnostic import Diagnostic, diagnose
 from testbed.errors import RecordingError, plural
 from testbed.recordings.importing.foreign_units import TIMES
 from testbed.recordings.importing.mapping import SourceTable
@@ -224,3 +225,111 @@ def clock_report(
     jitter = float(np.std(near) / typical) if len(near) else 0.0
     gaps = int(np.count_nonzero(used > GAP * typical))
     return ClockReport(len(time), 1 / typical, jitter, gaps, longest, repeated)
+
+
+SHORTEST_PIECE = 1.0
+"""What is left between two gaps is a recording from this on [s]."""
+
+Window = tuple[float, float]
+"""First and last instant [s]."""
+
+
+def cut(
+    window: Window, sources: Mapping[str, SourceTable], times: Mapping[str, Array]
+) -> tuple[list[Window], list[Diagnostic]]:
+    """Pieces of a window in which no source is silent for too long, and where it was cut.
+
+    The whole window without a word where there is no gap, or no piece is long enough.
+
+    Args:
+        window: What is wanted.
+        sources: What the mapping says of each.
+        times: Of each one's samples, (M,) [s].
+    """
+    gaps = [(*gap, name) for name, time in times.items() for gap in _gaps(sources[name], time)]
+    windows, said, begin = [], [], window[0]
+    for last, first, name in sorted(gaps):
+        if first <= window[0] or last >= window[1]:
+            continue
+        windows.append((begin, last))
+        begin = max(begin, first)
+        said.append(diagnose("import.cut", name, first - last, begin=last - window[0]))
+    windows.append((begin, window[1]))
+    long = [each for each in windows if each[1] - each[0] >= SHORTEST_PIECE]
+    if not said or not long:
+        return [window], []
+    if short := len(windows) - len(long):
+        said.append(diagnose("import.short", plural(short, "piece"), SHORTEST_PIECE))
+    return long, said
+
+
+def without_gaps(source: SourceTable, time: Array, part: slice, window: Window) -> slice:
+    """A part without samples outside the window that lie beyond a gap.
+
+    Args:
+        source: What the mapping says of it.
+        time: Of its samples, (M,) [s].
+        part: The samples in the window, and some around.
+        window: What is wanted.
+    """
+    first, stop = part.start, part.stop
+    for before, after in _gaps(source, time):
+        if after <= window[0]:
+            first = max(first, int(np.searchsorted(time, after)))
+        if before >= window[1]:
+            stop = min(stop, int(np.searchsorted(time, before, side="right")))
+            break
+    return slice(first, stop)
+
+
+def _gaps(source: SourceTable, time: Array) -> list[Window]:
+    """Times of the samples around each gap that is not bridged; a steady device has none."""
+    steps = np.diff(time)
+    if source.steady or not len(steps):
+        return []
+    wide = np.flatnonzero(steps > longest_bridged(source, float(np.median(steps))))
+    return [(float(time[k]), float(time[k + 1])) for k in wide]
+
+
+REST = 4
+"""Times the typical run of equal samples from which a run is a rest of the robot."""
+
+
+def slow_device(values: Array) -> NDArray[np.bool_]:
+    """Which samples are news from a device that is read more often than it measures.
+
+    Of a run of equal samples the first is news; of longer runs than most, every so many.
+
+    Args:
+        values: Of all channels, (M, k).
+
+    Returns:
+        (M,) of bool.
+    """
+    starts, lengths = _runs(values)
+    since = np.arange(len(values)) - np.repeat(starts, lengths)
+    found: NDArray[np.bool_] = since % _typical(lengths) == 0
+    return found
+
+
+def held_share(values: Array) -> float:
+    """Part of the samples that are what the ones before were, rests of the robot aside.
+
+    Args:
+        values: Of all channels, (M, k).
+    """
+    _, lengths = _runs(values)
+    moving = lengths <= REST * _typical(lengths)
+    return float((lengths[moving] - 1).sum() / len(values))
+
+
+def _runs(values: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First samples of runs of equal ones, and their lengths."""
+    changes = np.append(True, (np.diff(values, axis=0) != 0).any(axis=1))
+    starts = np.flatnonzero(changes)
+    return starts, np.diff(np.append(starts, len(values)))
+
+
+def _typical(lengths: NDArray[np.intp]) -> int:
+    """Length of a run that is hardly ever exceeded but at rest."""
+    return max(1, int(np.percentile(lengths, 90, method="lower")))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from testbed.parameters.formulas import length_symbol
+from testbed.parameters.regroup import length_symbol
 from testbed.parameters.symbols import Label
 from testbed.symbolic.equations import Equations, Listing
 from testbed.symbolic.expression import Expression, Factor, Nature, Number

@@ -1,0 +1,347 @@
+"""Wrong mappings are refused with the line that cures them; right ones are not, by rough masses.
+
+Each mistake is made on a recording that is right; the TX40's is a real one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import hypothesis
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+import testbed as tb
+from benchmarks.inverse_recordings import RATE, truth
+from testbed.errors import RecordingError
+from testbed.plausibility.check import assess, check_recording
+from testbed.recordings.measured_base import with_base_joints
+from testbed.robot.free_base import FREE, coordinates, poses
+from tests.helpers.measured import measured
+from tests.helpers.paths import ROOT
+from tests.helpers.riding import riding
+from tests.helpers.runs import robot, without
+from tests.helpers.strategies import few, seeds
+
+Spoil = Callable[[tb.Recording], tb.Recording]
+
+
+@cache
+def right(name: str, lacks: str = "") -> tuple[tb.Tree, tb.Recording]:
+    """A robot and a recording that is true of it."""
+    if name == "tx40":
+        folder = ROOT / "examples/tx40"
+        return tb.load_tree(folder / "tx40.urdf"), tb.Recording.from_mapping(folder / "tx40.toml")
+    recording = measured(robot(name), 2, duration=12.0 if name == "puma" else 8.0)
+    return robot(name), without(recording, lacks) if lacks else recording
+
+
+def of_joint(joint: int, *, torque: float = 1, position: float = 1, zero: float = 0) -> Spoil:
+    """One joint read in another way."""
+
+    def spoil(r: tb.Recording) -> tb.Recording:
+        mark = np.eye(len(r.names))[joint]
+        return replace(
+            r,
+            position=r.position * (1 + (position - 1) * mark) + zero * mark,
+            torque=None if r.torque is None else r.torque * (1 + (torque - 1) * mark),
+        )
+
+    return spoil
+
+
+def torques(first: float, last: float) -> Spoil:
+    """Each torque so many times as large, from the first joint's to the last's."""
+    return lambda r: replace(
+        r, torque=r.measured("torque") * np.linspace(first, last, len(r.names))
+    )
+
+
+def plate(force: float = 1, moment: float = 1, order: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+          ) -> Spoil:  # fmt: skip
+    """The plate read in other units or in another order."""
+    size = np.repeat([force, moment], 3)
+    return lambda r: replace(r, wrench=(r.measured("wrench") * size)[:, list(order)])
+
+
+def as_degrees(r: tb.Recording) -> tb.Recording:
+    """Radians that the mapping takes for degrees; its offsets are in radians all the same."""
+    said = np.array(r.facts.get("mapping", {}).get("position", {}).get("offset", 0.0))
+    return replace(r, position=np.deg2rad(r.position - said) + said)
+
+
+def exchanged(r: tb.Recording) -> tb.Recording:
+    """The second and third joint taken for each other."""
+    order = [0, 2, 1, *range(3, len(r.names))]
+    return replace(r, position=r.position[:, order], torque=r.measured("torque")[:, order])
+
+
+QUARTER = np.pi / 2
+AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
+WRONG: dict[str, tuple[str, str, Spoil, tuple[tuple[str, str, Any], ...]]] = {
+    "all torques' signs": ("ur5", "wrench", torques(-1, -1), (("torque", "sign", [-1] * 6),)),
+    "a torque's sign": (
+        "tx40", "", of_joint(1, torque=-1), (("torque", "sign", [1, -1, 1, 1, 1, 1]),)
+    ),
+    "radians as degrees": ("tx40", "", as_degrees, (("position", "unit", "rad"),)),
+    "a zero": (
+        "tx40", "", of_joint(2, zero=QUARTER), (("position", "offset", None),)
+    ),
+    "an odd zero": (
+        "ur5", "", of_joint(3, zero=np.deg2rad(-40)),
+        (("position", "offset", [0, 0, 0, np.deg2rad(40), 0, 0]),),
+    ),
+    "two zeros": (
+        "puma", "wrench", lambda r: of_joint(2, zero=-QUARTER)(of_joint(1, zero=QUARTER)(r)),
+        (("position", "offset", [0, -QUARTER, 0]),),  # the last one's zero is no mistake
+    ),
+    "sense": ("puma", "torque", plate(-1, -1), (("wrench", "sense", "on_plate"),)),
+    "N mm as N m": ("gantry", "torque", plate(moment=1e3), (("wrench", "units", ["N", "N mm"]),)),
+    "moments first": (
+        "gantry", "torque", plate(order=(3, 4, 5, 0, 1, 2)),
+        (("wrench", "columns", [AXES[k] for k in (3, 4, 5, 0, 1, 2)]),),
+    ),
+    "axes turned": (
+        "puma", "torque", plate(order=(2, 0, 1, 5, 3, 4)),
+        (("wrench", "place", {"xyz": [0, 0, 0], "rpy": [0, -QUARTER, -QUARTER]}),),
+    ),
+}  # fmt: skip
+"""Robot, what the recording lacks, what is done to it, and what its mapping should say then."""
+
+
+def near(said: Any, wanted: Any) -> bool:
+    """Whether a mapping's value is the wanted one, numbers of angles to what rough masses tell."""
+    if isinstance(wanted, dict):
+        return all(near(said[key], value) for key, value in wanted.items())
+    if isinstance(wanted, list) and not isinstance(wanted[0], str):
+        return bool(np.allclose(said, wanted, atol=0.3 if 0 in wanted else 1e-9))
+    return bool(said == wanted)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mistake", WRONG)
+def test_a_wrong_mapping_is_refused_with_the_line_that_cures_it(mistake: str) -> None:
+    name, lacks, spoil, wanted = WRONG[mistake]
+    tree, recording = right(name, lacks)
+    found = assess(tree, spoil(recording))
+    lines = [line for each in found.remedies for line in each.lines]
+    assert [line[:2] for line in lines] == [line[:2] for line in wanted]
+    for (_, _, value), (_, _, expected) in zip(lines, wanted, strict=True):
+        if expected is None:  # a quarter turn less than the mapping of a real robot says
+            said = np.array(recording.facts["mapping"]["position"]["offset"], dtype=float)
+            said[2] -= QUARTER
+            np.testing.assert_allclose(value, said, atol=1e-3)
+        else:
+            assert near(value, expected), (value, expected)
+    with pytest.raises(RecordingError) as refused:
+        found.require()
+    assert all(f"[{table}] {key}" in str(refused.value) for table, key, _ in wanted)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.slow
+def test_zeros_that_data_do_not_decide_are_named() -> None:
+    """Some of a wrist without a plate; with one, none."""
+    tree, recording = right("tx40")
+    for joint, angle in ((2, -QUARTER), (3, QUARTER), (4, QUARTER)):
+        found = assess(tree, of_joint(joint, zero=angle)(recording))
+        assert (found.certain, found.remedies) == ((), ())
+        (said,) = found.diagnostics
+        assert (said.code, said.level) == ("recording.undecided", "info")
+        assert tree.names[joint] in said.subject
+        assert tree.names[1] not in said.subject
+    assert assess(*right("ur5")).diagnostics == ()
+
+
+@pytest.mark.slow
+def test_torques_that_are_none_and_exchanged_joints_are_refused() -> None:
+    """On the motors' side, or currents; columns of other joints; a plate of another robot."""
+    tree, recording = right("puma", "wrench")
+    for factors in ((1 / 50, 1 / 80), (1 / 8, 1 / 11)):
+        (found,) = assess(tree, torques(*factors)(recording)).certain
+        assert "side" in found.remedy
+        assert "gain" in found.remedy
+    (found,) = assess(tree, torques(1000, 1000)(recording)).certain
+    assert "[torque] unit" in found.remedy
+    kinds = {each.kind for each in assess(tree, exchanged(recording)).remedies}
+    assert kinds == {"position_order", "torque_order"}
+    other = robot("random")
+    alien = measured(other, 2, duration=12.0)
+    both = replace(right("puma")[1], torque=None)
+    with pytest.raises(RecordingError):
+        assess(tree, replace(both, wrench=alien.measured("wrench"))).require()
+
+
+@pytest.mark.slow
+@few(4)
+@given(seed=seeds, name=st.sampled_from(["tx40", "ur5", "puma", "gantry", "random"]))
+@hypothesis.example(seed=0, name="tx40")
+def test_rough_masses_alone_refuse_nothing(seed: int, name: str) -> None:
+    """Wrong by up to a factor two, with inertias that go with them or stay."""
+    tree, recording = right(name)
+    rng = np.random.default_rng(seed)
+    factors, whole = 2.0 ** rng.uniform(-1, 1, tree.n), rng.random() < 0.5
+    scaled = (
+        tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * (x if whole else 1))
+        for i, x in zip(tree.inertias, factors, strict=True)
+    )
+    assert assess(replace(tree, inertias=tuple(scaled)), recording).certain == ()
+    sizes = assess(tree, recording).sizes
+    if name != "tx40":
+        np.testing.assert_allclose(sizes[np.isfinite(sizes)], 1, atol=0.2)
+
+
+@pytest.mark.slow
+@few(2)
+@given(seed=seeds, sense=st.sampled_from([1.0, -1.0]))
+def test_a_plate_turned_by_any_angle_is_found_in_either_sense(seed: int, sense: float) -> None:
+    tree, recording = right("ur5")
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    wrench = recording.measured("wrench").reshape(-1, 2, 3) @ turn
+    remedies = assess(tree, replace(recording, wrench=sense * wrench.reshape(-1, 6))).remedies
+    assert [each.kind for each in remedies] == ["turn", *["sense"] * (sense < 0)]
+    told = Rotation.from_euler("xyz", remedies[0].values).as_matrix()
+    np.testing.assert_allclose(told, turn, atol=5e-3)
+
+
+@pytest.mark.slow
+def test_a_plate_that_mixes_its_channels_needs_a_matrix_and_no_cure() -> None:
+    tree, recording = right("ur5")
+    scale = np.repeat([1.0, 0.1], 3)
+    mixing = np.eye(6) + 0.1 * np.random.default_rng(5).normal(size=(6, 6))
+    mixed = recording.measured("wrench") @ (mixing * np.outer(scale, 1 / scale)).T
+    found = assess(tree, replace(recording, wrench=mixed))
+    assert found.remedies == ()
+    assert [each.code for each in (*found.certain, *found.likely)] == ["plate.crosstalk"]
+
+
+@pytest.mark.slow
+def test_spoiled_channels_are_named_before_mappings_are_doubted() -> None:
+    """A spike with its channel and instant; an encoder that stands; a plate that does."""
+    tree, recording = right("puma")
+
+    def checked(signals: dict[str, Any], lacks: str = "") -> Any:
+        changed = replace(recording, **signals)
+        found = assess(tree, without(changed, lacks) if lacks else changed)
+        assert found.remedies == ()
+        return found
+
+    for signal, channel in (("position", tree.names[2]), ("wrench", "Fz")):
+        values = np.array(recording.measured(signal))
+        values[700, 2] += 10 * np.ptp(values[:, 2])
+        (said,) = checked({signal: values}).certain
+        assert said.causes == ("spikes",)
+        assert channel in said.subject
+        assert f"{recording.time[700]:.6g} s" in said.text
+    dead = recording.position * [1, 0, 1]
+    for lacks in ("", "wrench"):
+        found = checked({"position": dead}, lacks)
+        (doubt,) = (each for each in found.diagnostics if each.level != "info")
+        assert tree.names[1] in doubt.subject
+    still: dict[str, Any] = {
+        name: np.repeat(recording.measured(name)[:1], recording.samples, axis=0)
+        for name in ("position", "torque", "wrench")
+    }
+    found = checked({"wrench": still["wrench"]})
+    assert [each.subject for each in found.certain] == ["the plate"]
+    found = checked(still)
+    assert found.certain == ()
+    assert [each.subject for each in found.likely] == ["the robot"]
+
+
+@pytest.mark.slow
+def test_signs_of_a_joint_that_carries_nearly_nothing_are_told_apart() -> None:
+    """Its torque is a thousandth of the shoulder's; a unit of all positions hides neither."""
+    made = truth("panda", 1)
+    time = np.arange(len(made.position)) / RATE
+    recording = tb.Recording(made.tree.names, time, made.position, made.torque, made.wrench)
+    for spoil, unit, kinds in (
+        (of_joint(6, torque=-1), 1.0, ["torque_sign"]),
+        (of_joint(6, position=-1), np.rad2deg(1.0), ["degrees", "position_sign"]),
+    ):
+        wrong = spoil(recording)
+        found = assess(made.tree, replace(wrong, position=wrong.position * unit))
+        assert found.certain
+        assert [each.kind for each in found.remedies] == kinds
+
+
+def test_a_joint_that_rests_indeed_is_none_with_a_dead_encoder() -> None:
+    """Witness: MuJoCo's inverse dynamics of an arm whose fourth joint is held."""
+    made = truth("ur5", 1, seconds=8.0, moving=(0, 1, 2, 4, 5))
+    time = np.arange(len(made.position)) / RATE
+    recording = tb.Recording(
+        made.tree.names, time, made.position, made.torque, made.wrench, tare=np.zeros(6)
+    )
+    found = assess(made.tree, recording)
+    assert (found.certain, found.remedies) == ((), ())
+    (rests,) = found.likely
+    assert made.tree.names[3] in rests.subject
+
+
+@pytest.mark.parametrize("unit", [1.0, np.rad2deg(1.0)])
+def test_of_a_robot_at_rest_nothing_is_said_but_that(unit: float) -> None:
+    """Else noise of its encoders, in degrees, passes for a motion and its mapping is refused."""
+    made = truth("ur5", 305, seconds=8.0, moving=())
+    noise = np.random.default_rng(1).normal(scale=2e-5, size=made.position.shape)
+    q, time = unit * (made.position + noise), np.arange(len(noise)) / RATE
+    recording = tb.Recording(made.tree.names, time, q, made.torque, made.wrench)
+    said = check_recording(made.tree, recording).diagnostics
+    assert [each.code for each in said] == ["robot.rest"]
+
+
+def of_base(size: float, order: tuple[int, ...] = (0, 1, 2, 3)) -> Spoil:
+    """The pose of a base in another unit, its quaternion in another order."""
+
+    def spoil(r: tb.Recording) -> tb.Recording:
+        base = r.measured("base")
+        return replace(r, base=np.hstack([base[:, :3] * size, base[:, 3:][:, list(order)]]))
+
+    return spoil
+
+
+@pytest.mark.slow
+def test_a_robot_on_a_base_that_moves_is_held_against_its_model_as_others_are() -> None:
+    """Right whatever the masses; wrong units and orders of the pose, a sense, a sign, a weld."""
+    free, recording = riding(11)
+    factors = 2.0 ** np.random.default_rng(11).uniform(-1, 1, free.n)
+    scaled = (tb.Inertia(i.mass * x, i.first_moment * x, i.tensor * x)
+              for i, x in zip(free.inertias, factors, strict=True))  # fmt: skip
+    rough = replace(free, inertias=tuple(scaled))
+    assert assess(rough, with_base_joints(recording)).certain == ()
+    sides = {f"plates.{name}": {"sense": "on_robot", "units": ["N", "N m"]} for name in "lr"}
+    plates = {"plates": {name[7:]: said for name, said in sides.items()}}
+    cases: list[tuple[Spoil, dict[str, Any], list[tuple[str, str, Any]]]] = [
+        (of_base(1e3), {}, [("base", "unit", "mm")]),
+        (of_base(1, (1, 2, 3, 0)), {}, [("base", "quaternion", ["w", "x", "y", "z"])]),
+        (plate(-1, -1), plates, [(name, "sense", "on_plate") for name in sides]),
+        (of_joint(1, position=-1), {}, [("position", "sign", [1, -1, 1])]),
+    ]
+    for spoil, mapping, wanted in cases:
+        told = {"mapping": {"joints": list(recording.names), **mapping}}
+        found = assess(free, with_base_joints(replace(spoil(recording), facts=told)))
+        assert [line for each in found.remedies for line in each.lines] == wanted
+        assert found.certain
+    welded = tb.Tree(
+        free.name,
+        tuple(replace(j, parent=max(j.parent - FREE, -1)) for j in free.joints[FREE:]),
+        free.inertias[FREE:],
+    )
+    with pytest.raises(RecordingError) as refused:
+        check_recording(welded, recording)
+    assert "robot.base=measured" in str(refused.value)
+    turns = np.random.default_rng(0).uniform(-1.3, 1.3, (50, FREE))
+    np.testing.assert_allclose(coordinates(poses(turns)), turns, atol=1e-12)
+
+
+def test_unchecked_recordings_are_not_searched() -> None:
+    tree, recording = right("puma", "wrench")
+    wrong = torques(-1, -1)(recording)
+    with pytest.raises(RecordingError):
+        check_recording(tree, wrong)
+    assert check_recording(tree, wrong, unchecked=True).diagnostics[0].code == "recording.unchecked"
