@@ -187,7 +187,7 @@ def test_the_pumas_set_is_written_as_the_paper_writes_it(puma: tb.Tree) -> None:
     dynamic, reaction = (
         tb.minimal_set(puma, model, zeros=True) for model in ("dynamic", "reaction")
     )
-    golden = (GOLDEN / "minimal/puma562.tex").read_text(encoding="utf-8")
+    golden = (GOLDEN / "puma562.tex").read_text(encoding="utf-8")
     assert printed(80, print_latex, Findings(puma, dynamic, reaction, None), "symbols") == golden
 
 
