@@ -183,12 +183,12 @@ def payload(
     """
     from testbed.codec import encode
     from testbed.identification.identify import identify
-    from testbed.identification.payload.payload import payload as payload_of
-    from testbed.identification.payload.static_poses import (
+    from testbed.identification.payload.payload import (
         estimate_mass,
         estimate_payload_mass,
         poses_at_rest,
     )
+    from testbed.identification.payload.payload import payload as payload_of
     from testbed.recordings.geometry import in_its_gravity
     from testbed.reporting import estimates as shown
     from testbed.reporting import output, terminal

@@ -127,7 +127,7 @@ class Writing:
             SettingsError: No bodies are as is wished.
         """
         from testbed.experiment.consistent_run import prior_from
-        from testbed.identification.consistency.prior_weight import consistent_by_held_out
+        from testbed.identification.consistency.consistent import consistent_by_held_out
         from testbed.identification.problem import samples_of
         from testbed.recordings.coupled_gear import with_gear
         from testbed.reporting import output

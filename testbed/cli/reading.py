@@ -15,7 +15,7 @@ from testbed.stages import stage
 
 if TYPE_CHECKING:
     from testbed.experiment.experiment import RecordingTables
-    from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+    from testbed.identification.sensor.correction import CalibrationCovariance
     from testbed.recordings.source import Source
     from testbed.robot.model_file import ModelFile
     from testbed.robot.tree import Tree

@@ -12,9 +12,8 @@ from testbed.errors import TestbedError
 from testbed.experiment.experiment import Experiment
 from testbed.experiment.run import Run
 from testbed.experiment.score import relative_errors, root_mean_square
-from testbed.identification.consistency.consistent import Consistent
+from testbed.identification.consistency.consistent import Consistent, consistent_by_held_out
 from testbed.identification.consistency.options import ConsistencyOptions
-from testbed.identification.consistency.prior_weight import consistent_by_held_out
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.identify import identify
 from testbed.identification.problem import samples_of

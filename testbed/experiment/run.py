@@ -21,8 +21,8 @@ from testbed.identification.identify import identify
 from testbed.identification.predict import motion_in
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
-from testbed.identification.settings import Settings
+from testbed.identification.sensor.correction import CalibrationCovariance
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.identification.validate import Validation
 from testbed.recordings.columns import AXES
 from testbed.recordings.coupled_gear import with_gear
@@ -221,7 +221,7 @@ def assemble_run(
     recording: Recording,
     *,
     name: str,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     experiment: Experiment | None = None,
     model: ModelFile | None = None,
     doubt: CalibrationCovariance | None = None,
@@ -237,7 +237,7 @@ def assemble_run(
         tree: The robot.
         recording: What was measured; its gravity, where it says so, goes before the tree's.
         name: Of the run.
-        settings: How the signals are treated; default `Settings()`.
+        settings: How the signals are treated; default those of `Settings()`.
         experiment: What made the recording: the tree then holds the truth.
         model: The model file, for its shapes.
         doubt: About the plate by which the recording was corrected.
@@ -250,7 +250,6 @@ def assemble_run(
     """
     recording = recording.ordered(tree)
     tree = with_gear(in_its_gravity(tree, recording), recording)
-    settings = settings or Settings()
     estimates: dict[Method, Estimate] = {}
     failures: dict[Method, str] = {}
     for method in methods:

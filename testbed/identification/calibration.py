@@ -18,12 +18,11 @@ from testbed.identification.estimate import Estimate
 from testbed.identification.identify import identify
 from testbed.identification.regression.passes import Progress
 from testbed.identification.regression.scaled import square_root
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.sensor.catalogue import NUISANCES
-from testbed.identification.sensor.correction import lastingly_corrected
+from testbed.identification.sensor.correction import CalibrationCovariance, lastingly_corrected
 from testbed.identification.sensor.estimates import NuisanceEstimate
-from testbed.identification.sensor.matrix import SENSITIVITIES
-from testbed.identification.settings import Settings
+from testbed.identification.sensor.plate import SENSITIVITIES
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import RecordingLike, Source
 from testbed.robot.tree import Tree
 
@@ -81,7 +80,7 @@ def calibrate(
     known: Mapping[str, float | Sequence[float]],
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Calibration:
@@ -112,16 +111,13 @@ def calibrate(
     return calibration_of(tree, settings.facts, estimate)
 
 
-def settings_of(
-    settings: Settings | None, known: Mapping[str, float | Sequence[float]]
-) -> Settings:
+def settings_of(settings: Settings, known: Mapping[str, float | Sequence[float]]) -> Settings:
     """How signals are treated, with the unknowns of a plate and what is known.
 
     Args:
         settings: Their nuisances, if any, in place of `UNKNOWN`.
         known: A value, or value and sigma, by name.
     """
-    settings = settings or Settings()
     asked = settings.nuisances or UNKNOWN
     return replace(settings, nuisances=asked, known={**settings.known, **known})
 

@@ -1,10 +1,12 @@
-"""What one method found, with its structure: minimal parameters, then the joints' own terms."""
+"""What one method found, with its structure: values, sigmas, residuals, as values and as text."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from importlib import import_module
 from typing import Any, Literal
 
@@ -13,7 +15,6 @@ import numpy as np
 from testbed.arrays import Array, readonly
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, sentences
 from testbed.errors import TestbedError, plural
-from testbed.identification.estimate_text import Words
 from testbed.identification.noise.noise_model import NoiseModel
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.selection.held_out import TermChoice
@@ -25,6 +26,82 @@ from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.robot.friction import JointLaw
 from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
+
+EXACT, EXACT_SHORT = 1e-7, 1e-10
+"""Relative sigma below which decimals would hide how small it is; the same in brackets."""
+
+ROUNDING = 1e-15
+"""Relative sigma of what is known: numbers of the computer have no more digits."""
+
+NOT_IDENTIFIABLE = "not identifiable"
+OPEN_ZERO = f"{NOT_IDENTIFIABLE}: plate zero unknown"
+"""In place of a number whose sigma is infinite: no motion tells it from the plate's zero."""
+
+NOTHING = 1e-15
+"""Numbers and sigmas below this are rounding of zero, in any unit [kg, kg m, kg m^2, N m]."""
+
+
+def number_with_sigma(value: float, sigma: float, short: bool = False) -> str:
+    """Value and sigma, with as many decimals as sigma has to say.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation; infinite where the value is not identifiable.
+        short: 1.0610(9) for 1.0610 +- 0.0009: the digits in brackets are of the last places.
+    """
+    if math.isinf(sigma):
+        return NOT_IDENTIFIABLE if short else OPEN_ZERO
+    if max(abs(value), sigma) < NOTHING:
+        return "0"
+    if sigma <= ROUNDING * abs(value):
+        return f"{value:.9g}"  # known
+    if sigma < (EXACT_SHORT if short else EXACT) * abs(value):
+        return f"{value:.9g} +- {sigma:.0e}"
+    digits = _digits(sigma)
+    if short:
+        places = f"{sigma:.{digits}f}".replace(".", "").lstrip("0")
+        return f"{value:.{digits}f}({sigma:.1f})" if sigma >= 1 else f"{value:.{digits}f}({places})"
+    return f"{value:.{digits}f} +- {sigma:.{digits}f}"
+
+
+def _digits(sigma: float) -> int:
+    """Decimals that show two digits of sigma."""
+    return 1 if sigma >= 1 or sigma == 0 else len(f"{1 / sigma:.0f}") + 1
+
+
+@dataclass(frozen=True)
+class Words:
+    """What is printed of an estimate.
+
+    Attributes:
+        head: What it is.
+        rows: Name, value, sigma and unit of each parameter.
+        sentences: What to be careful about.
+    """
+
+    head: str
+    rows: tuple[tuple[str, float, float, str], ...]
+    sentences: tuple[str, ...]
+
+    def text(self) -> str:
+        """Name, value with sigma and unit, a line each; then what to be careful about."""
+        rows = [(name, number_with_sigma(value, s), unit) for name, value, s, unit in self.rows]
+        name, value = (max(len(row[k]) for row in rows) for k in range(2))
+        lines = [f"{row[0]:{name}s}  {row[1]:>{value}s}  {row[2]}" for row in rows]
+        return "\n".join([self.head, *lines, *(f"warning: {line}" for line in self.sentences)])
+
+    def html(self) -> str:
+        """The same as a table of a page."""
+        body = "".join(
+            f'<tr><th style="text-align:left">{escape(name)}</th><td style="text-align:right">'
+            f"{number_with_sigma(value, sigma).replace('+-', '&plusmn;')}</td>"
+            f'<td style="text-align:left">{escape(unit)}</td></tr>'
+            for name, value, sigma, unit in self.rows
+        )
+        lines = "".join(f"<li>{escape(line)}</li>" for line in self.sentences)
+        said = f"<ul>{lines}</ul>" if lines else ""
+        return f"<table><caption>{escape(self.head)}</caption>{body}</table>{said}"
+
 
 Method = Literal["external", "internal"]
 
@@ -306,3 +383,38 @@ class Estimate(Diagnosed):
             except ModuleNotFoundError:
                 continue
         raise TestbedError("data frames need pandas or polars; pip install pandas")
+
+
+def influence(estimate: Estimate, truths: Mapping[str, float]) -> Array:
+    """Rms of each column times its value over the rms of the signals, (p,); of units the largest.
+
+    Args:
+        estimate: Of one method.
+        truths: True values by name, which count in place of the estimate's.
+    """
+    equations, units = estimate.normal_equations, np.array(estimate.channel_units)
+    squares = np.array([np.diagonal(equations.of_channel(c)[0]) for c in range(len(units))])
+    values = np.array(
+        [truths.get(n, v) for n, v in zip(estimate.names, estimate.values.tolist(), strict=True)]
+    )
+    shares = []
+    for unit in dict.fromkeys(estimate.channel_units):
+        same = units == unit
+        size = max(float(equations.squares[same].sum()), np.finfo(float).tiny)
+        square = np.maximum(squares[same].sum(axis=0), 0.0)  # of a column of zeros by rounding
+        shares.append(np.sqrt(square / size))
+    return np.asarray(np.abs(values) * np.max(shares, axis=0))
+
+
+def by_influence(estimates: Iterable[Estimate], truths: Mapping[str, float]) -> list[str]:
+    """Names of all parameters, that which adds most to any signal first.
+
+    Args:
+        estimates: Of one robot, one a method.
+        truths: True values by name; {} where they are not known.
+    """
+    most: dict[str, float] = {}
+    for estimate in estimates:
+        for name, share in zip(estimate.names, influence(estimate, truths).tolist(), strict=True):
+            most[name] = max(share, most.get(name, 0.0))
+    return sorted(most, key=lambda name: -most[name])

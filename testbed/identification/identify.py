@@ -1,8 +1,4 @@
-"""Identify the minimal parameters from a recording: the room's front door.
-
-The external method reads encoders and plate, the internal one encoders and motor torques.
-Neither sees the truth: the tree loses its masses and the recording its true columns here.
-"""
+"""Identify the minimal parameters from a recording: the room's front door."""
 
 from __future__ import annotations
 
@@ -21,23 +17,60 @@ from testbed.identification.diagnostics.residuals import zero_unknown
 from testbed.identification.estimate import Estimate, Method, channel_units
 from testbed.identification.noise.coloured_noise import GlsFit, generalized_least_squares
 from testbed.identification.problem import Problem
-from testbed.identification.regression.covariance import ScoreSquares, bin_size, hidden, sandwich
-from testbed.identification.regression.least_squares import Fit
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Passes, Progress
-from testbed.identification.regression.solvers import solve
-from testbed.identification.regression.weights import noise_weights
+from testbed.identification.regression.solvers import Fit, solve
+from testbed.identification.regression.weights import (
+    ScoreSquares,
+    bin_size,
+    hidden,
+    noise_weights,
+    sandwich,
+)
 from testbed.identification.regression.windows import Plan
-from testbed.identification.ridge import shrink
 from testbed.identification.selection.term_choice import with_all_terms
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
+from testbed.identification.sensor.correction import CalibrationCovariance
 from testbed.identification.sensor.sensor_model import LinearFit, SensorModel, gauss_newton
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.records import Question
 from testbed.recordings.source import RecordingLike, Source, segments_of
 from testbed.robot.friction import LAWS
 from testbed.robot.tree import Tree
 from testbed.stages import stage
+
+
+def ridge(values: Array, covariance: Array) -> tuple[Array, Array]:
+    """Values that are drawn towards zero, and their covariance without that bias.
+
+    Args:
+        values: Of the plain estimate, (p,).
+        covariance: Of it, (p, p), positive definite.
+    """
+    sigma = np.sqrt(np.diagonal(covariance))
+    inverse = np.linalg.inv(covariance / np.outer(sigma, sigma))
+    length = np.sqrt(np.diagonal(inverse))  # of the columns, in units of 1 / sigma
+    scale = length / sigma
+    correlation = inverse / np.outer(length, length)
+    scaled = values * scale
+    strength = len(values) / float(scaled @ scaled)
+    towards = np.linalg.solve(correlation + strength * np.eye(len(values)), correlation)
+    shrink = towards * scale / scale[:, None]
+    return shrink @ values, shrink @ covariance @ shrink.T
+
+
+def shrink(estimate: Estimate, wanted: bool) -> Estimate:
+    """An estimate by ridge regression, where that is wanted.
+
+    Args:
+        estimate: The plain one.
+        wanted: Else it stays as it is.
+    """
+    if not wanted:
+        return estimate
+    values, covariance = ridge(estimate.values, estimate.covariance)
+    sigma = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    said = (*estimate.diagnostics, diagnose("estimate.ridge"))
+    return replace(estimate, values=values, sigma=sigma, covariance=covariance, diagnostics=said)
 
 
 def identify(
@@ -47,7 +80,7 @@ def identify(
     *,
     zeros: bool | Sequence[str] | None = None,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     doubt: CalibrationCovariance | None = None,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
@@ -66,7 +99,7 @@ def identify(
         zeros: In place of `settings.zeros`.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
             the model file's.
-        settings: How the signals are treated; default `Settings()`.
+        settings: How the signals are treated; default those of `Settings()`.
         doubt: About the plate by which the recording was corrected: sigma counts it.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
@@ -77,7 +110,7 @@ def identify(
         UnseenParameters: The data cannot tell some parameters apart; names them.
     """
     if zeros is not None:
-        settings = replace(settings or Settings(), zeros=zeros)
+        settings = replace(settings, zeros=zeros)
     problem = Problem.of(
         tree,
         recording,

@@ -18,19 +18,19 @@ from testbed.errors import RecordingError
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.identification.problem import tare_of
 from testbed.identification.regression.filters import motion_taps
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.geometry import in_its_gravity
 from testbed.recordings.recording import Recording
 from testbed.robot.friction import term_torque
 from testbed.robot.tree import Tree
 
 
-def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[Motion, slice]:
+def motion_in(recording: Recording, settings: Settings = DEFAULTS) -> tuple[Motion, slice]:
     """The motion that a recording shows, and which of its samples that is.
 
     Args:
         recording: Encoders, and velocities and accelerations where they were sensed.
-        settings: Whose filter on positions to use; default `Settings()`.
+        settings: Whose filter on positions to use; default those of `Settings()`.
 
     Returns:
         The motion, and the slice of samples that it covers: filters take both ends.
@@ -39,7 +39,7 @@ def motion_in(recording: Recording, settings: Settings | None = None) -> tuple[M
         whole = slice(0, recording.samples)
         rates = recording.velocity, recording.acceleration
         return Motion(recording.time, recording.position, *rates), whole
-    fitted = (settings or Settings()).fitted(recording.rate)
+    fitted = settings.fitted(recording.rate)
     taps = motion_taps(recording.rate, fitted.position_low_pass)
     reach = taps.shape[1] // 2
     inner = slice(reach, recording.samples - reach)

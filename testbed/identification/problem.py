@@ -26,8 +26,8 @@ from testbed.identification.estimate import (
 from testbed.identification.regression.normal_equations import NormalEquations, gather
 from testbed.identification.regression.passes import Passes, Progress
 from testbed.identification.regression.windows import make_plan
-from testbed.identification.selection.candidates import ALWAYS
-from testbed.identification.settings import Settings
+from testbed.identification.selection.held_out import ALWAYS
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.kernel.layout import Layout, layout
 from testbed.kernel.records import products_wanted
 from testbed.parameters.joint_terms import DriveSet
@@ -68,7 +68,7 @@ class Problem:
         tree: Tree,
         recording: RecordingLike,
         method: Method,
-        settings: Settings | None = None,
+        settings: Settings = DEFAULTS,
         *,
         gravity: ArrayLike | None = None,
         threads: int | None = None,
@@ -80,7 +80,7 @@ class Problem:
             tree: The robot; its inertias are not used, except for `settings.zeros`.
             recording: Columns are matched by joint name; its truth is not read.
             method: Needs the wrench, or the torques.
-            settings: How the signals are treated; default `Settings()`.
+            settings: How the signals are treated; default those of `Settings()`.
             gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else
                 the tree's.
             threads: How many to use; default one a processor.
@@ -92,7 +92,6 @@ class Problem:
         """
         if method not in METHODS:
             raise UnknownName("method", method, METHODS)
-        settings = settings or Settings()
         source = on_its_base(samples_of(recording, settings), tree)
         check_source(source, tree, method)
         tree = with_gear(in_its_gravity(tree, source, gravity), source)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -11,8 +13,56 @@ from numpy.typing import ArrayLike
 
 from testbed.arrays import Array
 from testbed.errors import SettingsError, UnknownName
-from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
 from testbed.robot.friction import STRIBECK, JointLaw, law_of
+
+
+def finite_number(value: object) -> float | None:
+    """A finite number, or None for what is none.
+
+    Args:
+        value: As it was written.
+    """
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if real else math.nan  # type: ignore[arg-type]
+    return number if math.isfinite(number) else None
+
+
+def stated_values(given: object) -> dict[str, float | tuple[float, ...]]:
+    """A table of values, or of values and sigmas, checked.
+
+    Args:
+        given: As it was written.
+
+    Raises:
+        SettingsError: It is none.
+    """
+    if not isinstance(given, Mapping):
+        raise SettingsError(f"known is a table of values by name, found {given!r}")
+    found: dict[str, float | tuple[float, ...]] = {}
+    for name, value in given.items():
+        listed = value if isinstance(value, Sequence) and not isinstance(value, str) else [value]
+        numbers = [finite_number(each) for each in listed]
+        if not 1 <= len(numbers) <= 2 or None in numbers or (numbers[1:] and numbers[1] < 0):  # type: ignore[operator]
+            raise SettingsError(
+                f"known.{name} is a value, or a value and its sigma, found {value!r}"
+            )
+        exact = [float(each) for each in numbers]  # type: ignore[arg-type]
+        found[str(name)] = exact[0] if len(exact) == 1 else tuple(exact)
+    return found
+
+
+def with_sigmas(stated: Mapping[str, float | Sequence[float]]) -> dict[str, tuple[float, float]]:
+    """Value and sigma by name; zero where none is stated.
+
+    Args:
+        stated: A table that has been checked.
+    """
+    found = {}
+    for name, given in stated.items():
+        numbers = list(given) if isinstance(given, Sequence) else [given]
+        found[name] = (float(numbers[0]), float(numbers[1]) if len(numbers) > 1 else 0.0)
+    return found
+
 
 KINDS = ("bias", "slope", "matrix", "pose", "height", "skew", "joint_zeros", "tare")
 """Nuisances that can be estimated."""
@@ -307,3 +357,7 @@ def _weights(given: ArrayLike) -> str | tuple[tuple[float, ...], ...]:
     if not symmetric or np.linalg.eigvalsh(matrix).min() <= 0:
         raise SettingsError("weights is no covariance: it is not symmetric and positive definite")
     return tuple(tuple(float(x) for x in row) for row in matrix)
+
+
+DEFAULTS = Settings()
+"""What is used unless somebody asks otherwise."""

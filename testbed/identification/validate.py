@@ -35,7 +35,7 @@ from testbed.identification.problem import Problem
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Progress
 from testbed.identification.selection.term_choice import with_chosen_terms
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.source import RecordingLike
 from testbed.robot.tree import Tree
 
@@ -121,7 +121,7 @@ def validate(
     estimate: Estimate | EstimateSummary,
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Validation:
@@ -137,7 +137,7 @@ def validate(
         estimate: What is to be validated.
         gravity: (3,) [m/s^2], bedplate frame; default the recording's, if it says, else the
             estimate's.
-        settings: Those of the estimate; default `Settings()`.
+        settings: Those of the estimate.
         threads: How many to use; default one a processor.
         progress: Called with samples done and samples in all.
 
@@ -151,7 +151,7 @@ def validate(
         tree.with_gravity(said.gravity),
         recording,
         said.method,
-        with_chosen_terms(settings or Settings(), made),
+        with_chosen_terms(settings, made),
         gravity=gravity,
         threads=threads,
         progress=progress,

@@ -234,8 +234,8 @@ class Recording:
         Raises:
             RecordingError: Something that is no Parquet file is there.
         """
+        from testbed.recordings.formats import is_parquet
         from testbed.recordings.formats.parquet import write_table
-        from testbed.recordings.magic import is_parquet
 
         if Path(path).is_file() and not is_parquet(Path(path)):
             raise RecordingError(f"'{path}' is there and is no recording; choose another name")

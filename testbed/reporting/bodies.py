@@ -10,7 +10,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
-from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.estimate import number_with_sigma
 from testbed.parameters.barycentric import STANDARD, with_standard
 from testbed.reporting.portrait import view
 from testbed.reporting.section import Drawing, Section, Table

@@ -13,13 +13,12 @@ from testbed.errors import printable
 from testbed.experiment.predictions import Predictions
 from testbed.identification.drives.friction_curves import FrictionCurve
 from testbed.identification.drives.identify_drives import DriveFindings
-from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.estimate import number_with_sigma
 from testbed.reporting.figures import Panel, named_panels, thinned
 from testbed.reporting.section import Section, Table
 
 if TYPE_CHECKING:
-    from testbed.identification.drives.joint_terms import Choice
-    from testbed.identification.drives.torque_constants import DriveEstimate
+    from testbed.identification.drives.torque_constants import Choice, DriveEstimate
 
 BAND = 2.0
 """Sigmas to either side of a curve."""

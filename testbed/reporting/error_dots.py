@@ -10,9 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
-from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.estimate_text import ROUNDING
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import METHODS, ROUNDING, Estimate, Method, by_influence
 from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.section import Section, Table
 

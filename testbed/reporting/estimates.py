@@ -14,17 +14,14 @@ from testbed.diagnostics.diagnostic import phrase
 from testbed.errors import plural, printable
 from testbed.experiment.run import SAID, Run, matrix_errors
 from testbed.identification.calibration import Calibration
-from testbed.identification.estimate import Estimate
-from testbed.identification.estimate_text import number_with_sigma
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import Estimate, by_influence, number_with_sigma
 from testbed.identification.selection.held_out import HeldOut, TermChoice
 from testbed.identification.sensor.estimates import TraceTest
 from testbed.recordings.columns import AXES
 from testbed.reporting.section import DARKEST, HeatTable, Table
 
 if TYPE_CHECKING:
-    from testbed.identification.payload.payload import PayloadEstimate
-    from testbed.identification.payload.static_poses import MassEstimate
+    from testbed.identification.payload.payload import MassEstimate, PayloadEstimate
     from testbed.identification.validate import Validation
 
 

@@ -18,9 +18,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.experiment.versions import versions
 from testbed.files import replacing
-from testbed.identification.estimate import Estimate
-from testbed.identification.estimate_text import OPEN_ZERO
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import OPEN_ZERO, Estimate, by_influence
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording

@@ -16,8 +16,7 @@ from testbed.recordings.columns import AXES, PLATE_UNITS
 from testbed.reporting.drives import BAND
 from testbed.robot.tree import Tree
 from testbed.viewer.curves import learned, scale_of
-from testbed.viewer.drives import TALL
-from testbed.viewer.heat_map import CELL, TITLES
+from testbed.viewer.drives import CELL, TALL, TITLES
 from testbed.viewer.robot_drawing import CLOCK
 from testbed.viewer.scene import Scene, root, safe
 

@@ -11,8 +11,7 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.experiment.growth import growing_errors
 from testbed.experiment.score import relative_errors
-from testbed.identification.estimate import METHODS, Method
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import METHODS, Method, by_influence
 from testbed.viewer.colours import COLOURS, Colour, palette
 from testbed.viewer.drives import log_curve
 from testbed.viewer.robot_drawing import clock

@@ -23,8 +23,7 @@ from testbed.robot.visuals.appearance import Appearance
 from testbed.viewer.blueprint import RATES, blueprint, motion_blueprint
 from testbed.viewer.colours import COLOURS
 from testbed.viewer.curves import log_friction, log_growth, log_overview, log_signals, series
-from testbed.viewer.drives import log_constants
-from testbed.viewer.heat_map import log_matrix
+from testbed.viewer.drives import log_constants, log_matrix
 from testbed.viewer.robot_drawing import (
     log_appearance,
     log_bodies,

@@ -16,13 +16,14 @@ from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownN
 from testbed.experiment.plate_file import read_plate, write_plate
 from testbed.identification.calibration import Calibration, calibrate, corrected
 from testbed.identification.payload.calibration_by_payload import calibrate_by_payload
-from testbed.identification.payload.payload import payload, seen_of_payload
-from testbed.identification.payload.static_poses import (
+from testbed.identification.payload.payload import (
     estimate_mass,
     estimate_payload_mass,
+    payload,
     poses_at_rest,
+    seen_of_payload,
 )
-from testbed.identification.regression.total_mass import centre_of_mass, total_mass
+from testbed.identification.regression.constraints import centre_of_mass, total_mass
 from testbed.parameters.barycentric import standard
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured

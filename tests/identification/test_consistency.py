@@ -14,14 +14,16 @@ from scipy import stats
 import testbed as tb
 from testbed.arrays import Array
 from testbed.experiment.consistent_run import wrong_bodies
-from testbed.identification.consistency.consistent import consistent, robot_of
+from testbed.identification.consistency.consistent import (
+    consistent,
+    consistent_by_held_out,
+    robot_of,
+)
 from testbed.identification.consistency.options import METRICS, ConsistencyOptions, Metric
-from testbed.identification.consistency.prior_weight import consistent_by_held_out
 from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import METHODS, Estimate, Method
 from testbed.parameters.barycentric import to_barycentric
-from testbed.parameters.prior import Prior, prior_of
-from testbed.parameters.pseudo_inertia import matrices, parameters
+from testbed.parameters.prior import Prior, matrices, parameters, prior_of
 from testbed.recordings.source import Source, Stretch, open_source
 from tests.helpers.ideal import EXACT, ideal
 from tests.helpers.measured import measured

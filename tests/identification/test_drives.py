@@ -11,8 +11,7 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.errors import RecordingError, SettingsError
 from testbed.identification.drives.friction_curves import friction_curves
-from testbed.identification.drives.fusion import combined
-from testbed.identification.drives.identify_drives import DriveFindings, identify_drives
+from testbed.identification.drives.identify_drives import DriveFindings, combined, identify_drives
 from testbed.identification.drives.joint_regression import regressions, torques_beside
 from testbed.identification.estimate import METHODS
 from testbed.identification.problem import Problem

@@ -24,15 +24,22 @@ from testbed.identification.noise.autoregression import (
     best_order,
     fit,
 )
-from testbed.identification.noise.errors_in_variables import correct_attenuation
+from testbed.identification.noise.errors_in_variables import Quantization, correct_attenuation
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums, Whitened
-from testbed.identification.noise.model_average import averaged, averaged_fit
-from testbed.identification.noise.offsets import constants, square_of_last
-from testbed.identification.noise.period import period_of
-from testbed.identification.noise.periodic_residual import PeriodicResidual, PeriodicSums
-from testbed.identification.noise.quantization import Quantization
-from testbed.identification.noise.time_delay import TimeDelay, lateness
+from testbed.identification.noise.model_average import (
+    averaged,
+    averaged_fit,
+    constants,
+    square_of_last,
+)
+from testbed.identification.noise.noise_model import (
+    PeriodicResidual,
+    PeriodicSums,
+    TimeDelay,
+    lateness,
+    period_of,
+)
 from testbed.identification.regression.survey import Surveyor
 from testbed.identification.regression.windows import Plan, Window, make_plan
 from testbed.kernel.layout import layout

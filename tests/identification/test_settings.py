@@ -15,7 +15,7 @@ from hypothesis import given
 import testbed as tb
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import RecordingError, SettingsError, TestbedError, UnknownName
-from testbed.identification.estimate_text import number_with_sigma
+from testbed.identification.estimate import number_with_sigma
 from testbed.identification.problem import Problem
 from testbed.identification.selection.term_choice import choose_terms
 from testbed.identification.settings import Settings

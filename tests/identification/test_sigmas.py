@@ -15,11 +15,10 @@ import testbed as tb
 from testbed.arrays import Array
 from testbed.codec import encode, json_text
 from testbed.errors import SettingsError, TestbedError
-from testbed.identification.estimate import METHODS, Estimate, Method
-from testbed.identification.influence import by_influence, influence
+from testbed.identification.estimate import METHODS, Estimate, Method, by_influence, influence
+from testbed.identification.identify import ridge
 from testbed.identification.predict import motion_in
 from testbed.identification.regression.constraints import parse_known
-from testbed.identification.ridge import ridge
 from testbed.robot.rotations import about
 from tests.helpers.ideal import ideal, plus
 from tests.helpers.measured import measured

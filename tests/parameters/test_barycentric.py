@@ -19,8 +19,7 @@ from testbed.dynamics.witnesses import sampled_regressor
 from testbed.parameters.barycentric import on_standard, to_barycentric, to_standard
 from testbed.parameters.elimination import dense_rows, static_entries
 from testbed.parameters.identifiability import ALONE, COMBINED, NEVER, identifiability
-from testbed.parameters.prior import THINNEST, Prior, prior_of
-from testbed.parameters.pseudo_inertia import matrices
+from testbed.parameters.prior import THINNEST, Prior, matrices, prior_of
 from testbed.parameters.regroup import regroup
 from testbed.robot.inertia import NOTHING, SMALL, Inertia
 from tests.helpers.robots import Robot

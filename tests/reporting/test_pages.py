@@ -16,9 +16,7 @@ from testbed.experiment.carry_out import validated
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.estimate import METHODS
-from testbed.identification.estimate_text import number_with_sigma
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import METHODS, by_influence, number_with_sigma
 from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report

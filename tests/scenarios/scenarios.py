@@ -30,7 +30,7 @@ from testbed.identification.calibration import Calibration, calibrate
 from testbed.identification.consistency.options import ConsistencyOptions
 from testbed.identification.estimate import METHODS, Estimate
 from testbed.identification.payload.payload import PayloadEstimate, payload
-from testbed.identification.settings import Settings
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.plausibility.mapping_solution import solve_mapping
 from testbed.recordings.importing.guess import guessed
 from testbed.recordings.joined import Joined, pieces
@@ -221,7 +221,7 @@ def _bodies() -> Run:
     return with_consistent(run_of(robot("puma"), asked=asked))
 
 
-def run(tree: tb.Tree, recording: tb.Recording, settings: Settings | None = None) -> Run:
+def run(tree: tb.Tree, recording: tb.Recording, settings: Settings = DEFAULTS) -> Run:
     """What both methods say."""
     return assemble_run(tree, recording, name="scenario", settings=settings)
 

@@ -22,14 +22,12 @@ from testbed.campaign.summary import Figure, ParameterErrors, Summary
 from testbed.diagnostics.diagnostic import sentences
 from testbed.excitation.collision_model import Obstacle
 from testbed.experiment.growth import growing_errors, growth
-from testbed.identification.estimate import METHODS
-from testbed.identification.influence import by_influence
+from testbed.identification.estimate import METHODS, by_influence
 from testbed.robot.visuals.appearance import load_appearance
 from testbed.robot.visuals.shapes import bounds, extents
 from testbed.viewer.campaign_log import write_campaign_rrd
 from testbed.viewer.curves import BINS, FEW, MOST, Learned, learned, scale_of, thinned, tick
-from testbed.viewer.drives import TALL, largest
-from testbed.viewer.heat_map import CELL, picture
+from testbed.viewer.drives import CELL, TALL, largest, picture
 from testbed.viewer.log import write_motion_rrd, write_rrd
 from testbed.viewer.robot_drawing import ARROW
 from testbed.viewer.scene import Scene, means, pressure, rounded_up, scene_of

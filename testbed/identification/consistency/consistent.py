@@ -1,14 +1,8 @@
-"""Bodies that could exist, by estimates and a model file together.
-
-Estimates enter by their covariance, never as equations: noise alone moves them to where no
-bodies are. What they leave open is as near to the model file's bodies as it can be.
-
-Source    [WKS18] for the condition, [LWP20] for the distance
-"""
+"""Bodies that could exist, by estimates and a model file together, weighted by held-out data."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +12,7 @@ from testbed.arrays import Array, readonly
 from testbed.blas import one_blas_thread
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
-from testbed.errors import RecordingError, SettingsError, few
+from testbed.errors import RecordingError, SettingsError, UnseenParameters, few
 from testbed.identification.consistency.likelihood import (
     Likelihood,
     agreeing,
@@ -33,8 +27,8 @@ from testbed.identification.consistency.rigid_bodies import rigid_body_test
 from testbed.identification.estimate import Estimate, Method
 from testbed.identification.estimate_summary import EstimateSummary, summary_of
 from testbed.parameters.barycentric import with_standard
-from testbed.parameters.prior import Prior
-from testbed.parameters.pseudo_inertia import matrices
+from testbed.parameters.prior import Prior, matrices
+from testbed.recordings.source import Source, Stretch
 from testbed.robot.friction import LAWS, ROTOR, JointTerm
 from testbed.robot.transmission import places
 from testbed.robot.tree import Tree
@@ -389,3 +383,75 @@ def _negative(estimate: Estimate) -> Iterator[Diagnostic]:
                 method=estimate.method,
                 unit=term.unit,
             )
+
+
+OFFERED = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+"""Prior errors that are tried."""
+
+Identified = Callable[[Source, Method], Estimate]
+
+
+def consistent_by_held_out(
+    tree: Tree,
+    estimates: Sequence[Estimate],
+    prior: Prior,
+    options: ConsistencyOptions,
+    source: Source,
+    identified: Identified,
+) -> Consistent:
+    """Consistent bodies, the prior's error chosen by held-out data where that is asked.
+
+    Args:
+        tree: The robot.
+        estimates: Of the whole recording.
+        prior: The bodies before the data.
+        options: What is asked besides.
+        source: The recording.
+        identified: Makes an estimate of a source, as those of the whole were made.
+
+    Raises:
+        SettingsError: Half the recording is too little for an estimate; or as `consistent`.
+    """
+    if options.prior_error != "chosen":
+        return consistent(tree, estimates, prior, options)
+    halves = _halves(source, [each.method for each in estimates], identified)
+    tried = {error: _left(tree, halves, prior, options, error) for error in OFFERED}
+    best = min(tried, key=lambda error: tried[error])
+    return consistent(tree, estimates, prior, replace(options, prior_error=best), tried=tried)
+
+
+def _halves(
+    source: Source, methods: Sequence[Method], identified: Identified
+) -> tuple[list[Estimate], list[Estimate]]:
+    """Estimates of either half, by all methods."""
+    middle = source.samples // 2
+    halves = Stretch(source, 0, middle), Stretch(source, middle, source.samples)
+    try:
+        first, second = ([identified(half, method) for method in methods] for half in halves)
+    except (RecordingError, UnseenParameters) as error:
+        raise SettingsError(
+            f'prior_error = "chosen" needs an estimate of each half of the recording: {error}; '
+            "give a number, such as 0.5"
+        ) from None
+    return first, second
+
+
+def _left(
+    tree: Tree,
+    halves: tuple[list[Estimate], list[Estimate]],
+    prior: Prior,
+    options: ConsistencyOptions,
+    error: float,
+) -> float:
+    """Rms of what is foretold wrongly of either half, in sigmas of its noise."""
+    squares = []
+    for known, unseen in (halves, halves[::-1]):
+        found = consistent(tree, known, prior, replace(options, prior_error=error))
+        by_method = {each.method: each for each in unseen}
+        for own in found.bent:
+            other = by_method[own.method]
+            equations = other.normal_equations
+            left = np.diagonal(equations.residual(own.values)) / np.maximum(equations.used, 1.0)
+            noise = np.maximum(other.residual, np.finfo(float).tiny)
+            squares.append(float(np.mean((left / noise**2)[equations.used > 0])))
+    return float(np.sqrt(np.mean(squares)))

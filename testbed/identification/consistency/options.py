@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar, Literal
 
 from testbed.errors import SettingsError, UnknownName
-from testbed.identification.stated_values import finite_number, stated_values, with_sigmas
+from testbed.identification.settings import finite_number, stated_values, with_sigmas
 
 Metric = Literal["log-det", "frobenius"]
 

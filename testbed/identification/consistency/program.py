@@ -1,26 +1,24 @@
-"""The program of physically consistent bodies: made, started inside, solved.
-
-Unknowns are scaled: a body's J is U Y U' with U a root of the prior's, so that Y is one at the
-prior for grams and for tonnes; a joint's term is counted in parts of a usual size.
-"""
+"""The program of physically consistent bodies, and Newton's method for those near a prior's."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from scipy import linalg
 from scipy.linalg import null_space
 
 from testbed.arrays import Array
 from testbed.errors import WIDTH, SettingsError, few
 from testbed.identification.consistency.conic import Cone, minimise
-from testbed.identification.consistency.interior_point import Program, nearest
 from testbed.identification.consistency.likelihood import Likelihood
 from testbed.identification.consistency.linear_constraints import Conditions
 from testbed.identification.consistency.options import Metric
-from testbed.parameters.prior import Prior
-from testbed.parameters.pseudo_inertia import (
+from testbed.parameters.prior import (
+    OF_COORDINATES,
+    Prior,
     coordinates,
     matrices,
     of_coordinates,
@@ -29,6 +27,183 @@ from testbed.parameters.pseudo_inertia import (
 from testbed.robot.friction import ROTOR, JointTerm
 from testbed.robot.inertia import upper_root
 from testbed.robot.tree import Tree
+
+DONE = 1e-12
+"""Newton's decrement, squared, of the last step."""
+
+ROUGH = 0.05
+"""The same of steps on the way, in parts of the weight."""
+
+STEPS = 100
+"""Most steps with one weight; a dozen is much."""
+
+FALL = 10.0
+"""By which weights fall."""
+
+FADED = 1e-9
+"""The last weight of the barriers."""
+
+EDGE = 1e-6
+"""Eigenvalue of Y at which the Frobenius norm's barrier stands."""
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What is to be minimised, in coordinates near one.
+
+    Attributes:
+        metric: Which D.
+        bodies: z begins with ten coordinates of so many Y.
+        rows: B, (k, m).
+        right: b, (k,).
+        weight: w, of each body's divergence.
+        pull: Weight of (z - 1)^2 / 2, of the joints' terms, (m - 10 bodies,).
+        free: N, (m, k): what exact conditions leave free.
+        bound_rows: (c, m).
+        bounds: (c,).
+    """
+
+    metric: Metric
+    bodies: int
+    rows: Array
+    right: Array
+    weight: float
+    pull: Array
+    free: Array
+    bound_rows: Array
+    bounds: Array
+
+    @cached_property
+    def square(self) -> Array:
+        """B' B, (m, m)."""
+        return np.asarray(self.rows.T @ self.rows)
+
+    @property
+    def fades(self) -> bool:
+        """Whether there are barriers that are no part of the program."""
+        return bool(len(self.bounds)) or self.metric == "frobenius"
+
+    def matrices(self, z: Array) -> Array:
+        """Y, (bodies, 4, 4)."""
+        return of_coordinates(z[: 10 * self.bodies].reshape(-1, 10))
+
+    def prior_hessian(self, z: Array, barrier: float = 0.0) -> Array:
+        """Of divergence and penalties at z, (m, m).
+
+        Args:
+            z: Inside, (m,).
+            barrier: Weight of the Frobenius norm's barrier.
+        """
+        found = np.zeros((len(z), len(z)))
+        plain, curved, shift = self._shares(barrier)
+        inverse = np.linalg.inv(self.matrices(z) - shift * np.eye(4))
+        turned = np.einsum("nab,kbc,ncd->nkad", inverse, OF_COORDINATES, inverse)
+        for body, block in enumerate(curved * coordinates(turned)):
+            at = slice(10 * body, 10 * body + 10)
+            found[at, at] = block + plain * np.eye(10)
+        rest = np.arange(10 * self.bodies, len(z))
+        found[rest, rest] = self.pull
+        return found
+
+    def _shares(self, barrier: float) -> tuple[float, float, float]:
+        """Weights of the square and of -log det, and where the latter stands."""
+        if self.metric == "log-det":
+            return 0.0, self.weight, 0.0
+        return self.weight, barrier, EDGE
+
+    def _prior_slope(self, z: Array, barrier: float) -> Array:
+        rest = 10 * self.bodies
+        slope = np.empty_like(z)
+        plain, curved, shift = self._shares(barrier)
+        own = self.matrices(z)
+        gap = -curved * np.linalg.inv(own - shift * np.eye(4))
+        gap += curved * np.eye(4) if not plain else plain * (own - np.eye(4))
+        slope[:rest] = coordinates(np.asarray(gap)).ravel()
+        slope[rest:] = self.pull * (z[rest:] - 1)
+        return slope
+
+    def _value(self, z: Array, barrier: float) -> float:
+        """Infinite where z is not inside."""
+        slack = self.bound_rows @ z - self.bounds
+        if (slack <= 0).any():
+            return np.inf
+        plain, curved, shift = self._shares(barrier)
+        own = self.matrices(z)
+        try:
+            roots = np.linalg.cholesky(own - shift * np.eye(4))
+        except np.linalg.LinAlgError:
+            return np.inf
+        rest = 10 * self.bodies
+        spread = -2 * curved * np.log(np.einsum("nkk->nk", roots)).sum()
+        away = curved * np.einsum("nkk->", own) if not plain else 0.0
+        away += plain * ((own - np.eye(4)) ** 2).sum() / 2
+        terms = (self.pull * (z[rest:] - 1) ** 2).sum() / 2
+        fit = ((self.rows @ z - self.right) ** 2).sum() / 2
+        return float(fit + spread + away + terms - barrier * np.log(slack).sum())
+
+    def step(self, z: Array, barrier: float) -> tuple[Array, float]:
+        """Newton's step, (m,), and its decrement squared."""
+        slack = self.bound_rows @ z - self.bounds
+        scaled = self.bound_rows / slack[:, None]
+        slope = self.rows.T @ (self.rows @ z - self.right) + self._prior_slope(z, barrier)
+        slope -= barrier * scaled.sum(axis=0)
+        hessian = self.square + self.prior_hessian(z, barrier) + barrier * scaled.T @ scaled
+        inner = self.free.T @ hessian @ self.free
+        across = self.free.T @ slope
+        size = 1 / np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+        factor = linalg.cho_factor(inner * np.outer(size, size) + 1e-15 * np.eye(len(size)))
+        move = -size * linalg.cho_solve(factor, size * across)
+        return self.free @ move, float(-across @ move)
+
+    def along(self, z: Array, move: Array, gain: float, barrier: float) -> Array | None:
+        """The point a line search finds; None where no step gains any more."""
+        here, length = self._value(z, barrier), 1.0
+        while length > 1e-10:
+            there = z + length * move
+            if self._value(there, barrier) <= here - 0.01 * length * gain:
+                return there
+            length /= 2
+        return None
+
+
+def nearest(program: Program, start: Array) -> tuple[Array, float]:
+    """Where the program is least, (m,), and how many sigmas are left to be gained there.
+
+    Data alone would throw the bodies at once to the edge of what can be, along which Newton's
+    steps are short. So the prior has a large weight first, which then falls to its own.
+
+    Args:
+        program: What is to be minimised.
+        start: Inside: all Y positive definite, bounds and exact conditions obeyed, (m,).
+    """
+    z, gain = start, np.inf
+    for weight, barrier in _stages(program, start):
+        stage = replace(program, weight=weight, pull=program.pull * weight / program.weight)
+        last = weight == program.weight and barrier == FADED
+        enough = DONE if last else ROUGH * max(barrier, FADED)
+        for _ in range(STEPS):
+            move, gain = stage.step(z, barrier)
+            if gain <= enough:
+                break
+            there = stage.along(z, move, gain, barrier)
+            if there is None:  # rounding is all that is left
+                break
+            z = there
+    return z, float(np.sqrt(max(gain, 0.0)))
+
+
+def _stages(program: Program, start: Array) -> Iterator[tuple[float, float]]:
+    """Weights of the prior and of the barriers, one pair after the other."""
+    weight = max(program.weight, program.step(start, program.weight)[1] / 10)
+    while weight > program.weight:
+        yield weight, weight
+        weight = max(weight / FALL, program.weight)
+    barrier = program.weight
+    while program.fades and barrier > FADED:
+        yield program.weight, barrier
+        barrier /= FALL
+    yield program.weight, FADED
+
 
 ZERO = 1e-4
 """Sigma of what was taken to be zero, in parts of the prior's bodies."""

@@ -20,7 +20,7 @@ from testbed.arrays import Array
 from testbed.blas import eigh
 from testbed.identification.consistency.conic import Cone, minimise
 from testbed.identification.estimate import Estimate
-from testbed.parameters.pseudo_inertia import standard_of_coordinates
+from testbed.parameters.prior import standard_of_coordinates
 
 SIGMAS = 5.0
 """A distance that noise exceeds as rarely as this is no noise, unless it is said otherwise."""

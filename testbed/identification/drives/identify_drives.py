@@ -1,25 +1,228 @@
-"""All that the plate says of the drives: constants and terms, friction curves, both combined."""
+"""All that the plate shows of the drives: constants, terms, curves, both methods combined."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from numpy.typing import ArrayLike
+from scipy import special
+from scipy.linalg import block_diag
 
+from testbed.arrays import Array, readonly
+from testbed.blas import eigh
 from testbed.codec import with_properties
-from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic
+from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
 from testbed.identification.drives.friction_curves import FrictionCurve, friction_curves
-from testbed.identification.drives.fusion import Combined, combined
-from testbed.identification.drives.joint_regression import regressions, torques_beside
-from testbed.identification.drives.joint_terms import choices, offered
-from testbed.identification.drives.torque_constants import ChosenTerms, DriveEstimate
+from testbed.identification.drives.joint_regression import (
+    JointRegression,
+    Torques,
+    regressions,
+    torques_beside,
+)
+from testbed.identification.drives.torque_constants import (
+    ChosenTerms,
+    DriveEstimate,
+    choices,
+    offered,
+)
 from testbed.identification.estimate import Estimate
 from testbed.identification.problem import Problem
 from testbed.identification.regression.passes import Progress
-from testbed.identification.settings import Settings
+from testbed.identification.regression.scaled import scaled_inverse
+from testbed.identification.settings import DEFAULTS, Settings
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source
 from testbed.robot.tree import Tree
+
+ROUNDS = 20
+"""Most rounds of Gauss and Newton's method."""
+
+DONE = 1e-10
+"""A step that is smaller than this, in sigmas, is the last."""
+
+EXACT = 1e-14
+"""Part of its variance that is left of a combination which is known exactly, by rounding."""
+
+INFORMATIVE = 1e-4
+"""Part of a variance that joint torques must take away for their say to be judged."""
+
+IMPOSSIBLE = 1e-6
+"""Chance below which the two do not agree."""
+
+
+@dataclass(frozen=True, eq=False)
+class Disagreement(Diagnosed):
+    """How the plate's estimate moves when joint torques are added.
+
+    Attributes:
+        names: Of parameters on which joint torques have a say, (k,).
+        z: By how many sigmas of the difference each moves, (k,).
+        chance: That they would move so far if both were right.
+    """
+
+    names: tuple[str, ...]
+    z: Array
+    chance: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "z", readonly(self.z, (len(self.names),), "z"))
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Which parameters, and how far; () where the two agree."""
+        if self.chance >= IMPOSSIBLE:
+            return ()
+        worst = np.argsort(-np.abs(self.z))[:3]
+        return (
+            diagnose(
+                "drives.disagreement",
+                "plate and torques",
+                self.chance,
+                parameters=", ".join(f"{self.names[k]} by {self.z[k]:+.1f} sigma" for k in worst),
+            ),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Combined:
+    """The bodies by plate and joint torques.
+
+    Attributes:
+        names: Of the plate's minimal parameters, (N_r,).
+        values: (N_r,).
+        sigma: (N_r,).
+        constants: Torque constants as reported over what they are, (n,).
+        constant_sigma: (n,).
+        disagreement: Where plate and torques differ.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    sigma: Array
+    constants: Array
+    constant_sigma: Array
+    disagreement: Disagreement
+
+    def __post_init__(self) -> None:
+        for name, like in (("values", self.names), ("sigma", self.names)):
+            object.__setattr__(self, name, readonly(getattr(self, name), (len(like),), name))
+        n = len(self.constants)
+        for name in ("constants", "constant_sigma"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (n,), name))
+
+
+def combined(
+    torques: Torques, bodies: Estimate, regressions: tuple[JointRegression, ...]
+) -> Combined:
+    """Plate and torques together, by Gauss and Newton's method from the plate's estimate.
+
+    Args:
+        torques: The recording's joint torques.
+        bodies: The plate's estimate.
+        regressions: Each joint's torque on what that estimate needs: where to start, and how
+            much noise there is.
+    """
+    root = _root(bodies.covariance)
+    count = root.shape[1]
+    inputs = [_Joint.of(torques, found) for found in regressions]
+    state = np.concatenate([np.zeros(count), *(found.values for found in regressions)])
+    for _ in range(ROUNDS):
+        normal = block_diag(np.eye(count), np.zeros((len(state) - count,) * 2))
+        slope = np.zeros(len(state))
+        slope[:count] = -state[:count]
+        values, at = bodies.values + root @ state[:count], count
+        for joint in inputs:
+            own = slice(at, at + joint.width)
+            at += joint.width
+            columns = joint.columns(values, state[own])
+            full = np.zeros((columns.shape[0], len(state)))
+            full[:, :count] = columns[:, : len(values)] @ root
+            full[:, own] = columns[:, len(values) :]
+            left = joint.right - joint.normal @ joint.made(values, state[own])
+            normal += full.T @ joint.normal @ full
+            slope += full.T @ left
+        covariance = scaled_inverse(normal)
+        step = covariance @ slope
+        state = state + step
+        if np.abs(step / np.sqrt(np.diagonal(covariance))).max() <= DONE:
+            break
+    values, spread = bodies.values + root @ state[:count], covariance[:count, :count]
+    spread = root @ spread @ root.T
+    places = count + np.cumsum([0, *(joint.width for joint in inputs[:-1])])
+    return Combined(
+        names=bodies.names,
+        values=values,
+        sigma=np.sqrt(np.maximum(np.diagonal(spread), 0.0)),
+        constants=state[places],
+        constant_sigma=np.sqrt(np.diagonal(covariance)[places]),
+        disagreement=_disagreement(bodies, values, spread),
+    )
+
+
+def _root(covariance: Array) -> Array:
+    """R with R R' the covariance, (p, r): what is known exactly does not move."""
+    size = np.sqrt(np.diagonal(covariance))
+    scale = np.where(size > 0, size, 1.0)
+    spread, axes = eigh(covariance / np.outer(scale, scale))
+    kept = spread > EXACT
+    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(spread[kept]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Joint:
+    """What one joint's rows say, in units of their noise.
+
+    Attributes:
+        normal: Products of the unknowns' columns, (p, p).
+        right: And of these with the torque, (p,).
+        lift: How the plate's parameters make the unknowns, (p, N_r).
+        terms: How the joint's own coefficients do, (p, q).
+    """
+
+    normal: Array
+    right: Array
+    lift: Array
+    terms: Array
+
+    @staticmethod
+    def of(torques: Torques, found: JointRegression) -> _Joint:
+        normal, right, _ = torques.equations.of_channel(found.joint)
+        scale = found.noise**2
+        terms = torques.drives.columns @ found.terms
+        return _Joint(normal / scale, right / scale, torques.lift, terms)
+
+    @property
+    def width(self) -> int:
+        """How many unknowns of its own."""
+        return 1 + int(self.terms.shape[1])
+
+    def made(self, bodies: Array, own: Array) -> Array:
+        """The unknowns as the joint reports them, (p,)."""
+        found: Array = own[0] * (self.lift @ bodies) + self.terms @ own[1:]
+        return found
+
+    def columns(self, bodies: Array, own: Array) -> Array:
+        """How these move with the plate's parameters and the joint's own, (p, N_r + 1 + q)."""
+        return np.column_stack([own[0] * self.lift, self.lift @ bodies, self.terms])
+
+
+def _disagreement(bodies: Estimate, values: Array, covariance: Array) -> Disagreement:
+    """By how much the estimate moves, in sigmas of the difference."""
+    moved, spread = values - bodies.values, bodies.covariance - covariance
+    size = np.sqrt(np.diagonal(bodies.covariance))
+    scale = np.where(size > 0, size, 1.0)
+    unit = spread / np.outer(scale, scale)
+    said = np.diagonal(unit) > INFORMATIVE
+    z = (moved[said] / scale[said]) / np.sqrt(np.diagonal(unit)[said])
+    sizes, axes = eigh((unit + unit.T) / 2)
+    kept = sizes > INFORMATIVE
+    along = (moved / scale) @ axes[:, kept] / np.sqrt(sizes[kept])
+    chance = float(special.chdtrc(max(int(kept.sum()), 1), along @ along))
+    if z.size:
+        chance = min(chance, z.size * 2 * float(special.ndtr(-np.abs(z).max())))
+    names = tuple(name for name, each in zip(bodies.names, said, strict=True) if each)
+    return Disagreement(names, z, min(chance, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +253,7 @@ def identify_drives(
     bodies: Estimate,
     *,
     gravity: ArrayLike | None = None,
-    settings: Settings | None = None,
+    settings: Settings = DEFAULTS,
     choose: bool = False,
     threads: int | None = None,
     progress: Progress = lambda done, total: None,

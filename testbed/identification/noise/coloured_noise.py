@@ -14,18 +14,23 @@ from scipy import linalg, special
 
 from testbed.arrays import Array
 from testbed.identification.noise.autoregression import HIGHEST, Autoregression
-from testbed.identification.noise.errors_in_variables import AttenuationCorrection
+from testbed.identification.noise.errors_in_variables import (
+    AttenuationCorrection,
+    PositionNoise,
+    QuantizationCovariance,
+)
 from testbed.identification.noise.fits import whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts, Whitened
 from testbed.identification.noise.model_average import Answer, averaged_fit
-from testbed.identification.noise.noise_model import NoiseModel
-from testbed.identification.noise.period import period_of
-from testbed.identification.noise.periodic_residual import PeriodicSums
-from testbed.identification.noise.quantization_covariance import QuantizationCovariance
-from testbed.identification.noise.regressor_noise import PositionNoise
+from testbed.identification.noise.noise_model import (
+    NoiseModel,
+    PeriodicSums,
+    TimeDelay,
+    lateness,
+    period_of,
+)
 from testbed.identification.noise.replicas import Replicas
 from testbed.identification.noise.score_tests import Question, ScoreTests, Trace
-from testbed.identification.noise.time_delay import TimeDelay, lateness
 from testbed.identification.noise.whitening import (
     NOTHING,
     NuisanceColumns,
@@ -33,7 +38,7 @@ from testbed.identification.noise.whitening import (
     Whitening,
     whitening_of,
 )
-from testbed.identification.regression import least_squares
+from testbed.identification.regression import solvers
 from testbed.identification.regression.passes import Passes
 from testbed.identification.regression.scaled import scaled_solve
 from testbed.identification.regression.windows import Plan
@@ -62,7 +67,7 @@ class GlsFit:
         traces: Of each kind of fault that was looked for, and its chance in mere noise.
     """
 
-    fit: least_squares.Fit
+    fit: solvers.Fit
     values: Array
     covariance: Array
     squares: Array
@@ -75,7 +80,7 @@ class GlsFit:
 
 @stage("residuals and replicas of noise")
 def generalized_least_squares(
-    start: least_squares.Fit,
+    start: solvers.Fit,
     passes: Passes,
     names: tuple[str, ...],
     beside: NuisanceColumns = NOTHING,
@@ -134,7 +139,7 @@ def generalized_least_squares(
 
 
 def sensor_step(
-    start: least_squares.Fit, passes: Passes, beside: NuisanceColumns
+    start: solvers.Fit, passes: Passes, beside: NuisanceColumns
 ) -> tuple[Array, Array, Array]:
     """The instrument's unknowns alone, (s,), their sigma as if noise were white, and their shares.
 

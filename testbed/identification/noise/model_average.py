@@ -1,12 +1,4 @@
-"""The answer of two models of the noise, with a constant in every channel and without.
-
-Constants make an estimate less certain; left out where there are some, they make it wrong. To
-take them where a test asks for them is worse than either: the test asks where noise has led the
-estimate astray, and its sigma knows nothing of the choice. So both answers are averaged, by
-Akaike's weights, and what they differ by is part of the covariance.
-
-Source    [BBA97]
-"""
+"""A constant in every channel or none: the average of both models of the noise."""
 
 from __future__ import annotations
 
@@ -16,14 +8,58 @@ import numpy as np
 from scipy import special
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.identification.noise.errors_in_variables import (
     AttenuationCorrection,
     correct_attenuation,
 )
 from testbed.identification.noise.fits import Fits, NoiseFit, weighted_fits, whitened_fits
 from testbed.identification.noise.lagged_products import LaggedProducts
-from testbed.identification.noise.offsets import constants, square_of_last
+from testbed.identification.regression.scaled import scaled_solve
 from testbed.stages import stage
+
+IMITATED = 1e-8
+"""Share of a constant's square that the parameters leave of it if they cannot imitate it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Constants:
+    """Constants that no parameters can imitate.
+
+    Attributes:
+        directions: Combinations of the channels, (C, k), orthonormal.
+        hidden: Unknowns that imitate the other constants, (C - k, m).
+    """
+
+    directions: Array
+    hidden: Array
+
+
+def constants(given: LaggedProducts) -> Constants:
+    """Which constants can be told from the parameters.
+
+    Args:
+        given: Products of unknowns' columns, residuals and ones.
+    """
+    squares = given.products[0]
+    m = squares.shape[2] - 2
+    normal = squares[:, :m, :m].sum(axis=0)
+    mixed = squares[:, :m, m + 1].T  # (m, C)
+    counts = squares[:, m + 1, m + 1]
+    imitating = scaled_solve(normal, mixed)
+    left = np.diag(counts) - mixed.T @ imitating
+    spread, axes = eigh((left + left.T) / 2)
+    identifiable = spread > IMITATED * max(counts.max(initial=0.0), 1.0)
+    return Constants(axes[:, identifiable], (imitating @ axes[:, ~identifiable]).T)
+
+
+def square_of_last(found: NoiseFit, count: int) -> float:
+    """How far the last `count` unknowns of a fit are from zero: a chi-square if they are."""
+    if not count:
+        return 0.0
+    values, covariance = found.values[-count:], found.covariance[-count:, -count:]
+    return float(values @ scaled_solve(covariance, values))
+
 
 FEW = 50
 """Rows below which constants are not looked for."""

@@ -15,9 +15,9 @@ import numpy as np
 from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.identification.noise.errors_in_variables import NOTHING_MADE, Made, PositionNoise
 from testbed.identification.noise.lagged_products import LaggedProducts, LaggedSums
-from testbed.identification.noise.regressor_noise import NOTHING_MADE, Made, PositionNoise
-from testbed.identification.regression import least_squares
+from testbed.identification.regression import solvers
 from testbed.identification.regression.constraints import LinearConstraints, NullSpace, free
 from testbed.identification.regression.passes import Columns, Passes
 from testbed.identification.regression.scaled import square_root
@@ -238,7 +238,7 @@ def _together(first: Columns | None, second: Columns | None) -> Columns | None:
     return lambda signals, row: np.concatenate([first(signals, row), second(signals, row)], axis=2)
 
 
-def whitening_of(start: least_squares.Fit, beside: NuisanceColumns, layout: Layout) -> Whitening:
+def whitening_of(start: solvers.Fit, beside: NuisanceColumns, layout: Layout) -> Whitening:
     """Units that a weighted solution suggests.
 
     Columns are made orthonormal from the bedplate outward, so that a joint's row still holds those

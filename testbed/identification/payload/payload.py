@@ -1,13 +1,8 @@
-"""A payload from two recordings of one robot, without it and with it.
-
-A body that is fixed to a link adds its ten inertial parameters to the link's. The difference of two
-estimates of the minimal parameters tells those of the ten, and combinations of them, that the
-bedplate sees; what else it holds would be a change of something else.
-"""
+"""A payload from two recordings of one robot, in motion or in poses at rest."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +11,16 @@ from scipy import special
 from testbed.arrays import Array, readonly
 from testbed.codec import with_properties
 from testbed.diagnostics.diagnostic import Diagnosed, Diagnostic, diagnose
-from testbed.errors import SettingsError
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import RecordingError, SettingsError
 from testbed.identification.estimate import Estimate
+from testbed.identification.problem import check_source, tare_of
 from testbed.identification.regression.scaled import scaled_inverse
 from testbed.parameters.barycentric import STANDARD, to_barycentric
 from testbed.parameters.minimal_set import MinimalSet, minimal_set
+from testbed.recordings.recording import Recording
+from testbed.recordings.source import Source, open_source
 from testbed.robot.tree import Tree
 
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
@@ -175,3 +175,203 @@ def _diagnostics(
         yield diagnose("payload.unexplained", joint, chance)
     if identifiable[0] and values[0] < -5 * sigma[0]:
         yield diagnose("payload.negative-mass", joint, values[0], sigma=sigma[0])
+
+
+SPAN = 0.5
+"""Seconds over which a robot at rest does not move."""
+
+STILL = 1e-3
+"""Most that a joint at rest wanders [rad or m]."""
+
+APART = 5e-3
+"""Least that some joint moves from one pose to another [rad or m]."""
+
+LEAST = 3
+"""Poses that are needed."""
+
+"""Singular values below this share of the largest are rounding."""
+
+"""What is told lies in the space of what is seen to this."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """One pose at rest.
+
+    Attributes:
+        position: Of the joints, (n,) [rad or m].
+        wrench: Mean, without the tare, (6,) [N, N m].
+        sigma: Of the mean, by its spans of half a second, (6,).
+        seconds: How long it lasted.
+    """
+
+    position: Array
+    wrench: Array
+    sigma: Array
+    seconds: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", readonly(self.position, (len(self.position),), "q"))
+        for name in ("wrench", "sigma"):
+            object.__setattr__(self, name, readonly(getattr(self, name), (6,), name))
+
+
+@dataclass(frozen=True)
+class MassEstimate:
+    """A mass by its weight.
+
+    Attributes:
+        mass: [kg].
+        sigma: [kg].
+        centre: Of mass in the link's frame [m]; () for a whole robot, whose centre moves.
+        centre_sigma: [m].
+        poses: How many there were.
+    """
+
+    mass: float
+    sigma: float
+    centre: tuple[float, ...]
+    centre_sigma: tuple[float, ...]
+    poses: int
+
+
+def poses_at_rest(tree: Tree, recording: Recording | Source | str) -> tuple[Pose, ...]:
+    """The poses in which a robot stood still.
+
+    Args:
+        tree: The robot.
+        recording: With the wrench.
+
+    Raises:
+        RecordingError: It has no wrench, is of another robot, or shows too few poses at rest.
+    """
+    source = open_source(recording)
+    check_source(source, tree, "external")
+    tare = tare_of(tree, source)
+    groups: list[list[tuple[Array, Array]]] = []
+    for position, wrench in _spans(source, tree):
+        if np.ptp(position, axis=0).max() > STILL:
+            continue
+        here = position.mean(axis=0), wrench.mean(axis=0) - tare
+        if groups and np.abs(groups[-1][0][0] - here[0]).max() < APART:
+            groups[-1].append(here)
+        else:
+            groups.append([here])
+    if len(groups) < LEAST:
+        raise RecordingError(
+            f"the recording shows {len(groups)} poses at rest; a pose is {SPAN:g} s in which no "
+            f"joint moves more than {STILL:g} rad or m, and {LEAST} are needed"
+        )
+    return tuple(_pose(group) for group in groups)
+
+
+def _spans(source: Source, tree: Tree) -> Iterator[tuple[Array, Array]]:
+    """Positions and wrench, half a second at a time."""
+    count = max(2, round(SPAN * source.rate))
+    for first in range(0, source.samples - count + 1, count):
+        part = source.part(first, first + count).ordered(tree)
+        yield part.position, part.measured("wrench")
+
+
+def _pose(group: list[tuple[Array, Array]]) -> Pose:
+    position, wrench = (np.array(each) for each in zip(*group, strict=True))
+    count = len(group)
+    sigma = wrench.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(6, np.nan)
+    return Pose(position.mean(axis=0), wrench.mean(axis=0), sigma, count * SPAN)
+
+
+def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
+    """The mass of all that moves, by its weight in a few poses.
+
+    Args:
+        tree: The robot, under its gravity.
+        poses: At rest.
+
+    Raises:
+        RecordingError: There is no gravity to weigh by.
+    """
+    columns = _weights(tree, poses)
+    total = np.tile([1.0, 0.0, 0.0, 0.0], tree.n)
+    values, covariance, identifiable = _solved(columns, _stacked(poses), total[None])
+    if not identifiable[0]:
+        raise RecordingError("the poses do not tell the mass of what moves")
+    return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), (), (), len(poses))
+
+
+def estimate_payload_mass(
+    tree: Tree, without: Sequence[Pose], loaded: Sequence[Pose], joint: str | None = None
+) -> MassEstimate:
+    """A payload's mass and centre by what it adds to the weight; the poses need not be the same.
+
+    Args:
+        tree: The robot, under its gravity; only its geometry matters.
+        without: Poses without the payload.
+        loaded: Poses with it.
+        joint: Of the link that carries it; default the last.
+
+    Raises:
+        RecordingError: The poses do not tell the payload's mass.
+        UnknownName: There is no such joint.
+    """
+    link = tree.index(tree.names[-1] if joint is None else joint)
+    robot = _weights(tree, [*without, *loaded])
+    load = _weights(tree, loaded)[:, 4 * link : 4 * link + 4]
+    beside = np.concatenate([np.zeros((6 * len(without), 4)), load])
+    asked = np.eye(4, robot.shape[1] + 4, robot.shape[1])
+    columns, measured = np.hstack([robot, beside]), _stacked([*without, *loaded])
+    values, covariance, identifiable = _solved(columns, measured, asked)
+    if not identifiable[0]:
+        raise RecordingError(
+            "the poses do not tell the payload's mass from the robot's: with it and without it, "
+            "some have to be alike, or more of them differ"
+        )
+    mass, place = float(values[0]), values[1:] / values[0]
+    slope = np.column_stack([-place / mass, np.eye(3) / mass])
+    sigma = np.sqrt(np.diagonal(slope @ covariance @ slope.T))
+    return MassEstimate(
+        mass=mass,
+        sigma=float(np.sqrt(covariance[0, 0])),
+        centre=tuple(np.where(identifiable[1:], place, np.nan).tolist()),
+        centre_sigma=tuple(np.where(identifiable[1:], sigma, np.nan).tolist()),
+        poses=len(without) + len(loaded),
+    )
+
+
+def _weights(tree: Tree, poses: Sequence[Pose]) -> Array:
+    """Wrench of a unit of every link's mass and first moment, (6 P, 4 n)."""
+    standard = np.zeros((tree.n, 10, 4 * tree.n))
+    for link in range(tree.n):
+        standard[link, :4, 4 * link : 4 * link + 4] = np.eye(4)
+    theta = to_barycentric(tree, standard)
+    q = np.array([pose.position for pose in poses])
+    still = np.zeros_like(q)
+    motion = Motion(np.arange(len(q), dtype=float), q, still, still)
+    wrench = linear(tree, motion, theta)[1]
+    return wrench.reshape(6 * len(q), -1)
+
+
+def _stacked(poses: Sequence[Pose]) -> Array:
+    return np.concatenate([pose.wrench for pose in poses])
+
+
+def _solved(columns: Array, measured: Array, asked: Array) -> tuple[Array, Array, Array]:
+    """Values, covariance and which are told of sums of unknowns, (q,), (q, q), (q,).
+
+    Forces and moments are weighted by what a first fit leaves of each.
+    """
+    force = np.arange(len(measured)) % 6 < 3
+    scale = np.ones(len(measured))
+    for _ in range(2):
+        left, sizes, directions = np.linalg.svd(columns / scale[:, None], full_matrices=False)
+        rank = int((sizes > SMALLEST * sizes[0]).sum()) if sizes[0] > 0 else 0
+        seen, kept = directions[:rank].T, left[:, :rank]
+        found = seen @ (kept.T @ (measured / scale) / sizes[:rank])
+        rest = measured - columns @ found
+        variance = float(np.sum((rest / scale) ** 2)) / max(len(measured) - rank, 1)
+        half = (asked @ seen) / sizes[:rank]
+        covariance = variance * half @ half.T
+        rms = [np.sqrt(np.mean(rest[part] ** 2)) for part in (force, ~force)]
+        least = max(1e-6 * max(rms), np.finfo(float).tiny)
+        scale = np.where(force, max(rms[0], least), max(rms[1], least))
+    identifiable = np.linalg.norm(asked - (asked @ seen) @ seen.T, axis=1) < SEEN
+    return asked @ found, covariance, identifiable

@@ -1,21 +1,170 @@
-"""Ways to solve weighted least squares, one a file, the quickest first.
-
-To add one, write a `Solver` in a file of its own and put it into SOLVERS.
-"""
+"""Ways to solve weighted least squares, the quickest first, and how they refuse."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import NoReturn, Protocol
 
 import numpy as np
+from scipy import linalg
 
 from testbed.arrays import Array
+from testbed.blas import eigh
 from testbed.errors import UnknownName, UnseenParameters
-from testbed.identification.regression.least_squares import Fit, Rows, Solver
-from testbed.identification.regression.normal import by_normal_equations
 from testbed.identification.regression.normal_equations import NormalEquations
-from testbed.identification.regression.orthogonal import by_orthogonal_columns
 from testbed.identification.regression.weights import noise_weights
+
+Rows = Callable[[Array], Iterator[tuple[Array, Array]]]
+"""Starts a pass over all rows, with columns combined by a matrix, (p, q): blocks of combined
+columns, (C, k, q), and of measurements, (C, k)."""
+
+_PART = 0.1  # an unknown with a larger part in a direction that the data miss is named
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A weighted least-squares solution.
+
+    Attributes:
+        values: (p,); nan for what no weighted channel sees.
+        inverse: Inverse of X' W X, (p, p); nan likewise.
+        weights: W, (C, C).
+        condition: Of the weighted equations with columns of unit length.
+        correctable: Whether one correction by the rows' own residuals makes it better.
+    """
+
+    values: Array
+    inverse: Array
+    weights: Array
+    condition: float
+    correctable: bool
+
+
+class Solver(Protocol):
+    """A way to solve weighted least squares."""
+
+    def __call__(self, equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
+        """The solution.
+
+        Args:
+            equations: Of all rows.
+            weights: W, (C, C).
+            rows: For solvers that look at the rows themselves.
+
+        Raises:
+            UnseenParameters: The equations do not determine the unknowns; names them.
+        """
+
+
+def refuse(names: tuple[str, ...], directions: Array, rows: int) -> NoReturn:
+    """Raise with the names of the unknowns that have a part in directions, (k, p), unseen."""
+    parts = abs(directions).max(axis=0)
+    unseen = [name for name, part in zip(names, parts, strict=True) if part > _PART]
+    raise UnseenParameters(unseen, len(names) - len(directions), len(names), rows)
+
+
+def by_normal_equations(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
+    """The solution for given weights; errors grow with the square of the condition.
+
+    Args:
+        equations: Of all rows.
+        weights: W, (C, C).
+        rows: Not looked at.
+
+    Raises:
+        UnseenParameters: The equations do not determine all they see; names them.
+    """
+    del rows
+    matrix, vector = equations.matrix(weights), equations.vector(weights)
+    scale = np.sqrt(np.diagonal(matrix))
+    seen = scale > 0
+    if not seen.any():
+        names = equations.unknowns
+        raise UnseenParameters(names, 0, len(names), int(equations.used.sum()))
+    values, inverse = np.full(len(scale), np.nan), np.full(matrix.shape, np.nan)
+    unit = matrix[np.ix_(seen, seen)] / np.outer(scale[seen], scale[seen])
+    spread, directions = eigh(unit)
+    lost = spread <= len(spread) * np.finfo(float).eps * spread[-1]
+    names, used = tuple(np.array(equations.unknowns)[seen]), int(equations.used.sum())
+    if lost.any():
+        refuse(names, directions[:, lost].T, used)
+    try:
+        factor = linalg.cho_factor(unit)
+    except linalg.LinAlgError:  # as near to lost as rounding tells
+        refuse(names, directions[:, :1].T, used)
+    scaled = linalg.cho_solve(factor, np.eye(len(unit))) / np.outer(scale[seen], scale[seen])
+    inverse[np.ix_(seen, seen)] = scaled
+    values[seen] = linalg.cho_solve(factor, vector[seen] / scale[seen]) / scale[seen]
+    condition = float(np.sqrt(spread[-1] / spread[0]))
+    return Fit(values, inverse, weights, condition, correctable=True)
+
+
+TRIANGLE = 1e6
+"""Condition up to which normal equations tell how to make columns orthonormal."""
+
+RANK_TOLERANCE = 1e-10
+"""Singular values of the scaled equations below this share of the largest count as zero."""
+
+
+def by_orthogonal_columns(equations: NormalEquations, weights: Array, rows: Rows) -> Fit:
+    """The solution for given weights; errors grow with the condition, not with its square.
+
+    The triangle that makes the columns orthonormal comes from the normal equations, or, above
+    TRIANGLE, from a QR of all rows.
+
+    Args:
+        equations: Of all rows.
+        weights: W, (C, C).
+        rows: Passed over twice, or three times.
+
+    Raises:
+        UnseenParameters: The equations do not determine all unknowns; names them.
+    """
+    matrix: Array = equations.matrix(weights)
+    root: Array = np.asarray(np.linalg.cholesky(weights), dtype=np.float64)
+    scale = np.sqrt(np.diagonal(matrix))
+    scale[scale == 0] = 1.0
+    unit = matrix / np.outer(scale, scale)
+    factor, failed = linalg.lapack.dpotrf(unit)
+    if failed or np.linalg.cond(unit) >= TRIANGLE**2:
+        triangle = _triangle(root, scale, rows)
+    else:
+        triangle = np.triu(factor)
+    _, spread, directions = np.linalg.svd(triangle)
+    lost = spread <= RANK_TOLERANCE * spread[0]
+    if lost.any():
+        refuse(equations.unknowns, directions[lost], int(equations.used.sum()))
+    lead = linalg.inv(triangle) / scale[:, None]
+    values = np.zeros(len(scale))
+    for _ in range(2):  # the second time on what the first has left
+        gram, vector = np.zeros_like(matrix), np.zeros(len(scale))
+        for columns, left in _white(root, lead, values, rows):
+            gram += columns.T @ columns
+            vector += columns.T @ left
+        values = values + lead @ np.linalg.solve(gram, vector)
+    inverse = lead @ np.linalg.inv(gram) @ lead.T
+    condition = float(spread[0] / spread[-1])
+    return Fit(values, inverse, weights, condition, correctable=False)
+
+
+def _triangle(root: Array, scale: Array, rows: Rows) -> Array:
+    """R of a QR of all rows, block after block onto one triangle, (p, p)."""
+    triangle = np.zeros((0, len(scale)))
+    for columns, _ in _white(root, np.diag(1 / scale), np.zeros(len(scale)), rows):
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, columns]), mode="r"))
+    missing = len(scale) - len(triangle)
+    return np.vstack([triangle, np.zeros((missing, len(scale)))])
+
+
+def _white(root: Array, lead: Array, values: Array, rows: Rows) -> Iterator[tuple[Array, Array]]:
+    """Rows with noise of unit covariance: columns @ lead, (k, p), and what values leave, (k,)."""
+    for columns, measured in rows(np.column_stack([lead, values])):
+        left = measured - columns[..., -1]
+        stack = np.concatenate([columns[..., :-1], left[..., None]], axis=2)
+        white = np.tensordot(root.T, stack, 1).reshape(-1, stack.shape[2])
+        yield white[:, :-1], white[:, -1]
+
 
 SQUARED = 1e4
 """Condition up to which normal equations and one correction are as good as a QR."""

@@ -1,8 +1,4 @@
-"""What fits leave of data that they have not seen, and columns that lessen it.
-
-Rows are cut into consecutive parts. Each part is foretold by a fit of all others; a column is added
-if it lessens what is left, on average over the parts by more than the standard error of that gain.
-"""
+"""Laws that may be chosen, and what fits leave of data that they have not seen."""
 
 from __future__ import annotations
 
@@ -13,7 +9,39 @@ from typing import TypeVar
 import numpy as np
 
 from testbed.arrays import Array, readonly
+from testbed.errors import round_significant
 from testbed.identification.regression.scaled import scaled_inverse, scaled_solve
+from testbed.robot.friction import (
+    ASYMMETRIC,
+    COULOMB,
+    OFFSET,
+    QUADRATIC,
+    SQUARE_ROOT,
+    STRIBECK,
+    VISCOUS,
+    JointLaw,
+    stribeck,
+)
+
+ALWAYS = (COULOMB, VISCOUS)
+"""What every joint has."""
+
+SPEEDS = tuple(round_significant(speed, 2) for speed in np.geomspace(0.02, 1.0, 14))
+"""At which friction may fade out [rad/s or m/s]."""
+
+OFFERED = (OFFSET, ASYMMETRIC, QUADRATIC, SQUARE_ROOT, *(stribeck(speed) for speed in SPEEDS))
+"""What may be added."""
+
+
+def rivals(one: JointLaw, other: JointLaw) -> bool:
+    """Whether two laws are not to be chosen both: friction that fades out at two speeds.
+
+    Args:
+        one: A law.
+        other: Another.
+    """
+    return all(law.kind.startswith(STRIBECK) for law in (one, other))
+
 
 SURE = 2.0
 """Standard errors that a gain has to have."""

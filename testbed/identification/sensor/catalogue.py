@@ -10,11 +10,17 @@ from testbed.identification.sensor.encoders import (
     JOINT_ZEROS,
     SAMPLING,
 )
-from testbed.identification.sensor.matrix import MATRIX
 from testbed.identification.sensor.nuisance import Nuisance
-from testbed.identification.sensor.offsets import BIAS, SLOPE, TARE
-from testbed.identification.sensor.pose import HEIGHT, POSE
-from testbed.identification.sensor.sensitivities import CROSSTALK, GAINS
+from testbed.identification.sensor.plate import (
+    BIAS,
+    CROSSTALK,
+    GAINS,
+    HEIGHT,
+    MATRIX,
+    POSE,
+    SLOPE,
+    TARE,
+)
 
 NUISANCES: tuple[Nuisance, ...] = (SKEW, BIAS, TARE, SLOPE, MATRIX, POSE, HEIGHT, JOINT_ZEROS)
 """Those that can be estimated, in the order in which they are taken back: last made, first."""

@@ -1,19 +1,81 @@
-"""A source of samples with faults of the instrument taken back, part by part."""
+"""Recordings corrected by what is known of the instrument, and what the calibration leaves open."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from testbed.arrays import Array
+from testbed.arrays import Array, readonly
 from testbed.errors import UnknownName
+from testbed.identification.regression.constraints import LinearConstraints
 from testbed.identification.sensor import clock
 from testbed.identification.sensor.catalogue import NUISANCES
+from testbed.identification.sensor.nuisance import Nuisance
 from testbed.recordings.recording import Recording
 from testbed.recordings.source import Source, segments_of
 from testbed.robot.tree import Tree
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationCovariance:
+    """Doubt about numbers of the plate that were taken back from a recording.
+
+    Attributes:
+        names: Of the numbers, (k,).
+        root: R with R R' their covariance, (k, r).
+    """
+
+    names: tuple[str, ...]
+    root: Array
+
+    def __post_init__(self) -> None:
+        shape = (len(self.names), np.shape(self.root)[-1])
+        object.__setattr__(self, "root", readonly(self.root, shape, "root"))
+
+    def nuisances(self, tree: Tree, asked: Sequence[Nuisance]) -> list[Nuisance]:
+        """Kinds whose numbers it is about, but for those that are estimated anyway.
+
+        Args:
+            tree: The robot.
+            asked: Those that are estimated.
+        """
+        named = set(self.names)
+        return [
+            n
+            for n in NUISANCES
+            if n not in asked and not n.passing and named & {p.name for p in n.parts(tree)}
+        ]
+
+    def added(
+        self, given: LinearConstraints, right: dict[str, float], unknowns: Sequence[str]
+    ) -> LinearConstraints:
+        """Facts with those about the plate: numbers are as they should be, but for the doubt.
+
+        Args:
+            given: Facts about the unknowns.
+            right: Values of the plate's numbers where nothing is wrong, by name.
+            unknowns: Names of all unknowns, in the order of the facts' columns.
+        """
+        rows = np.zeros((len(right), len(unknowns)))
+        rows[range(len(right)), [list(unknowns).index(name) for name in right]] = 1.0
+        root = np.zeros((len(right), self.root.shape[1]))
+        for row, name in zip(root, right, strict=True):
+            if name in self.names:
+                row[:] = self.root[self.names.index(name)]
+        return replace(
+            given,
+            names=(*given.names, *right),
+            rows=np.vstack([given.rows, rows]),
+            values=np.append(given.values, list(right.values())),
+            root=block_diag(given.root, root),
+            scale=np.vstack([given.scale, np.zeros_like(rows)]),
+            reached=np.append(given.reached, np.zeros(len(right))),
+        )
+
 
 Values = Mapping[str, Array]
 """Numbers of nuisances, by kind."""

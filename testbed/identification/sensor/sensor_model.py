@@ -20,22 +20,23 @@ from testbed.identification.noise.coloured_noise import GlsFit, sensor_step
 from testbed.identification.noise.whitening import NuisanceColumns
 from testbed.identification.problem import Problem
 from testbed.identification.regression.constraints import LinearConstraints, facts
-from testbed.identification.regression.least_squares import Fit
 from testbed.identification.regression.normal_equations import NormalEquations
 from testbed.identification.regression.passes import Passes
+from testbed.identification.regression.solvers import Fit
 from testbed.identification.regression.windows import Plan
-from testbed.identification.sensor.calibration_covariance import CalibrationCovariance
 from testbed.identification.sensor.catalogue import NUISANCES, TESTED
-from testbed.identification.sensor.correction import Corrected
+from testbed.identification.sensor.correction import CalibrationCovariance, Corrected
 from testbed.identification.sensor.estimates import NuisanceEstimate, TraceTest, in_order
-from testbed.identification.sensor.identifiability import (
+from testbed.identification.sensor.plate import BIAS, SLOPE, TARE
+from testbed.identification.sensor.predicted_wrench import row_filter
+from testbed.identification.sensor.unknowns import (
+    Columns,
     NonIdentifiable,
+    Unknowns,
     explain_nonidentifiable,
     identifiable_subset,
+    unknowns_of,
 )
-from testbed.identification.sensor.offsets import BIAS, SLOPE, TARE
-from testbed.identification.sensor.predicted_wrench import row_filter
-from testbed.identification.sensor.unknowns import Columns, Unknowns, unknowns_of
 from testbed.identification.settings import Settings
 from testbed.recordings.source import Source
 

@@ -1,20 +1,27 @@
-"""Unknowns of the instrument beside those of the robot: their names, and their columns."""
+"""Unknowns of the instrument: their columns, and which of them no motion can identify."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from testbed.arrays import Array
+from testbed.dynamics.inverse_dynamics import linear
+from testbed.dynamics.motion import Motion
+from testbed.errors import few
+from testbed.identification.problem import Problem
+from testbed.identification.regression.constraints import MASS, LinearConstraints, free
 from testbed.identification.regression.windows import Plan
 from testbed.identification.sensor.nuisance import Nuisance, Part
+from testbed.identification.sensor.plate import BIAS
 from testbed.identification.sensor.predicted_wrench import (
     PredictedWrench,
     RowFilter,
     predict_wrench,
 )
+from testbed.kernel.layout import Layout
 from testbed.kernel.records import Signals
 from testbed.robot.tree import Tree
 
@@ -165,3 +172,187 @@ class Columns:
         if not nuisance.added or self._unmixed is None:
             return made
         return np.asarray(self._unmixed @ made)
+
+
+DEPENDENT = 1e-6
+"""Length, of one, that others leave of a column that they imitate."""
+
+NAMED = 1e-6
+"""Share of a combination, in units of its largest, that is worth a name."""
+
+SHORT = 40
+"""Characters for what imitates a number that is open."""
+
+SEED = 1996
+
+RATE = 50.0
+"""Instants a second of the generic motion: the widest stencil below needs no more."""
+
+SINES = 5
+"""Of a joint's generic motion."""
+
+
+@dataclass(frozen=True)
+class NonIdentifiable:
+    """A number of the instrument that is taken as zero, since others show the same.
+
+    Attributes:
+        name: Its name.
+        by: The parameters, and the instrument's numbers, that change with it.
+    """
+
+    name: str
+    by: tuple[str, ...]
+
+
+def identifiable_subset(
+    problem: Problem, nuisances: Sequence[Nuisance], stated: LinearConstraints | None = None
+) -> tuple[Unknowns, tuple[NonIdentifiable, ...]]:
+    """Which numbers of nuisances can be estimated beside the parameters.
+
+    Args:
+        problem: Robot and recording.
+        nuisances: The kinds, earlier ones preferred.
+        stated: What is known of parameters and of all numbers of the nuisances.
+    """
+    names, wanted = problem.names, unknowns_of(problem.layout.tree, nuisances)
+    count, rng = len(wanted.parts), np.random.default_rng(SEED)
+    theta = generic_robot(problem.layout, rng)
+    rows = enough(len(names) + count)
+    own, theirs = generic_columns(problem, nuisances, rows, theta, rng)
+    labels, sure = list(names), [False] * count
+    if stated is not None and len(stated):
+        left = free(stated)
+        sure = [not row.any() for row in left.lead[len(names) :]]
+        about = left.lead[: len(names)].any(axis=0)
+        own = own @ left.lead[: len(names), about]
+        labels = [
+            names[int(np.abs(column).argmax())] for column in left.lead[: len(names), about].T
+        ]
+    kept, nonidentifiable = in_turn((own, labels), (theirs, wanted.names), sure)
+    return replace(wanted, kept=kept), nonidentifiable
+
+
+Named = tuple[Array, Sequence[str]]
+"""Columns, (rows, k), and what they are called."""
+
+
+def in_turn(
+    known: Named, others: Named, sure: Sequence[bool]
+) -> tuple[tuple[int, ...], tuple[NonIdentifiable, ...]]:
+    """Which columns those before them do not show, too.
+
+    Args:
+        known: The first.
+        others: Taken one after the other.
+        sure: Which of them are known anyway.
+
+    Returns:
+        Places of those that are told; the rest.
+    """
+    columns, labels = _unit(known[0]), list(known[1])
+    basis, _ = np.linalg.qr(columns)
+    kept: list[int] = []
+    nonidentifiable = []
+    for k, column in enumerate(_unit(others[0]).T):
+        if sure[k]:
+            kept.append(k)
+            continue
+        rest = column - basis @ (basis.T @ column)
+        rest -= basis @ (basis.T @ rest)
+        length = float(np.linalg.norm(rest))
+        if length > DEPENDENT:
+            basis = np.column_stack([basis, rest / length])
+            columns = np.column_stack([columns, column])
+            labels.append(others[1][k])
+            kept.append(k)
+            continue
+        share = np.abs(np.linalg.lstsq(columns, column, rcond=None)[0])
+        by = [n for n, s in zip(labels, share, strict=True) if s > NAMED * share.max()]
+        nonidentifiable.append(NonIdentifiable(others[1][k], tuple(by)))
+    return tuple(kept), tuple(nonidentifiable)
+
+
+def explain_nonidentifiable(
+    open_ones: Sequence[NonIdentifiable], known: Collection[str], nuisances: Collection[str]
+) -> str:
+    """What no motion tells, and which facts would, in a line.
+
+    Args:
+        open_ones: Numbers of the plate.
+        known: Names of the facts.
+        nuisances: Kinds that are estimated.
+    """
+    first, more = open_ones[0], len(open_ones) - 1
+    phrase = f"{first.name} from {few(first.by, SHORT)}{f', nor {more} others' * (more > 0)}"
+    zero = " (the zero of Fz is unknown: the mass alone does not)" * (
+        MASS in known and BIAS.kind in nuisances
+    )
+    return (
+        f"no motion tells {phrase}: state what is known. A total mass (mass=20) and a gain "
+        f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1), "
+        "or a payload of known mass (--loaded)"
+    )
+
+
+def enough(unknowns: int) -> int:
+    """Instants of a generic motion for so many unknowns.
+
+    Args:
+        unknowns: How many.
+    """
+    return 40 + unknowns // 2
+
+
+def generic_robot(layout: Layout, rng: np.random.Generator) -> Array:
+    """Barycentric parameters of which none has a special value, (n, 10).
+
+    Args:
+        layout: The robot's rows.
+        rng: Draws them.
+    """
+    lead = layout.theta @ layout.basis
+    return np.asarray(lead @ rng.normal(size=lead.shape[2]))
+
+
+def _unit(columns: Array) -> Array:
+    length = np.linalg.norm(columns, axis=0)
+    return np.asarray(columns / np.where(length > 0, length, 1.0))
+
+
+def generic_columns(
+    problem: Problem,
+    nuisances: Sequence[Nuisance],
+    rows: int,
+    theta: Array,
+    rng: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Columns of the parameters and of the nuisances along a generic motion, (6 rows, .).
+
+    Args:
+        problem: Robot and recording.
+        nuisances: The kinds.
+        rows: Instants.
+        theta: Barycentric parameters, (n, 10).
+        rng: Draws the motion.
+    """
+    layout, n = problem.layout, problem.tree.n
+    slopes = np.array([1, -8, 0, 8, -1]) / 12 * RATE  # a row is one instant; its slope needs five
+    weights = np.array([0, 0, 1.0, 0, 0])
+    filtered = RowFilter(1, weights, slopes, 1, weights, slopes)
+    time = np.arange(rows + 4) / RATE
+    speed = 2 * np.pi * rng.uniform(0.1, 1.0, (SINES, n))
+    size = rng.normal(size=(2, SINES, n)) / SINES
+    phase = time[:, None, None] * speed
+    wave = size[0] * np.sin(phase) + size[1] * np.cos(phase)
+    rate = speed * (size[0] * np.cos(phase) - size[1] * np.sin(phase))
+    motion = Motion(time, *(s.sum(axis=1) for s in (wave, rate, -(speed**2) * wave)))
+    lead = layout.theta @ layout.basis
+    middle = time[2:-2] - time.mean()
+    none = np.zeros((rows, 6, 5))  # nothing was measured
+    found = PredictedWrench(
+        layout.tree, layout.gravity, theta, motion, problem.tare, middle, filtered, none
+    )
+    parameters = linear(layout.tree, motion, lead, layout.gravity)[1][2:-2]
+    theirs = np.concatenate([nuisance.columns(found) for nuisance in nuisances], axis=2)
+    return parameters.reshape(6 * rows, -1), theirs.reshape(6 * rows, -1)

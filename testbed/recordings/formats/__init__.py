@@ -12,7 +12,12 @@ from pkgutil import iter_modules
 
 from testbed.errors import RecordingError
 from testbed.recordings.columns import Table
-from testbed.recordings.magic import is_parquet
+
+
+def is_parquet(path: Path) -> bool:
+    """Whether the file begins as Parquet files do."""
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PAR1"
 
 
 def formats() -> tuple[str, ...]:

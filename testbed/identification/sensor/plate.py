@@ -1,0 +1,196 @@
+"""Unknowns of a plate: its 36 sensitivities, constants and trends, its pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from testbed.arrays import Array
+from testbed.identification.sensor.nuisance import Nuisance, Numbers, Part, always
+from testbed.identification.sensor.predicted_wrench import PredictedWrench
+from testbed.recordings.columns import AXES, PLATE_UNITS
+from testbed.recordings.recording import Recording
+from testbed.robot.rotations import from_vector
+
+_UNITS = {("F", "M"): "1/m", ("M", "F"): "m"}
+
+
+def _part(shown: str, felt: str) -> Part:
+    if shown == felt:
+        return Part(f"gain/{shown}", "", 1.0)
+    return Part(f"crosstalk/{shown}/{felt}", _UNITS.get((shown[0], felt[0]), ""))
+
+
+SENSITIVITIES = tuple(_part(shown, felt) for shown in AXES for felt in AXES)
+"""Row by row: `gain/Fz` is what the plate shows of a force Fz there, `crosstalk/Fx/Fz` what Fx
+shows of it."""
+
+
+def _columns(predicted: PredictedWrench) -> Array:
+    filtered = predicted.rows(predicted.wrench[:, :, None])[..., 0]
+    found = np.zeros((len(filtered), 6, 36))
+    for shown in range(6):
+        found[:, shown, 6 * shown : 6 * shown + 6] = filtered
+    return found
+
+
+def _felt(recording: Recording, values: Array, time: Array) -> Recording:
+    del time
+    return replace(recording, wrench=recording.measured("wrench") @ _unmixed(values).T)
+
+
+def _unmixed(values: Array) -> Array:
+    return np.asarray(np.linalg.inv(values.reshape(6, 6)))
+
+
+MATRIX = Nuisance(
+    "matrix",
+    always(*SENSITIVITIES),
+    _columns,
+    _felt,
+    covers=("gains", "crosstalk", "pose", "height"),
+    whole=True,
+    added=True,
+    unmixed=_unmixed,
+)
+
+
+_PAIRS = [(shown, felt) for shown in range(6) for felt in range(6) if shown != felt]
+
+
+_of_channels = always(*(Part(f"gains/{axis}", "") for axis in AXES))
+
+_of_pairs = always(*(Part(f"crosstalk/{AXES[s]}/{AXES[f]}", "") for s, f in _PAIRS))
+
+
+def _own(predicted: PredictedWrench) -> Array:
+    return predicted.rows(predicted.wrench[:, :, None] * np.eye(6))
+
+
+def _others(predicted: PredictedWrench) -> Array:
+    filtered = predicted.rows(predicted.wrench[:, :, None])[..., 0]
+    found = np.zeros((len(filtered), 6, len(_PAIRS)))
+    for k, (shown, felt) in enumerate(_PAIRS):
+        found[:, shown, k] = filtered[:, felt]
+    return found
+
+
+GAINS = Nuisance("gains", _of_channels, _own)
+"""Relative."""
+
+CROSSTALK = Nuisance(
+    "crosstalk",
+    _of_pairs,
+    _others,
+    covers=("pose",),
+)
+"""What a channel shows of another's load; a plate that is turned or shifted does that, too."""
+
+
+def _constant(predicted: PredictedWrench) -> Array:
+    return np.broadcast_to(np.eye(6), (len(predicted.time), 6, 6))
+
+
+def _trend(predicted: PredictedWrench) -> Array:
+    return np.asarray(predicted.time[:, None, None] * np.eye(6))
+
+
+def _without_constant(recording: Recording, values: Array, time: Array) -> Recording:
+    del time
+    return replace(recording, wrench=recording.measured("wrench") - values)
+
+
+def _without_trend(recording: Recording, values: Array, time: Array) -> Recording:
+    return replace(recording, wrench=recording.measured("wrench") - time[:, None] * values)
+
+
+def _channels(kind: str, per: str = "") -> Numbers:
+    units = zip(AXES, PLATE_UNITS, strict=True)
+    return always(*(Part(f"{kind}/{axis}", f"{unit}{per}") for axis, unit in units))
+
+
+BIAS = Nuisance(
+    "bias",
+    _channels("bias"),
+    _constant,
+    _without_constant,
+    passing=True,
+    added=True,
+)
+
+SLOPE = Nuisance(
+    "slope",
+    _channels("slope", "/s"),
+    _trend,
+    _without_trend,
+    passing=True,
+    added=True,
+)
+"""From the middle of the recording."""
+
+TARE = Nuisance("tare", _channels("tare"), _constant, _without_constant, added=True)
+"""What the plate shows of the pedestal beyond the tare: to a fixed plate the same as a bias."""
+
+
+_PARTS = tuple(Part(f"pose/r{a}", "rad") for a in "xyz") + tuple(
+    Part(f"pose/p{a}", "m") for a in "xyz"
+)
+
+
+def _pose(predicted: PredictedWrench) -> Array:
+    return predicted.rows(_moved(predicted.wrench))
+
+
+def _pose_of_measured(predicted: PredictedWrench) -> Array:
+    return _moved(predicted.shown)
+
+
+def _moved(wrench: Array) -> Array:
+    """By each of the six, (M, 6, 6)."""
+    force, moment = wrench[:, :3], wrench[:, 3:]
+    found = np.zeros((len(force), 6, 6))
+    for k, axis in enumerate(np.eye(3)):
+        found[:, :3, k] = -np.cross(axis, force)
+        found[:, 3:, k] = -np.cross(axis, moment)
+        found[:, 3:, 3 + k] = -np.cross(axis, force)
+    return found
+
+
+def _height(predicted: PredictedWrench) -> Array:
+    return _pose(predicted)[..., 5:]
+
+
+def _height_of_measured(predicted: PredictedWrench) -> Array:
+    return _pose_of_measured(predicted)[..., 5:]
+
+
+def _moved_back(recording: Recording, values: Array, time: Array) -> Recording:
+    del time
+    wrench = recording.measured("wrench")
+    turn = from_vector(values[:3])
+    force = wrench[:, :3] @ turn.T
+    moment = wrench[:, 3:] @ turn.T + np.cross(values[3:], force)
+    return replace(recording, wrench=np.hstack([force, moment]))
+
+
+def _lowered(recording: Recording, values: Array, time: Array) -> Recording:
+    return _moved_back(recording, np.array([0.0, 0.0, 0.0, 0.0, 0.0, values[0]]), time)
+
+
+POSE = Nuisance(
+    "pose",
+    always(*_PARTS),
+    _pose,
+    _moved_back,
+    by_measured=_pose_of_measured,
+)
+
+HEIGHT = Nuisance(
+    "height",
+    always(Part("height", "m")),
+    _height,
+    _lowered,
+    by_measured=_height_of_measured,
+)
+"""The third component of the pose's shift alone."""
