@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from testbed.diagnostics.diagnostic import sentences
 from testbed.errors import plural, round_significant
 from testbed.experiment.score import share_of_signal
-from testbed.identification.estimate import Method
+from testbed.identification.estimate import NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -19,17 +19,8 @@ if TYPE_CHECKING:
     from testbed.experiment.run import Run
     from testbed.identification.estimate import Estimate
 
-BY: Mapping[Method, str] = {"external": "by the plate", "internal": "by the joint torques"}
-"""By whose estimate."""
-
 SIGNALS = {"wrench": "base wrench", "torque": "joint torques without friction"}
 """Of an `Accuracy`."""
-
-SOURCES: Mapping[Method, str] = {
-    "external": "the bedplate's reaction",
-    "internal": "the joint torques",
-}
-"""What it is made from."""
 
 
 def summary(run: Run) -> list[str]:
@@ -53,7 +44,7 @@ def accuracy_lines(run: Run) -> list[str]:
 
 
 def headline(run: Run) -> str:
-    """The one sentence: how well plate and torques predict what the robot does.
+    """The first sentence: how well force plate and joint torques predict what the robot does.
 
     Args:
         run: The run.
@@ -65,11 +56,13 @@ def headline(run: Run) -> str:
     phrases = []
     for name in ("wrench", "torque"):
         shares = {m: getattr(found, name) for m, found in run.score.accuracy.items()}
-        by = [f"{percent(x)} {BY[m]}" for m, x in shares.items() if x is not None]
+        by = [f"{percent(x)} by the {NAMES[m]}" for m, x in shares.items() if x is not None]
         phrases += [f"{SIGNALS[name]} {', '.join(by)}"] if by else []
     if not phrases:
         return f"From {_data(run)} nothing can be predicted: the robot makes no force."
-    where = "an unseen motion of similar speed" if run.validation else "the identified motion"
+    where = (
+        "a held-out motion of similar speed" if run.validation else "the motion used for the fit"
+    )
     return f"Rms prediction error on {where}: {'; '.join(phrases)}{assumed(run)}."
 
 
@@ -93,9 +86,9 @@ def _parameters(run: Run) -> list[str]:
         relative, z = (np.abs(x[: estimate.minimal.count]) for x in (errors.relative, errors.z))
         middle, most = _of_numbers(np.median, relative), _of_numbers(np.max, z)
         parts = [] if middle is None else [f"median error {percent(middle)}"]
-        parts += [] if most is None else [f"largest error {most:.3g} sigma"]
+        parts += [] if most is None else [f"largest error {most:.3g} standard deviations"]
         if parts:
-            phrases.append(f"{estimate.minimal.count} {BY[method]}, {', '.join(parts)}")
+            phrases.append(f"{estimate.minimal.count} by the {NAMES[method]}, {', '.join(parts)}")
     return [f"Parameters: {'; '.join(phrases)}."] if phrases else []
 
 
@@ -117,9 +110,10 @@ def residual_line(estimates: Iterable[Estimate]) -> str:
         left = share_of_signal(rest, np.sqrt(own.squares), e.channel_units) or 0.0
         known = np.isfinite(e.base.sigma) & (np.abs(e.base.values) > 0)
         shares = e.base.sigma[known] / np.abs(e.base.values[known])
-        half = f", half of its {len(known)} parameters known to {percent(float(np.median(shares)))}"
+        middle = percent(float(np.median(shares))) if known.any() else ""
+        spread = f", median standard deviation of its {len(known)} parameters {middle}"
         signal = "the wrench" if e.method == "external" else "the joint torques"
-        phrases.append(f"{percent(left)} of {signal}{half if known.any() else ''}")
+        phrases.append(f"{percent(left)} of {signal}{spread if middle else ''}")
     return f"Rms residuals: {'; '.join(phrases)}."
 
 
@@ -134,10 +128,8 @@ def _measured(run: Run) -> list[str]:
         share, usual = (share_of_signal(x, signal, found.units) for x in (left, allowed))
         if share is not None and usual is not None:
             what = "base wrench with the weight" if method == "external" else "joint torques"
-            phrases.append(
-                f"{what} {percent(share)}, expected from noise and sigma {percent(usual)}"
-            )
-    return [f"Rms residuals on that motion: {'; '.join(phrases)}."] if phrases else []
+            phrases.append(f"{what} {percent(share)}, expected {percent(usual)}")
+    return [f"Rms residuals there, noise included: {'; '.join(phrases)}."] if phrases else []
 
 
 def _data(run: Run) -> str:
@@ -150,10 +142,9 @@ def _found(run: Run) -> str:
     phrases = []
     for method, estimate in run.estimates.items():
         terms, count = len(estimate.joint_terms), len(estimate.base.names)
-        more = f" and {terms} coefficients of the joints" if terms else ""
-        phrases.append(f"{SOURCES[method]} tell {count} inertial parameters{more}")
-    phrases[0] = phrases[0].replace("reaction tell", "reaction tells")
-    return f"From {_data(run)}, {', '.join(phrases)}."
+        more = f" and {plural(terms, 'joint coefficient')}" if terms else ""
+        phrases.append(f"{plural(count, 'base parameter')}{more} by the {NAMES[method]}")
+    return f"Data: {_data(run)}. Identified: {'; '.join(phrases)}."
 
 
 def verdict(run: Run) -> str:

@@ -108,6 +108,9 @@ Method = Literal["external", "internal"]
 METHODS: tuple[Method, ...] = ("external", "internal")
 """By the bedplate's wrench, and by the joint torques."""
 
+NAMES: Mapping[Method, str] = {"external": "force plate", "internal": "joint torques"}
+"""What people call them."""
+
 MODEL_OF: Mapping[Method, Model] = {"external": "reaction", "internal": "dynamic"}
 """Which of the two minimal sets a method sees."""
 
@@ -338,12 +341,15 @@ class Estimate(Diagnosed):
     @property
     def words(self) -> Words:
         """What is printed of it."""
-        source = "the bedplate" if self.method == "external" else "joint torques"
-        doubt = "; doubtful: sigma does not count what the diagnostics say" if self.doubtful else ""
+        doubt = (
+            "; doubtful: its standard deviations do not include the errors that diagnostics name"
+            if self.doubtful
+            else ""
+        )
         numbers = zip(
             self.names, self.values.tolist(), self.sigma.tolist(), self.units, strict=True
         )
-        head = f"{plural(len(self.names), 'parameter')} from {source}{doubt}"
+        head = f"{plural(len(self.names), 'parameter')} by the {NAMES[self.method]}{doubt}"
         return Words(head, tuple(numbers), sentences(self.diagnostics))
 
     def __repr__(self) -> str:

@@ -1,4 +1,4 @@
-"""Bodies that can exist: link by link, in sentences, and as ellipsoids on the robot."""
+"""Physically consistent bodies: link by link, in sentences, and as ellipsoids on the robot."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from testbed.arrays import Array
 from testbed.dynamics.newton_euler import poses
 from testbed.experiment.run import Run
 from testbed.identification.consistency.consistent import Consistent, robot_of
-from testbed.identification.estimate import number_with_sigma
+from testbed.identification.estimate import NAMES, number_with_sigma
 from testbed.parameters.barycentric import STANDARD, with_standard
 from testbed.reporting.portrait import view
 from testbed.reporting.section import Drawing, Section, Table
@@ -54,10 +54,10 @@ def consistent_tables(found: Consistent) -> list[Table]:
         for c, name in enumerate(STANDARD)
     ]
     title = (
-        "bodies that can exist, about and along their frames [kg, kg m, kg m^2]; told: part of the "
-        "prior's variance that the data took away"
+        "physically consistent bodies, about and along their frames [kg, kg m, kg m^2]; data: "
+        "share of the prior variance that the data remove"
     )
-    tables = [Table(["link", "", "model file", "estimate", "told"], rows, title, left=[""])]
+    tables = [Table(["link", "", "model file", "estimate", "data"], rows, title, left=[""])]
     terms = zip(found.terms, found.coefficients, found.coefficient_sigma, strict=True)
     own = [
         [
@@ -81,14 +81,15 @@ def consistent_lines(found: Consistent) -> list[str]:
         least = found.eigenvalues[:, 0] / np.where(massive, found.eigenvalues[:, -1], 1.0)
         worst = int(np.argmin(np.where(massive, least, np.inf)))
         lines.append(
-            f"Every body can exist: least eigenvalue of a pseudo-inertia over its greatest "
-            f"{least[worst]:.2g}, of '{found.links[worst]}'."
+            f"Every body is physically consistent: least eigenvalue of a pseudo-inertia over its "
+            f"greatest {least[worst]:.2g}, of '{found.links[worst]}'."
         )
     for each in found.bent:
         most = int(np.argmax(np.abs(each.sigmas)))
         lines.append(
-            f"The {each.method} estimate gave way by {each.distance:.2g} sigma in all (noise makes "
-            f"about {np.sqrt(len(each.names)):.2g}), most in {each.names[most]} "
+            f"The estimate by the {NAMES[each.method]} changes by {each.distance:.2g} standard "
+            f"deviations in all (about {np.sqrt(len(each.names)):.2g} is expected), most in "
+            f"{each.names[most]} "
             f"({each.sigmas[most]:+.2g})."
         )
     if found.binding:
@@ -96,16 +97,16 @@ def consistent_lines(found: Consistent) -> list[str]:
         lines.append(f"At their limits: {'; '.join(found.binding[:LISTED])}{more}.")
     if found.tried:
         tried = ", ".join(f"{error:g}: {left:.4g}" for error, left in found.tried.items())
-        lines.append(f"Held-out data, rms in sigmas of noise by prior error: {tried}.")
+        lines.append(f"Cross-validation, rms residual over noise by prior error: {tried}.")
     lines.append(
-        f"The model file's bodies were taken to be wrong by {found.prior_error:g} of themselves; "
-        "told is the part of that variance which the data took away."
+        f"Prior: the model file's bodies, with a relative standard deviation of "
+        f"{found.prior_error:g}; data is the share of that variance which the data remove."
     )
     return lines
 
 
 def bodies_section(run: Run, found: Consistent) -> Section:
-    """Ellipsoids, and mass, centre and what the data told of every link.
+    """Ellipsoids, and mass, centre and share of the data of every link.
 
     Args:
         run: The run.
@@ -118,9 +119,9 @@ def bodies_section(run: Run, found: Consistent) -> Section:
     names = {"measured": "model file", "truth": "truth", "external": "estimate"}
     return Section(
         id="bodies",
-        title="Bodies that can exist",
+        title="Physically consistent bodies",
         says=(
-            "Each link as the ellipsoid of even density that has its mass, centre and "
+            "Each link as the ellipsoid of uniform density with its mass, centre and "
             "inertia. " + " ".join(consistent_lines(found))
         ),
         legend={kind: names[kind] for kind in robots},
@@ -129,12 +130,11 @@ def bodies_section(run: Run, found: Consistent) -> Section:
             for title, eye in VIEWS.items()
         ],
         caption=(
-            "The robot as the recording begins, on sticks between its joints. Told is the "
-            "part of the prior's variance that the data took away, the mean over a link's ten "
-            "parameters."
+            "The robot at the start of the recording. Data is the share of the prior variance "
+            "that the data remove, averaged over a link's ten parameters."
         ),
         table=Table(
-            ["link", "mass, model file [kg]", "mass [kg]", "centre [m]", "told"],
+            ["link", "mass, model file [kg]", "mass [kg]", "centre [m]", "data"],
             [_row(found, k) for k in range(len(found.links))],
         ),
     )

@@ -1,4 +1,4 @@
-"""What the plate says of the drives: torque constants, terms, friction in the torque."""
+"""Drives compared with the force plate: torque constants, terms, friction in the torque."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 BAND = 2.0
 """Sigmas to either side of a curve."""
 
-TITLE = "Drives, held against the plate"
+TITLE = "Drives compared with the force plate"
 
 
 def drive_table(drives: Sequence[DriveEstimate]) -> Table:
@@ -91,18 +91,17 @@ def drive_section(
         id="drives",
         title=TITLE,
         says=(
-            "The plate tells what torque the bodies need. What a drive reports over that is "
-            "its torque constant, 1 where the data sheet is right; what is left is friction. Grey, "
-            "the torque that was measured; in colour, what of it is friction at that instant, by "
-            "the friction curve."
+            "The force plate's estimate gives the rigid-body torque. The ratio of the reported "
+            "torque to it is the torque constant (1 if the data sheet is right); the rest is "
+            "friction. Grey: measured torque; in colour: friction by the friction curve."
         ),
-        legend={"measured": "torque, as it is", "external": "constant; friction"},
+        legend={"measured": "measured torque", "external": "constant; friction"},
         panels=[*_constants(drives), *_torques(found, drives, seconds)],
         shown=3,
         caption=(
-            f"Bars and bands are {BAND:g} sigma to either side. Torques over "
-            f"{seconds:.3g} s, through one low-pass of {cutoff:g} Hz, divided by the constants. "
-            "In the table, digits in brackets are one standard deviation of the last places."
+            f"Bars and bands are {BAND:g} standard deviations to either side. Torques over "
+            f"{seconds:.3g} s, low-pass {cutoff:g} Hz, divided by the constants. "
+            "In the table, digits in brackets are the standard deviation of the last places."
         ),
         table=replace(drive_table(drives.estimates), title=""),
     )

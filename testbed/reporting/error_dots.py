@@ -10,7 +10,7 @@ import numpy as np
 from testbed.arrays import Array
 from testbed.experiment.run import Run
 from testbed.experiment.score import Errors
-from testbed.identification.estimate import METHODS, ROUNDING, Estimate, Method, by_influence
+from testbed.identification.estimate import METHODS, NAMES, ROUNDING, Estimate, Method, by_influence
 from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.section import Section, Table
 
@@ -39,7 +39,7 @@ class ErrorDots:
     @property
     def label(self) -> str:
         """Of the scale."""
-        return "relative error [%]" if self.sigmas else "relative sigma [%]"
+        return "relative error [%]" if self.sigmas else "relative standard deviation [%]"
 
     @property
     def range(self) -> tuple[float, float]:
@@ -139,21 +139,21 @@ def dots_section(run: Run) -> Section | None:
     if not dots.names:
         return None
     judged = bool(dots.sigmas)
-    order = "What adds most to the predicted forces comes first"
+    order = "Sorted by influence on the predicted forces"
     part = f"{order}; these are the first {MOST}." if len(dots.names) == MOST else f"{order}."
-    heads = [f"{'error' if judged else 'sigma'}, {method} [%]" for method in dots.errors]
+    heads = [f"{'error' if judged else 'std'}, {NAMES[method]} [%]" for method in dots.errors]
     return Section(
         id="errors",
-        title="How far off each parameter is" if judged else "How well each parameter is known",
+        title="Parameter errors" if judged else "Standard deviations of the parameters",
         says=(
-            "Errors against the truth; the bars end at one standard deviation, as the estimate "
-            "itself states it. A dot far beyond its bar is an error that sigma does not tell."
+            "Errors against the truth (dots) and estimated standard deviations (bars). A dot "
+            "far outside its bar is a bias."
             if judged
-            else "One standard deviation, as the estimate itself states it, as part of the value."
+            else "Estimated standard deviation divided by the value."
         ),
         legend={method: LEGEND[method] for method in dots.errors},
         panels=dot_panels(dots),
-        caption=f"Logarithmic; further to the left is better. {part}",
+        caption=f"Logarithmic scale. {part}",
         table=Table(
             ["parameter", *heads],
             [
@@ -165,8 +165,8 @@ def dots_section(run: Run) -> Section | None:
 
 
 LEGEND: dict[Method, str] = {
-    "external": "bedplate (external)",
-    "internal": "joint torques (internal)",
+    "external": "force plate",
+    "internal": "joint torques",
 }
 
 

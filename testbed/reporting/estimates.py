@@ -14,7 +14,7 @@ from testbed.diagnostics.diagnostic import phrase
 from testbed.errors import plural, printable
 from testbed.experiment.run import SAID, Run, matrix_errors
 from testbed.identification.calibration import Calibration
-from testbed.identification.estimate import Estimate, by_influence, number_with_sigma
+from testbed.identification.estimate import NAMES, Estimate, by_influence, number_with_sigma
 from testbed.identification.selection.held_out import HeldOut, TermChoice
 from testbed.identification.sensor.estimates import TraceTest
 from testbed.recordings.columns import AXES
@@ -69,7 +69,7 @@ def _table(
     ]
     heads = ["parameter", *([] if short else ["unit"]), *(["truth"] if truths else [])]
     for estimate in estimates:
-        heads += [estimate.method, *(["z" if short else "error/sigma"] if truths else [])]
+        heads += [NAMES[estimate.method], *(["z" if short else "error/std"] if truths else [])]
     return Table(heads, rows, title, left=["unit"])
 
 
@@ -79,11 +79,11 @@ def quality_lines(estimates: Iterable[Estimate]) -> list[str]:
     for e in estimates:
         fits = ", ".join(f"{c} {r:.3g}" for c, r in zip(e.channels, e.residual, strict=True))
         lines.append(
-            f"{e.method}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
+            f"{NAMES[e.method]}: {plural(len(e.names), 'unknown')}, condition {e.condition:.1f}, "
             f"{_noise(e)}"
             f"residual rms {fits}"
         )
-        lines += [f"{e.method}: {part}" for part in _instrument(e)]
+        lines += [f"{NAMES[e.method]}: {part}" for part in _instrument(e)]
     return lines
 
 
@@ -95,7 +95,7 @@ def _instrument(estimate: Estimate) -> list[str]:
         kinds.setdefault(each.kind, []).append(number)
     lines = [", ".join(numbers) for numbers in kinds.values()]
     if estimate.doubtful:
-        lines.append("doubtful: sigma does not count what the warnings say")
+        lines.append("standard deviations do not include the errors that the warnings name")
     return lines
 
 
@@ -106,10 +106,10 @@ def _noise(estimate: Estimate) -> str:
         return ""
     constants = ", constants estimated" if noise.bias_weight > 0.5 else ""
     hidden = [name for name in noise.hidden if name not in estimate.unidentifiable]
-    rests = f", {', '.join(hidden)} if the plate's zero is right" if hidden else ""
+    rests = f", zero plate offset assumed for {', '.join(hidden)}" if hidden else ""
     return (
-        f"noise of {max(noise.memory):.2g} s (sigma x {noise.factor:.2f} by bootstrap{constants}"
-        f"{rests}), "
+        f"noise correlation time {max(noise.memory):.2g} s (bootstrap factor {noise.factor:.2f}"
+        f"{constants}{rests}), "
     )
 
 
@@ -161,7 +161,7 @@ def choice_lines(estimates: Iterable[Estimate]) -> Iterator[str]:
 
 def _choice_lines(choice: TermChoice) -> Iterator[str]:
     first, *added = choice.growth.steps
-    yield f"terms, each part of {choice.parts} foretold by the others: {_left(choice.before)}"
+    yield f"terms, by {choice.parts}-fold cross-validation: {_left(choice.before)}"
     before = first.residual
     for step in added:
         better = f"{100 * before:.2f} % -> {100 * step.residual:.2f} %"
@@ -169,7 +169,7 @@ def _choice_lines(choice: TermChoice) -> Iterator[str]:
         before = step.residual
     if choice.growth.next_best is not None:
         left = choice.growth.next_best
-        yield f"  not {left.kind}: {left.gain:.1f} standard errors, 2 are wanted"
+        yield f"  not {left.kind}: {left.gain:.1f} standard errors, 2 are required"
     yield f"with all of them: {_left(choice.after)}"
 
 
@@ -199,8 +199,8 @@ def validation_table(found: Validation) -> Table:
         [str(rows) for rows in found.rows],
     ]
     heads = ["channel", "unit", "residual", "of signal", "mean"]
-    heads += ["noise", "sigma adds", "ratio", "rows"]
-    title = f"{found.method}, on another recording"
+    heads += ["noise", "prediction std", "ratio", "rows"]
+    title = f"{NAMES[found.method]}, cross-validation on another recording"
     return Table(
         heads,
         list(zip(*columns, strict=True)),
@@ -215,14 +215,14 @@ def _text(number: float, unit: str = "") -> str:
 
 
 def payload_table(found: PayloadEstimate) -> Table:
-    """The ten parameters: value and sigma, or that a parameter is told in combination only.
+    """The ten parameters: value and sigma, or that a parameter is identifiable in combination only.
 
     Args:
         found: The payload.
     """
     numbers = zip(found.values.tolist(), found.sigma.tolist(), found.identifiable, strict=True)
     said = [
-        number_with_sigma(value, sigma, short=True) if identifiable else "not told alone"
+        number_with_sigma(value, sigma, short=True) if identifiable else "only in combination"
         for value, sigma, identifiable in numbers
     ]
     rows = list(zip(found.names, said, found.units, strict=True))
@@ -255,7 +255,7 @@ def weighed_lines(payload: MassEstimate, robot: MassEstimate) -> list[str]:
     return [
         f"Payload: {number_with_sigma(payload.mass, payload.sigma, short=False)} kg, centre of "
         f"mass {place}, by {payload.poses} poses.",
-        f"What moves of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
+        f"Moving mass of the robot: {number_with_sigma(robot.mass, robot.sigma, short=False)} kg.",
     ]
 
 
@@ -263,7 +263,7 @@ def _place(centre: Any, sigma: Any) -> str:
     said = [
         f"{axis} {number_with_sigma(float(c), float(s), short=False)} m"
         if np.isfinite(c)
-        else f"{axis} not told"
+        else f"{axis} not identifiable"
         for axis, c, s in zip("xyz", centre, sigma, strict=True)
     ]
     return ", ".join(said)
@@ -299,15 +299,15 @@ def instrument_tables(run: Run) -> list[TraceTable]:
 def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
     if estimate.nuisances:
         rows = [[n.name, n.unit, f"{n.value:.4g}", f"{n.sigma:.2g}"] for n in estimate.nuisances]
-        yield TraceTable(["what", "unit", "value", "sigma"], rows, "Estimated with the parameters")
+        yield TraceTable(["what", "unit", "value", "std"], rows, "Estimated with the parameters")
     tested = sorted(estimate.trace_tests, key=lambda test: test.chance)
     clear = [_test(test) for test in tested if test.chance <= CLEAR]
     others = [[phrase(t.nuisance.kind), _chance(t.chance)] for t in tested[len(clear) :]]
     if clear:
-        heads = ["fault", "chance", "would move", "size"]
-        yield TraceTable(heads, clear, "Faults that left a trace, the clearest first")
+        heads = ["fault", "chance", "would change", "size"]
+        yield TraceTable(heads, clear, "Faults with significant effect, the most significant first")
     if others:
-        title = "Faults without a clear trace"
+        title = "Faults without significant effect"
         yield TraceTable(["fault", "chance"], others, title, traced=False)
     found = None if estimate.noise is None else estimate.noise.repetition
     if found is not None:
@@ -316,7 +316,7 @@ def _of_estimate(estimate: Estimate) -> Iterator[TraceTable]:
             ["channel", "part"],
             [[channel, f"{max(0.0, share):.0%}"] for channel, share in shares],
             f"Part of the residuals that repeats with the motion, every {found.period:.4g} s: "
-            f"chance {_chance(found.chance)} in mere noise",
+            f"chance {_chance(found.chance)} if it were noise",
             traced=found.chance <= CLEAR,
         )
 
@@ -326,7 +326,7 @@ def _chance(chance: float) -> str:
 
 
 def _test(test: TraceTest) -> list[str]:
-    shift = f"{test.parameter} by {test.shift:.2g} sigma"
+    shift = f"{test.parameter} by {test.shift:.2g} standard deviations"
     return [
         phrase(test.nuisance.kind),
         _chance(test.chance),
@@ -355,7 +355,7 @@ def matrix_maps(run: Run) -> list[HeatTable]:
 
     return [
         table(f"Before: error of the matrix, {SAID}", found.error),
-        table(f"After: what its sigma leaves, {SAID}", found.sigma),
+        table(f"After: standard deviation, {SAID}", found.sigma),
     ]
 
 

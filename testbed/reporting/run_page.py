@@ -18,7 +18,7 @@ from testbed.experiment.run import Run
 from testbed.experiment.summary import obtained, summary, verdict
 from testbed.experiment.versions import versions
 from testbed.files import replacing
-from testbed.identification.estimate import OPEN_ZERO, Estimate, by_influence
+from testbed.identification.estimate import NAMES, OPEN_ZERO, Estimate, by_influence
 from testbed.parameters.barycentric import STANDARD
 from testbed.parameters.identifiability import identifiability
 from testbed.recordings.recording import Recording
@@ -43,7 +43,7 @@ WIDEST = 5.0
 LONGEST = 21
 """Characters of a value and its sigma with a sign between them; longer, sigma is in brackets."""
 
-LinearConstraints = list[tuple[str, str]]
+Lines = list[tuple[str, str]]
 
 
 def write_report(run: Run, path: Path) -> Path:
@@ -119,6 +119,7 @@ def contents(run: Run) -> dict[str, Any]:
         "portrait": _portrait(run, look),
         "asked": asked(run),
         "methods": list(run.estimates),
+        "names": dict(NAMES),
         "has_truth": bool(run.truths),
         "parameters": parameter_rows(run),
         "in_brackets": _in_brackets(run),
@@ -222,7 +223,7 @@ def _cell(estimate: Estimate, name: str, truth: float | None, short: bool) -> di
 
 
 def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
-    """What joint torques, and what the bedplate, can tell of each link's ten parameters."""
+    """Which of each link's ten parameters joint torques, and the force plate, can identify."""
     tables = []
     maps = identifiability(tree, zeros=zeros)[:2]
     first = FREE - 1 if tree.floating else 0  # what carries a base's coordinates has no matter
@@ -238,7 +239,7 @@ def _maps(tree: Tree, zeros: bool | Sequence[str]) -> list[dict[str, Any]]:
     return tables
 
 
-def asked(run: Run) -> LinearConstraints:
+def asked(run: Run) -> Lines:
     """Robot, motion, instruments and how the signals were treated.
 
     Args:
@@ -267,7 +268,7 @@ def _held(lock: Mapping[str, float | None]) -> str:
     return ", ".join(f"{joint} {place}" for joint, place in at.items()) + unit
 
 
-def _of_recording(run: Run) -> LinearConstraints:
+def _of_recording(run: Run) -> Lines:
     """What a recording says of itself."""
     recording = run.recording
     duration = float(recording.time[-1] - recording.time[0])
@@ -285,7 +286,7 @@ def _of_recording(run: Run) -> LinearConstraints:
     ]
 
 
-def _of_experiment(experiment: Experiment) -> LinearConstraints:
+def _of_experiment(experiment: Experiment) -> Lines:
     """Motion, instruments and plant, as they were asked for."""
     motion, plate, plant = experiment.motion, experiment.measurement, experiment.simulation
     errors = ", ".join(f"{k} {v:+.0%}" for k, v in plate.torque_constant_error.items())
@@ -324,18 +325,18 @@ def _treatment(run: Run) -> str:
     zeros = {True: "those that are zero in the model file", False: "none"}
     known = zeros[settings.zeros] if isinstance(settings.zeros, bool) else ", ".join(settings.zeros)
     taken = {"ar": "an autoregression", "white": "white"}[settings.noise]
-    unknown = f"; unknown of the instrument: {', '.join(settings.nuisances)}" * bool(
+    unknown = f"; calibration parameters: {', '.join(settings.nuisances)}" * bool(
         settings.nuisances
     )
     dropped = f"joint rows below {settings.deadband:g} rad/s or m/s dropped; "
     return (
         f"low-pass on positions {cutoffs[0]}, on rows {cutoffs[1]}; "
-        f"{'' if run.tree.floating else dropped}noise taken for {taken}; parameters "
-        f"known to be zero: {known}{unknown}"
+        f"{'' if run.tree.floating else dropped}noise model: {taken}; parameters "
+        f"fixed to zero: {known}{unknown}"
     )
 
 
-def origin(run: Run) -> LinearConstraints:
+def origin(run: Run) -> Lines:
     """Files, versions, and how to repeat it.
 
     Args:
@@ -347,7 +348,7 @@ def origin(run: Run) -> LinearConstraints:
         facts.insert(0, ("model's SHA-256", str(known["model_sha256"])))
     if run.experiment is not None:
         facts.append(("seed", str(run.experiment.seed)))
-        facts.append(("again, in the run folder", "testbed run experiment.toml"))
+        facts.append(("repeat, in the run folder", "testbed run experiment.toml"))
     return facts
 
 

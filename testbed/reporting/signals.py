@@ -11,7 +11,7 @@ from testbed.arrays import Array
 from testbed.experiment.predictions import Predictions, Signal
 from testbed.experiment.run import Run
 from testbed.experiment.summary import percent
-from testbed.identification.estimate import METHODS, SIGNAL_OF, Method
+from testbed.identification.estimate import METHODS, NAMES, SIGNAL_OF, Method
 from testbed.reporting.bodies import bodies_section
 from testbed.reporting.drives import BAND, curve_lines, drive_section
 from testbed.reporting.figures import Panel, thinned
@@ -87,30 +87,30 @@ def _measured(found: Predictions, smooth: Predictions) -> Section:
         rows.append(
             [name, unit, *_residual_cells(smooth, signal, c), *_ratio_cells(found, signal, c)]
         )
-    seen = "the motion that was identified"
-    motion = "a motion that no estimate has seen" if found.unseen else seen
+    seen = "the motion used for the fit"
+    motion = "a held-out motion" if found.unseen else seen
     methods = list(found.run.estimates)
     return Section(
 id="prediction",
 title=f"Measured and predicted, on {motion}",
-says=("What was measured, grey, and what the estimates predict; below it, "
-        "what is left over. The external estimate knows no friction, so its joint torques are "
-        "those of a robot without; the internal one takes from the external what joint torques "
-        "cannot tell."
+says=("Measured signals (grey) and predictions; residuals below. The force plate's estimate "
+        "contains no friction: its joint torques are those of a robot without friction. "
+        "Parameters that joint torques cannot identify are taken from the force plate's "
+        "estimate."
         + (
-            " What is allowed is the noise that the estimate found and what its sigma adds."
+            " The expected residual includes noise and the standard deviation of the prediction."
             if _validated(found)
             else ""
         )),
-legend={label: label for label in ("measured", *methods)},
+legend={"measured": "measured"} | {m: NAMES[m] for m in methods},
 panels=panels,
 shown=SHOWN_CHANNELS,
-caption=f"The first {seconds_shown(time):.3g} s, through one low-pass of {CUTOFF:g} Hz.",
+caption=f"The first {seconds_shown(time):.3g} s, low-pass {CUTOFF:g} Hz.",
 table=Table([
             "channel", "unit", "spread (rms)",
-            *(f"residual rms, {method}" for method in methods),
-            *(f"of spread, {method}" for method in methods),
-            *(f"over what is allowed, {method}" for method in _validated(found)),
+            *(f"residual rms, {NAMES[method]}" for method in methods),
+            *(f"of spread, {NAMES[method]}" for method in methods),
+            *(f"of expected residual, {NAMES[method]}" for method in _validated(found)),
         ], rows),
 )  # fmt: skip
 
@@ -149,24 +149,24 @@ def _spectra(found: Predictions) -> Section:
     rate = found.recording.rate
     panels, rows, weights = [], [], []
     for signal, c in _channels(found):
-        name, unit = signal.channels[c], signal.units[c]
+        name, unit, methods = signal.channels[c], signal.units[c], _methods_of(signal)
         spectra: dict[str, tuple[Array, Array]] = {
-            m: spectrum(signal.residual(m)[:, c], rate) for m in _methods_of(signal)
+            m: spectrum(signal.residual(m)[:, c], rate) for m in methods
         }
         panels.append(Panel(f"{name} [{unit}/√Hz]", spectra, "frequency [Hz]", log=True))
         sizes = {
-            method: (rms_within(*each, 0.0, SLOW), rms_within(*each, SLOW, np.inf))
-            for method, each in spectra.items()
+            m: (rms_within(*spectra[m], 0.0, SLOW), rms_within(*spectra[m], SLOW, np.inf))
+            for m in methods
         }
-        rows += [[name, unit, m, f"{slow:.3g}", f"{fast:.3g}"] for m, (slow, fast) in sizes.items()]
+        rows += [[name, unit, NAMES[m], *(f"{size:.3g}" for size in sizes[m])] for m in methods]
         weights.append(max((slow / fast for slow, fast in sizes.values() if fast), default=0.0))
     return Section(
 id="spectra",
-title="What is left over, by frequency",
-says=("Amplitude density of the residuals. White noise of the instrument is flat, noise "
-        "of the encoders rises until the filter on positions ends it; what stands at the motion's "
-        "frequencies is a part of the robot, or of its friction, that the model lacks."),
-legend={method: method for method in found.run.estimates},
+title="Residual spectra",
+says=("Amplitude spectral density of the residuals. White sensor noise is flat; encoder "
+        "noise rises up to the cutoff of the position filter. Peaks at the frequencies of the "
+        "motion are effects of the robot or its friction that the model does not contain."),
+legend={method: NAMES[method] for method in found.run.estimates},
 panels=telling_first(panels, weights),
 shown=SHOWN_OTHERS,
 caption=f"Welch's method, segments of at most 2048 samples; {_ordered(panels)}",
@@ -191,7 +191,7 @@ def telling_first(panels: Sequence[Panel], weights: Sequence[float]) -> list[Pan
 def _ordered(panels: Sequence[Panel]) -> str:
     if len(panels) <= SHOWN_OTHERS:
         return "one plot a channel."
-    return f"first the channels with most below {SLOW:g} Hz beside the rest."
+    return f"sorted by the share below {SLOW:g} Hz."
 
 
 def _friction(found: Predictions, smooth: Predictions) -> Section:
@@ -218,18 +218,17 @@ def _friction(found: Predictions, smooth: Predictions) -> Section:
         id="friction",
         title="Friction",
         says=(
-            "Unexplained torque: measured motor torque less what the robot needs by the "
-            "bedplate's estimate, over velocity. It is what friction takes, and what the drives "
-            "report wrongly."
-            + (" The line is the friction that the internal estimate found." if modelled else "")
+            "Measured motor torque minus the rigid-body torque of the force plate's estimate, "
+            "over velocity: friction, and errors of the reported torque."
+            + (" The line is the friction identified from joint torques." if modelled else "")
         ),
         legend={"unexplained": "unexplained torque"}
-        | ({"internal": "friction, internal"} if modelled else {})
-        | ({} if run.drives is None else {"external": "friction curve by the plate"}),
+        | ({"internal": "friction from joint torques"} if modelled else {})
+        | ({} if run.drives is None else {"external": "friction curve from the force plate"}),
         panels=telling_first(panels, clear_shares(rest, smooth)),
         shown=SHOWN_OTHERS,
         caption=_friction_caption(len(panels), modelled=modelled, curves=run.drives is not None),
-        table=Table(["joint", "term", "unit", "found", "true"], _term_rows(run)),
+        table=Table(["joint", "term", "unit", "estimate", "truth"], _term_rows(run)),
     )
 
 
@@ -249,14 +248,14 @@ def clear_shares(rest: Array, smooth: Predictions) -> list[float]:
 def _friction_caption(count: int, *, modelled: bool, curves: bool) -> str:
     said = ["Points are samples."]
     if modelled:
-        said.append("The line is what the internal estimate's terms make of a steady velocity.")
+        said.append("The line is the friction model at constant velocity.")
     if curves:
         said.append(
-            f"The curve by the plate assumes no law; its band is {BAND:g} sigma wide to either "
-            "side."
+            f"The curve from the force plate assumes no friction model; its band is "
+            f"{BAND:g} standard deviations to either side."
         )
     if count > SHOWN_OTHERS:
-        said.append("First the joints whose points noise scatters least.")
+        said.append("Sorted by signal over noise.")
     return " ".join(said)
 
 

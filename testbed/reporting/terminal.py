@@ -6,7 +6,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rich.box import ROUNDED
 from rich.console import Console
+from rich.panel import Panel
 
 from testbed.diagnostics.diagnostic import Diagnostic
 from testbed.errors import plural, printable
@@ -60,7 +62,7 @@ def print_estimates(
         everything: Whether all parameters and warnings are printed.
     """
     out = console()
-    out.print(printable(residual_line(estimates)), soft_wrap=True)
+    out.print(Panel(printable(residual_line(estimates)), box=ROUNDED))
     most = None if everything else 1
     print_diagnostics(out, [*diagnostics, *diagnostics_of(estimates)], most)
     _print_parameters(out, estimates, {}, everything=everything)
@@ -90,7 +92,7 @@ def _print_parameters(
         out.print(f"{printable(name)} is {OPEN_ZERO}", soft_wrap=True)
     count = len({name for e in estimates for name in e.names}) - ROWS
     if not everything and count > 0:
-        out.print(f"({count} more that add less to what is predicted: --all)", soft_wrap=True)
+        out.print(f"({count} more parameters with less influence: --all)", soft_wrap=True)
 
 
 def print_validations(validations: Sequence[Validation], diagnostics: Sequence[Diagnostic]) -> None:
@@ -107,7 +109,7 @@ def print_validations(validations: Sequence[Validation], diagnostics: Sequence[D
 
 
 def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Path) -> None:
-    """Print what a robot's motion tells of the plate.
+    """Print the calibration of a plate.
 
     Args:
         plate: The calibration, with the estimate.
@@ -126,7 +128,7 @@ def print_plate(plate: Calibration, diagnostics: Sequence[Diagnostic], path: Pat
 
 
 def print_drives(drives: DriveFindings, diagnostics: Sequence[Diagnostic]) -> None:
-    """Print what the plate says of the drives.
+    """Print torque constants, friction and their agreement with the plate.
 
     Args:
         drives: All of it.
@@ -167,7 +169,8 @@ def print_run(run: Run, folder: Path, *, everything: bool = False) -> None:
     """
     out = console()
     estimates = list(run.estimates.values())
-    for line in (headline(run), *accuracy_lines(run)):
+    out.print(Panel(printable(headline(run)), box=ROUNDED))
+    for line in accuracy_lines(run):
         out.print(printable(line), soft_wrap=True)
     _print_verdict(out, run)
     print_diagnostics(out, run.diagnostics, None if everything else 1)
@@ -242,7 +245,7 @@ def print_comparison(out: Console, comparison: Comparison, rows: Sequence[Compar
 def _table(title: str, rows: Sequence[Compared], methods: Sequence[Method], *, said: bool) -> Table:
     """Errors by some methods, and, if it is wanted, what is said first; the remedy's errors."""
     errors = [head for method in methods for head in (f"{method}: error", "max z")]
-    heads = ["variant", *errors, *(["said first", "named"] if said else [])]
+    heads = ["variant", *errors, *(["first diagnostic", "named"] if said else [])]
     heads += [head for _ in methods for head in ("remedied", "max z")]
     cells = [
         [
@@ -253,7 +256,7 @@ def _table(title: str, rows: Sequence[Compared], methods: Sequence[Method], *, s
         ]
         for row in rows
     ]
-    return Table(heads, cells, title, left=["said first", "named"])
+    return Table(heads, cells, title, left=["first diagnostic", "named"])
 
 
 def _numbers(run: Run | None, methods: Sequence[Method]) -> list[str]:
@@ -271,4 +274,4 @@ def _failures(row: Compared) -> Iterator[str]:
     if row.named is False:
         wanted = f"'{row.variant.says}'" if row.variant.says else "nothing"
         found = f"'{row.said[0]}'" if row.said else "nothing"
-        yield f"what is said first is {found}, claimed {wanted}"
+        yield f"the first diagnostic is {found}, claimed {wanted}"

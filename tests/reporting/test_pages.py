@@ -16,7 +16,7 @@ from testbed.experiment.carry_out import validated
 from testbed.experiment.experiment_tables import Bound
 from testbed.experiment.predictions import predict
 from testbed.experiment.summary import summary, verdict
-from testbed.identification.estimate import METHODS, by_influence, number_with_sigma
+from testbed.identification.estimate import METHODS, NAMES, by_influence, number_with_sigma
 from testbed.reporting.estimates import CLEAR, instrument_tables, matrix_maps
 from testbed.reporting.figures import Panel
 from testbed.reporting.run_page import LONGEST, contents, parameter_rows, write_report
@@ -155,8 +155,8 @@ def test_residuals_in_tables_and_plots_are_those_of_the_predictions() -> None:
             for method in METHODS:
                 rest = signal.residual(method)[:, c]
                 size = np.sqrt(np.mean(rest**2))
-                assert float(row[f"residual rms, {method}"]) == pytest.approx(size, rel=0.01)
-                share = float(row[f"of spread, {method}"].rstrip("% "))
+                assert float(row[f"residual rms, {NAMES[method]}"]) == pytest.approx(size, rel=0.01)
+                share = float(row[f"of spread, {NAMES[method]}"].rstrip("% "))
                 assert share == pytest.approx(100 * size / spread, rel=0.06)
             below = panel.below[f"residual [{signal.units[c]}]"]
             for method in signal.predicted.keys() & below.keys():
@@ -173,7 +173,7 @@ def test_on_a_motion_not_seen_residuals_stand_beside_what_is_allowed(tmp_path: P
     numbers = json.loads(write_report(run, tmp_path / "r.html").read_text())
     table = numbers["figures"][0]["table"]
     for method, found in run.validation.items():
-        column = table["heads"].index(f"over what is allowed, {method}")
+        column = table["heads"].index(f"of expected residual, {NAMES[method]}")
         told = {row[0]: row[column] for row in table["rows"] if row[column]}
         assert told == {c: f"{x:.3g}" for c, x in zip(found.channels, found.ratio, strict=True)}
 
