@@ -55,7 +55,7 @@ def robots(
     seconds: Annotated[float, typer.Option(help="Of motion.")] = 6.0,
     only: Annotated[str, typer.Option(help="Only files whose paths hold this.")] = "",
 ) -> None:
-    """`new` and a run of every URDF of example-robot-data; exit code 1 if one is refused."""
+    """`new` and a run of every robot of some packages; exit code 1 if one is refused or wrong."""
     from benchmarks.robot_files import runs
 
     line: dict[str, Any] = {}

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import testbed as tb
+from benchmarks.robot_files import MOST_SIGMAS
 from testbed.experiment.evaluate import evaluate
 from tests.helpers.command import command_line
 from tests.helpers.paths import REAL
@@ -26,8 +27,6 @@ ROBOTS = {
 }
 SHORT, LONG = 4.0, 10.0
 """Seconds that most are recorded for, and a period that is usual."""
-MOST_SIGMAS = 6.0
-"""Of any of some hundred parameters, by chance once in a million runs."""
 
 
 @pytest.mark.slow
