@@ -204,10 +204,9 @@ class UnseenParameters(TestbedError):
             )
         else:
             said = (
-                f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns "
-                "and cannot tell "
-                f"apart {few(self.names, WIDTH)}: record a longer or richer motion of the joints "
-                "concerned"
+                f"{plural(samples, 'sample')} determine only {rank} of {count} unknowns: "
+                f"{few(self.names, WIDTH)} are collinear; record a longer or richer motion of "
+                "the joints concerned"
             )
         super().__init__(said)
 

@@ -32,17 +32,19 @@ def calibrate(
         list[str],
         typer.Option(
             metavar="NAME=VALUE[+-SIGMA]",
-            help="What is known, as mass=20, gain/Fz=1, centre/x=0.1; again for more.",
+            help="A known value, e.g. mass=20, gain/Fz=1, centre/x=0.1; repeatable.",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="File of the plate, for --plate.")] = Path("plate.toml"),
+    out: Annotated[Path, typer.Option(help="Calibration file to write, for --plate.")] = Path(
+        "plate.toml"
+    ),
     loaded: Annotated[
         Path | None,
         typer.Option(help="Another recording, with a payload: --known payload/mass=1.5."),
     ] = None,
     joint: Annotated[
         str | None,
-        typer.Option(help="The payload is on the link that this moves; default the last."),
+        typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
     settings: RecordingSet = None,
     zeros: Zeros = False,
@@ -74,7 +76,7 @@ def calibrate(
     check_writable(out, read=(recording, loaded, model))
     tree, facts = reading.tree(model), parse_known(known)
     if joint is not None and loaded is None:
-        raise SettingsError("--joint says what carries the payload of --loaded: give both")
+        raise SettingsError("--joint names the link of --loaded: both are needed")
     found = partial(calibrated, tree, recording)
     if loaded is not None:
         found = partial(calibrate_by_payload, tree, recording, loaded, joint=joint)
@@ -105,7 +107,8 @@ def drives(
     lock_mimic: LockMimic = False,
     plate: Plate = None,
     choose_terms: Annotated[
-        bool, typer.Option("--choose-terms", help="Choose each joint's terms by held-out data.")
+        bool,
+        typer.Option("--choose-terms", help="Choose the terms of each joint by cross-validation."),
     ] = False,
     threads: Threads = None,
     as_json: Json = False,
@@ -126,7 +129,7 @@ def drives(
     reading = Reading(settings, zeros, weld_root, lock, lock_mimic, plate)
     tree, table = reading.tree(model), reading.tables().identification
     source = reading.source(recording, tree)
-    with output.Progress("identifying, external") as progress:
+    with output.Progress("identifying by the force plate") as progress:
         bodies = identify(
             tree,
             source,
@@ -155,15 +158,17 @@ def drives(
 
 @app.command()
 def payload(
-    without: Annotated[Path, typer.Argument(metavar="WITHOUT", help="Recording without it.")],
-    loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with it.")],
+    without: Annotated[
+        Path, typer.Argument(metavar="WITHOUT", help="Recording without the payload.")
+    ],
+    loaded: Annotated[Path, typer.Argument(metavar="WITH", help="Recording with the payload.")],
     model: RobotModel,
     joint: Annotated[
         str | None,
-        typer.Option(help="The link that carries it is the one this moves; default the last."),
+        typer.Option(help="Joint that moves the link with the payload; default the last."),
     ] = None,
     at_rest: Annotated[
-        bool, typer.Option("--at-rest", help="By the weight in a few poses at rest.")
+        bool, typer.Option("--at-rest", help="By the weight in static poses.")
     ] = False,
     settings: RecordingSet = None,
     gravity: Gravity = None,

@@ -29,24 +29,24 @@ def campaign(
     ],
     settings: Set = None,
     out: Annotated[
-        Path | None, typer.Option(help="Campaign's folder; default runs/NAME-campaign.")
+        Path | None, typer.Option(help="Campaign folder; default runs/NAME-campaign.")
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="List and count the runs, estimate time and disk.")
     ] = False,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first runs.")] = None,
     summary: Annotated[
-        bool, typer.Option("--summary", help="Run nothing: say what a campaign's folder holds.")
+        bool, typer.Option("--summary", help="Only summarise a campaign folder.")
     ] = False,
     against: Annotated[
         Path | None, typer.Option(help="With --summary: compare with this campaign's folder.")
     ] = None,
     rrd: Annotated[
-        Path | None, typer.Option(help="With --summary: also write this file for Rerun's viewer.")
+        Path | None, typer.Option(help="With --summary: also write this .rrd file.")
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=0, help="Local processes; default one a processor, 0: in this one."),
+        typer.Option(min=0, help="Local processes; default one per processor, 0: none."),
     ] = None,
     scheduler: Annotated[
         str | None,

@@ -41,20 +41,21 @@ def excite(
     settings: Set = None,
     prior: Annotated[
         Path | None,
-        typer.Option(help="What is known: a run folder, or what identify --json printed."),
+        typer.Option(help="Earlier estimate: a run folder, or the output of identify --json."),
     ] = None,
     check: Annotated[
-        bool, typer.Option("--check", help="Design nothing: prove the motion of a file.")
+        bool, typer.Option("--check", help="Only verify the motion of a file against the limits.")
     ] = False,
     trajectory: Annotated[
         Path | None,
-        typer.Option(help="Samples for a controller, .csv or .parquet, from rest to rest."),
+        typer.Option(help="Samples for a controller (.csv, .parquet), from rest to rest."),
     ] = None,
-    rate: Annotated[float, typer.Option(min=1e-3, help="Of those [Hz].")] = 1000.0,
+    rate: Annotated[float, typer.Option(min=1e-3, help="Sampling rate of those [Hz].")] = 1000.0,
     page: Annotated[
         Path | None,
         typer.Option(
-            callback=ending(".html", ".htm"), help="Picture of motion, limits and sigma (HTML)."
+            callback=ending(".html", ".htm"),
+            help="HTML page of motion, limits and standard deviations.",
         ),
     ] = None,
     everything: Annotated[
@@ -137,7 +138,9 @@ class _Searching:
         if self._steps == TIMED and not sys.stderr.isatty():  # a terminal has the bar
             note([self._budget(most)])
         self._progress.say(
-            done, total, f"searching, at most {most:.0f} s, best sigma so far {best:.3g}"
+            done,
+            total,
+            f"searching, at most {most:.0f} s, best standard deviation so far {best:.3g}",
         )
 
 
@@ -174,7 +177,9 @@ def _require_nothing(options: Mapping[str, Path | None]) -> None:
     """Of a design, where there is none."""
     said = [name for name, value in options.items() if value is not None]
     if said:
-        raise typer.BadParameter(f"--check designs nothing: leave out {', '.join(said)}")
+        raise typer.BadParameter(
+            f"--check designs nothing; it cannot be combined with {', '.join(said)}"
+        )
 
 
 def _check(file: Path, settings: list[str], *, everything: bool, as_json: bool) -> None:

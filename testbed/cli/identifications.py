@@ -46,18 +46,23 @@ class Fixed(StrEnum):
 
 
 ConsistentBodies = Annotated[
-    bool, typer.Option("--consistent", help="Bodies that can exist, near the model file's.")
+    bool,
+    typer.Option(
+        "--consistent", help="Physically consistent bodies, near those of the model file."
+    ),
 ]
 Write = Annotated[
     Path | None,
     typer.Option(
-        "--write", metavar="FILE", help="The model file with consistent bodies and friction."
+        "--write", metavar="FILE", help="Write the model file with consistent bodies and friction."
     ),
 ]
 FixedLinks = Annotated[
-    Fixed, typer.Option("--fixed", help="What is fixed to a link: its mass lumped, or shared out.")
+    Fixed, typer.Option("--fixed", help="Bodies fixed to a link: mass lumped into it, or shared.")
 ]
-InPlace = Annotated[bool, typer.Option("--in-place", help="--write may replace the model file.")]
+InPlace = Annotated[
+    bool, typer.Option("--in-place", help="Allow --write to replace the model file.")
+]
 
 
 @dataclass(frozen=True)
@@ -99,9 +104,9 @@ class Writing:
         from testbed.robot.write_model import check_place
 
         if not self.wanted and reading.tables().consistent != ConsistencyOptions():
-            raise SettingsError("--set consistent... is about consistent bodies: say --consistent")
+            raise SettingsError("--set consistent... needs --consistent")
         if self.in_place and self.write is None:
-            raise SettingsError("--in-place is about the file that --write names: say which")
+            raise SettingsError("--in-place needs --write FILE")
         if self.write is not None:
             check_writable(self.write, read=(*recordings, reading.plate))
             check_place(model, self.write, over_source=self.in_place)
@@ -137,7 +142,7 @@ class Writing:
         file = reading.model_file(model)
         prior = prior_from(tree, file, shapes=options.centres_in_shapes)
         part = samples_of(source, reading.tables().identification)
-        with output.Progress("looking for consistent bodies"):
+        with output.Progress("computing consistent bodies"):
             return consistent_by_held_out(tree, estimates, prior, options, part, identified)
 
     def written(
@@ -181,11 +186,15 @@ class _Method(StrEnum):
 def identify(
     recordings: Annotated[
         list[Path],
-        typer.Argument(metavar="RECORDING...", help="Parquet or mapping files, of one robot."),
+        typer.Argument(
+            metavar="RECORDING...", help="Recordings (Parquet) or mapping files of one robot."
+        ),
     ],
     model: RobotModel,
     settings: RecordingSet = None,
-    method: Annotated[_Method, typer.Option(help="Which estimates to make.")] = _Method.both,
+    method: Annotated[
+        _Method, typer.Option(help="external: force plate, internal: joint torques.")
+    ] = _Method.both,
     zeros: Zeros = False,
     gravity: Gravity = None,
     weld_root: Weld = False,
@@ -259,16 +268,14 @@ def identify(
 @app.command()
 def validate(
     recording: Annotated[
-        Path, typer.Argument(metavar="RECORDING", help="Of another motion (Parquet).")
+        Path, typer.Argument(metavar="RECORDING", help="Recording of another motion (Parquet).")
     ],
     result: Annotated[
         Path,
-        typer.Argument(
-            metavar="RESULT.json", help="What identify --json printed, or a run folder (result)."
-        ),
+        typer.Argument(metavar="RESULT.json", help="Output of identify --json, or a run folder."),
     ],
     model: Annotated[
-        Path | None, typer.Option(help="Where the model file is now; default as the result says.")
+        Path | None, typer.Option(help="Model file; default the one in the result.")
     ] = None,
     gravity: Gravity = None,
     settings: RecordingSet = None,

@@ -54,7 +54,7 @@ def write_mapping(
             files, folder, () if tree is None else [tree.names[k] for k in own_joints(tree)]
         )
     if tree is not None:
-        with output.Progress("solving for what names do not tell") as bar:
+        with output.Progress("solving the mapping") as bar:
             found = solve_mapping(draft, out or folder / "mapping.toml", tree, bar)
         draft = found.draft
         output.print_lines((), found.diagnostics)
@@ -100,20 +100,20 @@ def import_(
         ),
     ] = None,
     guess: Annotated[
-        bool, typer.Option("--guess", help="Write a mapping with what the file holds.")
+        bool, typer.Option("--guess", help="Write a draft mapping of the file.")
     ] = False,
     model: Annotated[
         Path | None,
-        typer.Option(help="MJCF or URDF file of the robot: the recording is held against it."),
+        typer.Option(help="MJCF or URDF file of the robot, for the plausibility check."),
     ] = None,
     align: Annotated[
-        bool, typer.Option("--align", help="Take delays of torques or plate back (--model).")
+        bool, typer.Option("--align", help="Correct delays of torques and plate (needs --model).")
     ] = False,
     page: Annotated[
         Path | None,
         typer.Option(
             callback=ending(".html"),
-            help="With --guess and --model: a page of what was solved.",
+            help="With --guess and --model: HTML page of the solution.",
         ),
     ] = None,
     unchecked: Unchecked = False,
@@ -147,7 +147,7 @@ def import_(
         raise typer.BadParameter(f"one mapping at a time, not {len(files)}; it may name many files")
     (mapping,) = files
     if out is None:
-        raise typer.BadParameter("say where the recording goes, as --out recording.parquet")
+        raise typer.BadParameter("--out is missing, e.g. --out recording.parquet")
     if model is None and align:
         raise typer.BadParameter("--align needs --model: delays are found by the robot's motion")
     lines: list[str] = []
@@ -156,10 +156,10 @@ def import_(
         with output.Progress("importing"):
             made, cuts = pieces(mapping)
     else:
-        with output.Progress("importing, holding it against the robot") as bar:
+        with output.Progress("importing, checking against the robot") as bar:
             options = {"align": align, "unchecked": unchecked}
             made, cuts, found = import_and_check(mapping, tree, **options, progress=bar)
-        taken = " (taken back)" if align else ""
+        taken = " (corrected)" if align else ""
         lines = [each.diagnostic().text + taken * each.matters for each in found.offsets]
         checked = [*tree.diagnostics, *found.diagnostics]
     paths = _paths(out, len(made))

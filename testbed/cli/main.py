@@ -135,7 +135,7 @@ def _told(error: BaseException) -> int:
         code = OUR_FAULT
     elif hasattr(error, "format_message"):  # what the option parser found
         if message := error.format_message():  # none where it has printed the help instead
-            _say(f"{message} (testbed --help tells more)")
+            _say(f"{message} (see testbed --help)")
     else:
         import traceback
 

@@ -51,28 +51,26 @@ def minimal(
     zero: Zero = None,
     gravity: Gravity = None,
     tared: Annotated[
-        bool, typer.Option("--tared", help="The bedplate's static wrench has been taken off.")
+        bool, typer.Option("--tared", help="The static wrench is subtracted (tared force plate).")
     ] = False,
     show_map: Annotated[
-        bool, typer.Option("--map", help="Show what each instrument tells of each parameter.")
+        bool, typer.Option("--map", help="Show which parameters each sensor identifies.")
     ] = False,
     check: Annotated[
-        bool, typer.Option("--verify", help="Hold the sets against two other witnesses.")
+        bool, typer.Option("--verify", help="Verify the sets by two independent methods.")
     ] = False,
-    numbers: Annotated[
-        bool, typer.Option("--numbers", help="Print the model's lengths as numbers.")
-    ] = False,
+    numbers: Annotated[bool, typer.Option("--numbers", help="Print lengths as numbers.")] = False,
     as_latex: Annotated[bool, typer.Option("--latex", help="Print the formulas in LaTeX.")] = False,
     terms: Annotated[
         list[str] | None,
         typer.Option(
             metavar="TERM",
-            help="A term of the joints' own torques, as rotor or offset; again for more.",
+            help="A joint term, e.g. rotor or offset; repeatable.",
         ),
     ] = None,
     matrices: Annotated[
         bool | None,
-        typer.Option("--matrices/--no-matrices", help="With --json: the sets as matrices, too."),
+        typer.Option("--matrices/--no-matrices", help="With --json: include the matrices."),
     ] = None,
     weld_root: Weld = False,
     lock: Lock = None,
@@ -129,12 +127,10 @@ def _print_minimal_json(found: Findings, matrices: bool | None) -> None:
 @app.command()
 def equations(
     model: Model,
-    what: Annotated[
-        list[_What] | None, typer.Option(help="Which equations; again for more.")
-    ] = None,
+    what: Annotated[list[_What] | None, typer.Option(help="Which equations; repeatable.")] = None,
     form: Annotated[
         _Form,
-        typer.Option(help="All parameters; minimal ones; these with auxiliary variables."),
+        typer.Option(help="All parameters, base parameters, or recursive form."),
     ] = _Form.full,
     language: Annotated[_Language, typer.Option(help="Notation.")] = _Language.paper,
     zeros: Zeros = False,
@@ -145,15 +141,15 @@ def equations(
     ] = False,
     square: Annotated[
         bool,
-        typer.Option("--right-angles", help="Take turns of almost a right angle for one."),
+        typer.Option("--right-angles", help="Round almost right angles."),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write; default the terminal.")] = None,
     against: Annotated[
         Path | None,
-        typer.Option(exists=True, dir_okay=False, help="A listing to compare with."),
+        typer.Option(exists=True, dir_okay=False, help="Listing to compare with."),
     ] = None,
     max_terms: Annotated[
-        int | None, typer.Option(min=1, help="Refuse what takes more terms; default 150000.")
+        int | None, typer.Option(min=1, help="Largest number of terms; default 150000.")
     ] = None,
     weld_root: Weld = False,
     lock: Lock = None,

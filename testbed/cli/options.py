@@ -55,13 +55,16 @@ def joined_vectors(words: list[str]) -> list[str]:
     return found
 
 
+OUTPUT, ROBOT = "Output and speed", "Robot"
+"""Groups of options in a command's help, after the common ones."""
+
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",  # paragraphs flow, words in [brackets] are words
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    help="A virtual force plate under a robot: minimal dynamic parameters from joint torques "
-    "and from the bedplate's reaction.",
+    help="Identify the inertial parameters of a robot from joint torques or from a force plate "
+    "under its base, simulated or real.",
 )
 
 
@@ -83,9 +86,12 @@ def _options(
     del version  # its callback has done it
 
 
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.", rich_help_panel=OUTPUT)]
 Everything = Annotated[
-    bool, typer.Option("--all", help="Print all parameters and warnings, and how well data fit.")
+    bool,
+    typer.Option(
+        "--all", help="Print all parameters, warnings and residuals.", rich_help_panel=OUTPUT
+    ),
 ]
 
 
@@ -98,58 +104,78 @@ def _timed(context: typer.Context, wanted: bool) -> bool:
 
 
 Timings = Annotated[
-    bool, typer.Option(callback=_timed, help="Print the seconds of each stage on standard error.")
+    bool,
+    typer.Option(
+        "--timings",
+        callback=_timed,
+        help="Print the CPU time of each stage.",
+        rich_help_panel=OUTPUT,
+    ),
 ]
 Set = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a key, as motion.duration=20."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set a key, e.g. motion.duration=20; repeatable."
+    ),
 ]
 RecordingSet = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="As identification.cutoff=8, robot.lock.j=0."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Set a key, e.g. identification.cutoff=8; repeatable."
+    ),
 ]
 Terms = Annotated[
     str | None,
     typer.Option(
         metavar="TERM,...|auto",
-        help="Of the joints' torques, as coulomb,viscous,rotor/elbow; auto: held-out data choose.",
+        help="Joint terms, e.g. coulomb,viscous,rotor/elbow; auto: by cross-validation.",
     ),
 ]
-Weld = Annotated[bool, typer.Option("--weld-root", help="Weld a floating root to the bedplate.")]
+Weld = Annotated[
+    bool,
+    typer.Option(
+        "--weld-root", help="Weld a floating root to the bedplate.", rich_help_panel=ROBOT
+    ),
+]
 Lock = Annotated[
     list[str] | None,
     typer.Option(
         "--lock",
         metavar="JOINT[=q]",
-        help="Hold a joint at q [rad or m], or where it rests; again for more.",
+        help="Fix a joint at q [rad or m], default at its rest position; repeatable.",
+        rich_help_panel=ROBOT,
     ),
 ]
 LockMimic = Annotated[
-    bool, typer.Option("--lock-mimic", help="Hold all joints that follow others.")
+    bool,
+    typer.Option("--lock-mimic", help="Fix all joints that follow others.", rich_help_panel=ROBOT),
 ]
 Unchecked = Annotated[
     bool,
-    typer.Option("--unchecked", help="Do not hold imported recordings against the model."),
+    typer.Option("--unchecked", help="Skip the plausibility check of imported recordings."),
 ]
 Plate = Annotated[
-    Path | None, typer.Option(help="The plate's file, as calibrate wrote it: it is corrected.")
+    Path | None, typer.Option(help="Calibration file of the plate, by testbed calibrate.")
 ]
 Zeros = Annotated[
-    bool, typer.Option("--zeros", help="Parameters that are zero in the model file are known.")
+    bool, typer.Option("--zeros", help="Fix parameters to zero that are zero in the model file.")
 ]
 Zero = Annotated[
     list[str] | None,
-    typer.Option("--zero", metavar="NAME", help="A parameter known to be zero, as mb1x."),
+    typer.Option("--zero", metavar="NAME", help="Fix a parameter to zero, e.g. mb1x; repeatable."),
 ]
 Gravity = Annotated[
     Vector | None,
     typer.Option(
         metavar="X,Y,Z",
         parser=Vector.parse,
-        help="Gravity vector [m/s^2]; default the recording's or the model file's.",
+        help="Gravity [m/s^2]; default from the recording or the model file.",
+        rich_help_panel=ROBOT,
     ),
 ]
-Threads = Annotated[int | None, typer.Option(min=1, help="Default one a processor.")]
+Threads = Annotated[
+    int | None, typer.Option(min=1, help="Default: one per processor.", rich_help_panel=OUTPUT)
+]
 Model = Annotated[
     Path, typer.Argument(metavar="MODEL", parser=own_or_shipped, help="MJCF or URDF file.")
 ]
@@ -164,7 +190,7 @@ ExperimentFile = Annotated[
     typer.Argument(
         metavar="FILE.toml",
         parser=own_or_shipped,
-        help="Experiment file, or the name of one that came with testbed.",
+        help="Experiment file, or the name of a shipped one.",
     ),
 ]
 

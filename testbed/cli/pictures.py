@@ -158,7 +158,7 @@ def report(
     consistent: ConsistentBodies = False,
     validate: Annotated[
         Path | None,
-        typer.Option(help="Another recording of the robot, on which the estimates are judged."),
+        typer.Option(help="Another recording, for cross-validation."),
     ] = None,
     unchecked: Unchecked = False,
 ) -> None:
@@ -187,7 +187,7 @@ def report(
         elif done.unseen is None:
             from testbed.experiment.carry_out import on_unseen_motion, with_payload_metrics
 
-            progress.say(0, 0, "simulating an unseen motion")
+            progress.say(0, 0, "simulating a held-out motion")
             done = on_unseen_motion(with_payload_metrics(done, progress), progress)
         progress.say(0, 0, "drawing")
         beside = write_report(done, path)

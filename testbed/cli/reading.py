@@ -107,7 +107,7 @@ class Reading:
         sources: list[Source] = []
         said: list[Diagnostic] = []
         for path in paths:
-            with output.Progress("holding the recording against the robot"):
+            with output.Progress("checking the recording against the robot"):
                 pieces, cuts = opened_pieces(path)
                 made = [corrected_source(on_its_base(p, tree), tree, self.plate) for p in pieces]
                 longest = max(made, key=lambda source: source.samples)
@@ -128,7 +128,7 @@ class Reading:
             return ()
         from testbed.plausibility.check import check_recording
 
-        with Progress("looking for mistakes") as bar:
+        with Progress("searching for the cause") as bar:
             return check_recording(tree, source, unchecked=unchecked, progress=bar).diagnostics
 
     def doubt(self, tree: Tree) -> CalibrationCovariance | None:

@@ -145,16 +145,16 @@ def new(
     ] = None,
     recording: Annotated[
         list[Path] | None,
-        typer.Option(help="Instead: a logger's file, again for more; writes a mapping for it."),
+        typer.Option(help="A logger's file instead: writes a mapping; repeatable."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default NAME.toml here.")] = None,
     strict: Annotated[
         bool,
-        typer.Option("--strict", help="Refuse bodies that cannot be instead of repairing them."),
+        typer.Option("--strict", help="Refuse impossible bodies instead of repairing them."),
     ] = False,
     exact_torque_constants: Annotated[
         bool,
-        typer.Option("--exact-torque-constants", help="Leave out the error assumed of them."),
+        typer.Option("--exact-torque-constants", help="Assume exact torque constants."),
     ] = False,
 ) -> None:
     """Write an experiment file for a robot, commented and ready to run.
@@ -203,7 +203,7 @@ def _recorded(files: list[Path], mapping: Path, robot: Path | None) -> None:
     tree = None if robot is None else Reading().tree(robot)
     if not write_mapping(files, mapping, robot, tree) or tree is None:
         return
-    with output.Progress("importing, holding it against the robot") as bar:
+    with output.Progress("importing, checking against the robot") as bar:
         several, _, found = import_and_check(mapping, tree, progress=bar)
     recording = max(several, key=lambda each: each.samples)
     recording.save(made)

@@ -237,7 +237,7 @@ def _start(wish: Wish, number: int) -> tuple[Problem, Array]:
             nearest = worst
     if nearest is None:
         raise InfeasibleMotion(
-            f"none of {DRAWS} random motions inside the limits tells all parameters: some joint "
+            f"none of {DRAWS} random motions inside the limits excites all parameters: some joint "
             "has too little room or is too slow; allow more, or lock it"
         )
     label, instant, over = nearest

@@ -99,7 +99,7 @@ def robot_of(experiment: Experiment) -> Tree:
         for name in entries:
             if name not in tree.names:
                 raise ExperimentError(
-                    f"{table} speaks of joint '{name}', the model has {', '.join(tree.names)}"
+                    f"{table} names joint '{name}', the model has {', '.join(tree.names)}"
                 )
     if experiment.robot.base == "measured":
         raise ExperimentError(

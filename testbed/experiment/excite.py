@@ -76,7 +76,7 @@ class Excitation(Diagnosed):
     def gain(self) -> float | None:
         """How many times smaller the rms of relative sigmas is than the random motion's.
 
-        None where there is no random motion, or one that does not tell all parameters.
+        None where there is no random motion, or one that does not identify all parameters.
         """
         if self.random_predicted is None or not np.isfinite(self.random_predicted.rms):
             return None
@@ -87,9 +87,9 @@ class Excitation(Diagnosed):
         """The gain in words."""
         origin = f"the best of {self.experiment.motion.candidates} random motions"
         if self.random_predicted is None:
-            return "no random motion could be proven, to compare with"
+            return "no random motion within the limits was found for comparison"
         if self.gain is None:
-            return f"{origin} does not tell all parameters"
+            return f"{origin} does not identify all parameters"
         theirs = self.random_predicted.rms
         return f"{self.gain:.2f} times smaller than that of {origin} ({theirs:.3g})"
 

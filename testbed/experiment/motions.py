@@ -264,8 +264,8 @@ def _surroundings(
     if not any(shape.body >= 0 for shape in shapes_of_model.shapes):
         if table.obstacle:
             raise ExperimentError(
-                f"{model.path} has no shapes: whether it keeps clear of excitation.obstacle cannot "
-                "be told; give the file collision or visual geometry"
+                f"{model.path} has no shapes: the distance to excitation.obstacle is unknown; "
+                "give the file collision or visual geometry"
             )
         return None, (diagnose("motion.no-shapes"),)
     floor = None if isinstance(table.floor, str) else table.floor

@@ -101,7 +101,7 @@ def find_robot(model: Path, repair: Bodies | None) -> RobotFound:
         tree = ModelFile(model, weld, repair, held | lock).tree()
     if not any(inertia.mass for inertia in tree.inertias):
         raise ModelError(
-            f"{model}: no link that moves has a mass; `testbed minimal` says what could be known"
+            f"{model}: no moving link has a mass; `testbed minimal` lists the base parameters"
         )
     nearest = nearest_bodies(model, weld_root=weld, lock=held | lock)
     return RobotFound(tree, weld, bool(masters), lock, nearest)
@@ -217,7 +217,7 @@ def _head(model: Path, folder: Path, found: RobotFound) -> list[str]:
     joints = plural(tree.n, "joint")
     place = Path(os.path.relpath(model.resolve(), folder.resolve())).as_posix()
     return [
-        f"# {joints}: joint torques tell {torques} minimal parameters, the bedplate {plate}.",
+        f"# {joints}: {torques} base parameters by joint torques, {plate} by the force plate.",
         "# It runs as it is: testbed run FILE. What the model file does not say is marked ASSUMED.",
         "# Lines that begin with # are defaults; every key is in docs/experiments.md.",
         "",

@@ -242,7 +242,7 @@ def _with_remedies(draft: Draft, assessment: Assessment) -> Draft:
         note += f", {share(each.before)} without" if each.before > each.after else ""
         if others.runner_up and others.times > CLEARLY:
             note += f"; the runner-up leaves {others.times:.3g} times more"
-        note += f"; not told apart from {', '.join(others.equals)}" if others.equals else ""
+        note += f"; equally explained by {', '.join(others.equals)}" if others.equals else ""
         for table, key, value in each.lines:
             draft = draft.saying(table, key, value, note)
             if (table, key) == ("position", "unit"):
@@ -316,12 +316,12 @@ def _with_plate(draft: Draft, best: Explanation) -> Draft:
         f"xyz {_list(1e3 * xyz, 2)} +- {_list(1e3 * spread, 2)} mm"
     )
     axes = ", ".join(axis for axis, wide in zip("xyz", spread, strict=True) if wide > FAR)
-    note += f"; {axes} cannot be told from these data" * bool(axes)
+    note += f"; {axes} not determined by these data" * bool(axes)
     precise = np.array(SHIFT)[spread <= FAR]
     widest = np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(precise, precise)]).max(initial=0.0))
     if widest > LOOSE:
-        note += f"; the place cannot be told closer than +- {1e3 * widest:.1f} mm from these data"
-        note += ": faster motion would tell it"
+        note += f"; the place is determined to +- {1e3 * widest:.1f} mm only"
+        note += "; a faster motion determines it better"
     value = {"xyz": np.round(xyz, 4).tolist(), "rpy": [round(a, 6) + 0.0 for a in plain or rpy]}
     draft = draft.saying("wrench", "# place", None).saying("wrench", "place", value, note)
     force, moment = frame.units

@@ -16,13 +16,13 @@ from testbed.campaign.conduct import Standing, bytes_of, seconds_of
 from testbed.campaign.results import RESULTS, CampaignFolder
 from testbed.campaign.summary import Change, Figure, ParameterErrors, Summary, pooled
 from testbed.errors import plural, printable, round_significant
-from testbed.identification.estimate import METHODS
+from testbed.identification.estimate import METHODS, NAMES
 from testbed.reporting.figures import Panel, named_panels
 from testbed.reporting.html import write_page
 from testbed.reporting.output import Progress, print_tables
 from testbed.reporting.section import HeatTable, Section, Table
 
-LEGEND = {"external": "by the plate", "internal": "by joint torques"}
+LEGEND: Mapping[str, str] = {str(method): name for method, name in NAMES.items()}
 
 ENOUGH = 20
 """Runs without which no distribution of errors is drawn."""
@@ -64,10 +64,10 @@ def marginal_figure(summary: Summary, metrics: Sequence[str]) -> Section | None:
     return Section(
         id="marginals",
         title="Errors over each factor",
-        says="The mean over the runs of a level that have a result, whatever the other factors.",
+        says="Mean over all runs of a level.",
         legend=_legend(panels),
         panels=panels,
-        caption="Rms over the parameters that joint torques can tell.",
+        caption="Rms over the parameters that joint torques can identify.",
         table=Table(["factor", "level", "metric", "mean [%]"], rows),
     )
 
@@ -108,18 +108,18 @@ def coverage_figure(every: Sequence[ParameterErrors]) -> Section | None:
         ]
     if not rows:
         return None
-    title = "share that hold the truth"
+    title = "coverage"
     panels = named_panels(title, names, shares, "coverage [%]", bars=bars, line=95.0)
     return Section(
         id="coverage",
-        title="Do intervals of 95 % hold the truth?",
+        title="Coverage of 95 % confidence intervals",
         says=(
-            "Points are the share of intervals that hold the truth; bars, the coverage that so "
-            "many runs allow, with a certainty of 95 %. One bar in twenty may miss the line."
+            "Points: share of the intervals that contain the truth. Bars: 95 % confidence "
+            "interval of that share for this number of runs; one bar in twenty may miss the line."
         ),
         legend={"measured": "95 %"} | _legend(panels),
         panels=panels,
-        caption="Bounds of Clopper and Pearson.",
+        caption="Confidence intervals by Clopper and Pearson.",
         table=Table(["parameter", "method", "runs", "coverage [%]"], rows),
     )
 
@@ -148,16 +148,16 @@ def score_figure(z: Mapping[str, Mapping[str, Array]]) -> Section | None:
         stairs = np.repeat(BINS, 2)[1:-1], np.repeat(share, 2)
         title = f"{LEGEND[method]}: density of {len(pooled)} errors, rms {_rms(pooled):.2f}"
         curves = {"measured": (middle, normal), method: stairs}
-        panels.append(Panel(title, curves, "error / sigma", from_zero=True))
+        panels.append(Panel(title, curves, "error / standard deviation", from_zero=True))
     if not panels:
         return None
     return Section(
         id="scores",
-        title="Errors in sigmas",
-        says="If sigma is honest, errors over sigmas follow the normal law.",
-        legend={"measured": "normal law"} | _legend(panels),
+        title="Normalised errors",
+        says="Errors divided by standard deviations should follow a standard normal distribution.",
+        legend={"measured": "normal distribution"} | _legend(panels),
         panels=panels,
-        caption="All parameters and runs; the table has them one by one.",
+        caption="All parameters and runs together; the table lists each parameter.",
         table=Table(["parameter", "method", "mean of z", "rms of z"], rows),
     )
 
@@ -183,11 +183,17 @@ def sigma_figure(parts: Sequence[ParameterErrors]) -> Section | None:
         if own:
             curves[method] = np.array([e.sigma for e in own]), np.array([e.spread for e in own])
     points = tuple(kind for kind in curves if kind != "measured")
-    panel = Panel("obtained sigma", curves, "predicted sigma", log=True, points=points)
+    panel = Panel(
+        "obtained standard deviation",
+        curves,
+        "predicted standard deviation",
+        log=True,
+        points=points,
+    )
     return Section(
         id="sigma",
-        title="Predicted and obtained sigma",
-        says="Below the line, estimates are better than they say; above it, worse.",
+        title="Predicted and obtained standard deviation",
+        says="Points on the line: the predicted standard deviation is correct.",
         legend={"measured": "as predicted"} | _legend([panel]),
         panels=[panel],
         caption="Each in the unit of its parameter.",
@@ -205,9 +211,9 @@ LISTED = 20
 """Cells or failures that are listed one by one."""
 
 SHOWN_METRICS = (
-    ("external error [%]", "external_rms_relative_error", 100.0),
+    ("force plate: error [%]", "external_rms_relative_error", 100.0),
     ("largest z", "external_max_z", 1.0),
-    ("internal error [%]", "internal_rms_relative_error", 100.0),
+    ("joint torques: error [%]", "internal_rms_relative_error", 100.0),
     ("its largest z", "internal_max_z", 1.0),
     ("consistent error [%]", "consistent_rms_relative_error", 100.0),
 )
@@ -217,8 +223,8 @@ SHOWN = ("external_rms_relative_error", "internal_rms_relative_error")
 """Metrics that are compared on one scale."""
 
 CAPTIONS = {
-    **dict(zip(SHOWN, ("By the plate", "By joint torques"), strict=True)),
-    "consistent_rms_relative_error": "Bodies that can exist",
+    **dict(zip(SHOWN, ("Force plate", "Joint torques"), strict=True)),
+    "consistent_rms_relative_error": "Consistent bodies",
 }
 """Metrics that have a table over two factors, all on one scale."""
 

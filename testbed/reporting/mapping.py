@@ -57,7 +57,7 @@ def mapping_contents(title: str, solved: MappingSolution) -> dict[str, Any]:
     return {
         "title": f"Mapping {title}",
         "summary": [
-            "What the columns' names do not say was solved from the data.",
+            "The data determine what the column names do not state.",
             *(f"Warning: {line}." for line in sentences(solved.diagnostics)),
         ],
         "table": solved_table(solved.draft),
@@ -78,8 +78,8 @@ def _channels(read: WrenchFit, place: str, how: str) -> Section:
         id=place,
         title=f"The plate {how}",
         says=(
-            "The six channels, and the nearest that any parameters of the robot can make of "
-            "them. Where the mapping is right they are one."
+            "The six channels and their best fit by any parameters of the robot. They agree if "
+            "the mapping is right."
         ),
         legend={"measured": "measured", "external": "explained"},
         panels=panels,
@@ -98,11 +98,10 @@ def _runner_ups(solved: MappingSolution) -> Section:
     bars = {"external": (np.full(len(shares), LEAST), shares)}
     return Section(
         id="runner-ups",
-        title="What else was tried",
+        title="Alternatives",
         says=(
-            "The unexplained part of the plate's channels, on average, by the explanations "
-            "that come nearest: of what was assumed, what must be said instead. The first is the "
-            "mapping's."
+            "Mean unexplained share of the plate's channels for the mapping (first) and for the "
+            "alternatives that come nearest."
         ),
         legend={"external": "unexplained"},
         panels=(

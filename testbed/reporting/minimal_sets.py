@@ -109,14 +109,16 @@ def print_sets(console: Console, found: Findings, lengths: Lengths) -> None:
     if found.seen:
         console.print(map_table(found.tree, found.seen))
         console.print(
-            f"{GLYPHS[2]} told alone, {GLYPHS[1]} in combination, {GLYPHS[0]} never; in the "
+            f"{GLYPHS[2]} identifiable alone, {GLYPHS[1]} in combination, {GLYPHS[0]} not; in the "
             f"order {' '.join(STANDARD)} about the body frame"
         )
     for line in _verdicts(found):
         console.print(line, soft_wrap=True)
     lost = [name for name in found.reaction.never if name in found.dynamic.never]
     if lost:
-        console.print(f"never told, not even in combination: {', '.join(lost)}", soft_wrap=True)
+        console.print(
+            f"not identifiable, not even in combination: {', '.join(lost)}", soft_wrap=True
+        )
     console.print(_summary(found), soft_wrap=True)
 
 
@@ -266,13 +268,16 @@ def _drive_lines(drives: DriveSet, tree: Tree) -> Iterator[str]:
             yield f"{law.kind}: a column of its own for {whose}"
     for term, column in drives.regrouped.items():
         holders = [name for name, share in zip(drives.names, column, strict=True) if share]
-        yield f"{drives.symbol(term).text}: told only within {' and '.join(holders)}"
+        beside = " and ".join(holders)
+        yield f"{drives.symbol(term).text}: identifiable only in combination with {beside}"
 
 
 def _summary(found: Findings) -> str:
-    bedplate = f"{'tared ' if found.reaction.tared else ''}bedplate {found.reaction.count}"
-    count = found.dynamic.count
-    phrase = f"joint torques tell {plural(count, 'combination')} and the {bedplate}"
+    tared = " (tared)" if found.reaction.tared else ""
+    count = plural(found.dynamic.count, "combination")
+    phrase = (
+        f"{count} identifiable by joint torques, {found.reaction.count} by the force plate{tared}"
+    )
     drives = found.drives
     terms = (
         f"; with terms of the joints, {plural(drives.count, 'unknown')}"
@@ -286,7 +291,7 @@ def _verdicts(found: Findings) -> Iterator[str]:
     """What the witnesses say, a line each."""
     for each in found.agreements:
         yield (
-            f"{each.model}: three witnesses {_agree(each.holds)}: rules {each.rules}, exact "
+            f"{each.model}: three methods {_agree(each.holds)}: rules {each.rules}, exact "
             f"recursion {each.recursion} (row spaces apart by {each.recursion_distance:.0e}), "
             f"sampled regressor {each.sampled} ({each.sampled_distance:.0e}, singular-value gap "
             f"{each.gap:.0e}); regrouping changes the model by {each.change:.0e}"
@@ -294,7 +299,7 @@ def _verdicts(found: Findings) -> Iterator[str]:
     drives = found.drives_agree
     if drives is not None:
         yield (
-            f"with terms of the joints: two witnesses {_agree(drives.holds)}: exact recursion "
+            f"with terms of the joints: two methods {_agree(drives.holds)}: exact recursion "
             f"{drives.count}, sampled columns {drives.sampled} (singular-value gap "
             f"{drives.gap:.0e}); regrouping changes the model by {drives.change:.0e}"
         )

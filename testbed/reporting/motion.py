@@ -49,7 +49,7 @@ def print_excitation(
     rows = range(count) if everything else least_known[:ROWS].tolist()
     print_tables(console, [sigma_table(found, rows)])
     if len(rows) < count:
-        console.print(f"({count - len(rows)} more that are better known: --all)")
+        console.print(f"({count - len(rows)} more with smaller standard deviation: --all)")
     motion, design = found.design.motion, found.design
     count = len(design.searches)
     searched = "one search" if count == 1 else f"the best of {count} searches"
@@ -64,7 +64,8 @@ def print_excitation(
 
 def _promise(found: Excitation) -> str:
     return (
-        f"predicted: rms relative sigma {found.predicted.rms:.3g}, {found.beside_random}; "
+        f"predicted: rms relative standard deviation {found.predicted.rms:.3g}, "
+        f"{found.beside_random}; "
         f"condition number {found.predicted.condition:.3g}"
     )
 
@@ -85,7 +86,7 @@ def sigma_table(found: Excitation, rows: Iterable[int]) -> Table:
             words.append(f"{random[k]:.3%}" if np.isfinite(random[k]) else "-")
         return words
 
-    heads = ["parameter", "predicted\nsigma", "of its\nvalue", "random\nmotion"]
+    heads = ["parameter", "predicted\nstd", "relative\nstd", "random\nmotion"]
     return Table(heads[: 3 + (random is not None)], [row(k) for k in rows])
 
 
@@ -97,7 +98,7 @@ def margin_table(margins: Iterable[Margin]) -> Table:
     """
     nearest = sorted(margins, key=lambda margin: (margin.holds, margin.left))
     rows = [[m.label, _left(m), f"{m.instant:.3f}"] for m in nearest]
-    return Table(["limit on", "left", "at t [s]"], rows)
+    return Table(["limit on", "margin", "at t [s]"], rows)
 
 
 def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> None:
@@ -112,15 +113,15 @@ def print_proof(console: Console, proof: Proof, *, everything: bool = False) -> 
     shown = count if everything else min(MARGINS, count)
     print_tables(console, [Table(table.heads, table.rows[:shown])])
     if shown < count:
-        console.print(f"({count - shown} more limits with more left: --all)")
+        console.print(f"({count - shown} more limits with larger margins: --all)")
     if not proof.holds:
         failed = sum(not margin.holds for margin in proof.margins)
         console.print(f"NOT proven: {failed} of {plural(count, 'limit')}; {proof.worst.words}")
         return
     held = len(proof.binding)
     console.print(
-        f"proven at every moment: {plural(count, 'limit')}"
-        + (f"; it comes up to {held} of them" if held else "")
+        f"verified at every instant: {plural(count, 'limit')}"
+        + (f"; {held} active" if held else "")
     )
 
 
@@ -145,8 +146,8 @@ def motion_contents(found: Excitation) -> dict[str, Any]:
         "title": f"Motion of {found.tree.name}",
         "summary": [
             f"{plural(motion.harmonics, 'harmonic')} of {motion.fundamental:g} Hz; "
-            "predicted rms of the "
-            f"relative sigmas {found.predicted.rms:.2g}, {found.beside_random}.",
+            f"predicted rms of relative standard deviations {found.predicted.rms:.2g}, "
+            f"{found.beside_random}.",
             *(f"Warning: {line}." for line in sentences(found.diagnostics)),
         ],
         "holds": proof.holds,
@@ -164,18 +165,18 @@ def _sigma_figure(found: Excitation) -> Section:
     values["external"] = 100 * promised
     return Section(
         id="sigma",
-        title="What it promises",
+        title="Predicted standard deviations",
         says=(
-            "The standard deviation that each parameter will have from white noise of this "
-            "instrument, before anything has run: of this motion, and of the best random one."
+            "Standard deviation of each parameter for white noise of this instrument, predicted "
+            "for this motion and for the best random one."
         ),
         legend={"measured": "random motion", "external": "this motion"}
         if random is not None
         else {"external": "this motion"},
-        panels=named_panels("sigma", names, values, "sigma, part of the value [%]", log=True),
+        panels=named_panels("", names, values, "relative standard deviation [%]", log=True),
         caption=(
-            f"A recording of {found.experiment.motion.duration:g} s, its filters' ends off. "
-            "Logarithmic; further to the left is better."
+            f"A recording of {found.experiment.motion.duration:g} s, without filter transients. "
+            "Logarithmic scale."
         ),
         table=sigma_table(found, range(len(names))),
     )
@@ -208,7 +209,7 @@ def _motion_figure(found: Excitation) -> Section:
         )
     return Section(
         id="motion",
-        title="How it moves",
+        title="Motion",
         says="One period, joint by joint; it repeats as often as the recording lasts.",
         panels=panels,
         shown=SHOWN,
@@ -222,7 +223,7 @@ def _limit_figure(found: Excitation) -> Section:
     times = _times(found)
     panels = [
         Panel(
-            f"left of {kind.label} [{kind.unit}]",
+            f"margin to {kind.label} [{kind.unit}]",
             {"external": (times, kind.left)},
             "time [s]",
             from_zero=bool((kind.left >= 0).all()),
@@ -231,10 +232,10 @@ def _limit_figure(found: Excitation) -> Section:
     ]
     return Section(
         id="limits",
-        title="What it leaves of its limits",
+        title="Margins to limits",
         says=(
-            "At every instant, what the nearest limit of each kind leaves of what may be used. "
-            "The table holds what is proven, between the instants too."
+            "Smallest margin to the limits of each kind over time. The table lists margins that "
+            "are proven for every instant, between the samples too."
         ),
         panels=panels,
         caption=_allowed(found),
@@ -248,8 +249,8 @@ def _allowed(found: Excitation) -> str:
     if rules.collision is not None and rules.collision.pairs:
         least = 1000 * float(rules.clearance.max())
         said += (
-            f" Distances are of shapes that no joint joins. {least:g} mm are to be kept; what is "
-            f"left of a clearance is beyond these, and {1000 * FAR:g} mm or more are drawn as that."
+            f" Distances are between bodies not connected by a joint. The margin is what exceeds "
+            f"the required {least:g} mm; it is drawn up to {1000 * FAR:g} mm."
         )
         if rules.clearance.min() < rules.clearance.max():
             said += " Pairs that keep less are not drawn; the table has them."

@@ -85,7 +85,7 @@ def motion_blueprint(
         period: Of the motion [s].
     """
     seen = (0.0, period)
-    left = [_plot(f"/left/{k}", f"left of {kind}", seen, False) for k, kind in enumerate(kinds)]
+    left = [_plot(f"/left/{k}", f"margin to {kind}", seen, False) for k, kind in enumerate(kinds)]
     joints = [
         rrb.Horizontal(
             *(_plot(f"/{s}/{safe(j.name)}", f"{s} of {j.name}", seen, False) for s in RATES)

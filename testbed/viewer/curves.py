@@ -11,11 +11,14 @@ import rerun as rr
 from testbed.arrays import Array
 from testbed.experiment.growth import growing_errors
 from testbed.experiment.score import relative_errors
-from testbed.identification.estimate import METHODS, Method, by_influence
+from testbed.identification.estimate import METHODS, NAMES, Method, by_influence
 from testbed.viewer.colours import COLOURS, Colour, palette
 from testbed.viewer.drives import log_curve
 from testbed.viewer.robot_drawing import clock
 from testbed.viewer.scene import Scene, rounded_up, safe
+
+_LABELS: dict[str, str] = {str(method): name for method, name in NAMES.items()}
+"""Of curves, where people call them otherwise than files do."""
 
 BINS = 25.0
 """Parts of a second of which extremes are shown: a plot of ten seconds has as many pixels [Hz]."""
@@ -90,7 +93,9 @@ def series(
         colours: (k,).
         widths: Of the lines, (k,); default the viewer's.
     """
-    lines = rr.SeriesLines(names=list(labels), colors=list(colours), widths=widths)
+    lines = rr.SeriesLines(
+        names=[_LABELS.get(x, x) for x in labels], colors=list(colours), widths=widths
+    )
     stream.log(path, lines, static=True)
     instants, shown = thinned(time, values)
     columns = rr.Scalars.columns(scalars=np.ascontiguousarray(shown))

@@ -24,7 +24,7 @@ LIGHTEST = (245.0, 246.0, 248.0)
 
 TITLES = {
     "before": "before: error of the matrix, % of what the channel (row) reaches",
-    "after": "after: what sigma leaves of it, %",
+    "after": "after: its standard deviation, % of what the channel reaches",
 }
 """Of the pictures, by the name of each."""
 

@@ -80,7 +80,7 @@ class ConsistencyOptions:
         if together - total > SURE * spread:
             raise SettingsError(
                 f"known masses: {' + '.join(parts)} make {together:g} kg, more than the {total:g} "
-                f"kg that '{MASS}' says of all bodies together"
+                f"kg of '{MASS}', the mass of all bodies"
             )
 
 

@@ -250,9 +250,9 @@ def _refuse_dependent(equations: NormalEquations, joint: int, lead: Array) -> No
     spread = np.linalg.eigvalsh(products / np.outer(size, size)) if size.all() else np.zeros(1)
     if spread[0] <= len(size) * np.finfo(float).eps * spread[-1]:
         raise RecordingError(
-            f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not tell "
-            f"its torque constant and {len(size) - 1} numbers of its friction and rotor apart: "
-            "record longer, or a richer motion of it"
+            f"{int(equations.used[joint])} rows of joint '{equations.channels[joint]}' do not "
+            f"identify its torque constant beside {len(size) - 1} coefficients of friction and "
+            "rotor: record longer, or a richer motion of it"
         )
 
 

@@ -294,7 +294,7 @@ def estimate_mass(tree: Tree, poses: Sequence[Pose]) -> MassEstimate:
     total = np.tile([1.0, 0.0, 0.0, 0.0], tree.n)
     values, covariance, identifiable = _solved(columns, _stacked(poses), total[None])
     if not identifiable[0]:
-        raise RecordingError("the poses do not tell the mass of what moves")
+        raise RecordingError("the moving mass is not identifiable from these poses")
     return MassEstimate(float(values[0]), float(np.sqrt(covariance[0, 0])), (), (), len(poses))
 
 
@@ -322,8 +322,8 @@ def estimate_payload_mass(
     values, covariance, identifiable = _solved(columns, measured, asked)
     if not identifiable[0]:
         raise RecordingError(
-            "the poses do not tell the payload's mass from the robot's: with it and without it, "
-            "some have to be alike, or more of them differ"
+            "the payload's mass is not identifiable beside the robot's: repeat some poses with and "
+            "without the payload, or measure more different ones"
         )
     mass, place = float(values[0]), values[1:] / values[0]
     slope = np.column_stack([-place / mass, np.eye(3) / mass])

@@ -93,7 +93,7 @@ def _combination(minimal: MinimalSet, wanted: Array, name: str) -> Array:
     found = wanted @ minimal.lift
     if np.abs(found @ minimal.matrix - wanted).max() > IN_SPACE * np.abs(wanted).max(initial=1.0):
         raise SettingsError(
-            f"'{name}' is not among what this recording tells: "
+            f"'{name}' is not identifiable from this recording: "
             + (
                 "it needs the plate, and its weight without tare"
                 if name == MASS
@@ -232,8 +232,8 @@ def facts(
             rows[k, unknowns.index(name)] = 1.0
         elif name.startswith(PAYLOAD):
             raise SettingsError(
-                f"'{name}': a payload that the robot always carries is a part of its link and "
-                "tells nothing; record the robot without it, too: testbed calibrate WITHOUT "
+                f"'{name}': a payload that the robot always carries is a part of its link "
+                "and not identifiable; record the robot without it, too: testbed calibrate WITHOUT "
                 f"--loaded WITH --known {PAYLOAD}mass=1.5"
             )
         else:

@@ -179,9 +179,8 @@ class _Look:
         plan = self.passes.plan
         if plan.rows < FEWEST * PARTS:
             raise RecordingError(
-                f"the recording gives {plural(plan.rows, 'row')}, too few to foretell "
-                f"{PARTS} parts of it "
-                "from the others; record longer"
+                f"the recording gives {plural(plan.rows, 'row')}, too few for "
+                f"{PARTS}-fold cross-validation; record longer"
             )
         self.units = channel_units(problem.tree, problem.method)
         reach = -(-2 * (len(plan.weights) // 2) // plan.step)

@@ -289,7 +289,7 @@ def explain_nonidentifiable(
         MASS in known and BIAS.kind in nuisances
     )
     return (
-        f"no motion tells {phrase}: state what is known. A total mass (mass=20) and a gain "
+        f"no motion identifies {phrase}: state a known value. A total mass (mass=20) and a gain "
         f"(gain/Fz=1) fix the scale{zero}; so does a gain with a centre of mass (centre/x=0.1), "
         "or a payload of known mass (--loaded)"
     )

@@ -355,6 +355,7 @@ def _read(
     stamps, values = time[part][kept], values[kept]
     used = steady_times(name, stamps) if source.steady else stamps
     clock = clock_report(name, source, stamps, used, int(np.count_nonzero(~kept)))
+    clock = replace(clock, cut=table.cut)
     return _Source(used, {c: values[:, k] for k, c in enumerate(wanted)}, clock)
 
 

@@ -40,12 +40,14 @@ class ForeignTable:
         shapes: Of the arrays that hold numbers, by name.
         load: Gives an array by name.
         units: What the file says of columns' or arrays' units, as it says it.
+        cut: Whether a last sample was incomplete and is left out.
     """
 
     path: Path
     shapes: Mapping[str, tuple[int, ...]]
     load: Callable[[str], Any]
     units: Mapping[str, str] = field(default_factory=dict)
+    cut: bool = False
 
     @property
     def columns(self) -> tuple[str, ...]:

@@ -88,6 +88,8 @@ class ImportReport:
 
     def _of_clocks(self) -> Iterator[Diagnostic]:
         for name, clock in self.clocks.items():
+            if clock.cut:
+                yield diagnose("import.incomplete", name)
             if clock.jitter > JITTER:
                 yield diagnose("import.jitter", name, clock.jitter)
             if clock.gaps:

@@ -55,6 +55,7 @@ class ClockReport:
         longest_gap: Longest step [s].
         repeated: Samples left out because stamp and values were those of the one before.
         lead: From its first sample to the recording's first instant [s].
+        cut: Whether a last sample was incomplete and is left out.
     """
 
     samples: int
@@ -64,6 +65,7 @@ class ClockReport:
     longest_gap: float
     repeated: int
     lead: float = 0.0
+    cut: bool = False
 
 
 @dataclass(frozen=True, eq=False)

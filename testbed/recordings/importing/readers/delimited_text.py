@@ -2,7 +2,7 @@
 
 Lines before the first one of numbers are a preamble; the last of them that has as many fields
 names the columns, else they are called 0, 1, .... Columns of text are left out, empty fields are
-no numbers (nan).
+no numbers (nan). A last line that is incomplete is left out.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
     with readable(path):
         lines = _text(path).splitlines()
         first, separator, decimal = _first_numbers(path, lines)
+        lines, cut = _without_cut_end(lines, first, separator)
         wanted = [k for k, x in enumerate(_fields(lines[first], separator)) if _number(x, decimal)]
         names = _names(lines[:first], _fields(lines[first], separator), separator)
         body = "\n".join(line for line in lines[first:] if not _comment(line))
@@ -65,7 +66,15 @@ def read_file(path: Path, topic: str | None) -> ForeignTable:
             columns[names[k]] = table[:, place]
             if np.abs(table[:, place]).max(initial=0) >= WHOLE:
                 columns[names[k]] = _counted(body, separator, k, table[:, place])
-    return ForeignTable(path, {name: c.shape for name, c in columns.items()}, columns.__getitem__)
+    shapes = {name: column.shape for name, column in columns.items()}
+    return ForeignTable(path, shapes, columns.__getitem__, cut=cut)
+
+
+def _without_cut_end(lines: list[str], first: int, separator: str | None) -> tuple[list[str], bool]:
+    """The lines without a last one that is incomplete, as where a logger was stopped."""
+    last = max(k for k, line in enumerate(lines) if not _comment(line))
+    fields = [len(lines[k].strip("\r\n").split(separator)) for k in (first, last)]
+    return (lines[:last], True) if fields[1] < fields[0] else (lines, False)
 
 
 def _with_holes(
