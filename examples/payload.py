@@ -11,10 +11,10 @@ before, after = (tb.identify(tree, tb.simulate(each), "external") for each in (e
 found = tb.payload(tree, before, after)
 
 print(f"on the link that {found.joint} moves; in truth 1 kg, 0.43 m along z")
-for name, value, sigma, told in zip(
-    found.names, found.values, found.sigma, found.told, strict=True
+for name, value, sigma, alone in zip(
+    found.names, found.values, found.sigma, found.identifiable, strict=True
 ):
-    print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if told else f"{name:6s} not told alone")
+    print(f"{name:6s} {value:9.5f} +- {sigma:.5f}" if alone else f"{name:6s} not told alone")
 print("centre [m]:", (found.values[1:4] / found.values[0]).round(4))
 for line in tb.sentences(found.diagnostics):
     print(line)
